@@ -1,0 +1,117 @@
+"""What can go wrong, as types: one root, and one class per way a caller reacts.
+
+``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
+cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class HitchoptError(Exception):
+    """Root of every error that hitchopt raises on purpose."""
+
+
+class InputError(HitchoptError, ValueError):
+    """A value that is wrong in itself: type, count, range, sign, finiteness or shape.
+
+    Parameters
+    ----------
+    key: where it was given, such as ``limits.speed`` or ``mission[0].morph.polygon``.
+    value: what was given.
+    bound: what it must be, as the end of "must be …".
+    remedy: what to write instead.
+    """
+
+    def __init__(self, key: str, value: object, bound: str, remedy: str) -> None:
+        self.key = key
+        self.value = value
+        self.bound = bound
+        self.remedy = remedy
+        super().__init__(f"{key} = {_shown(value)}: must be {bound}; {remedy}")
+
+    def within(self, parent: str) -> InputError:
+        """Return the same error with its key seen from the enclosing mapping ``parent``."""
+        joint = "" if self.key.startswith("[") else "."
+        key = f"{parent}{joint}{self.key}" if self.key else parent
+        return InputError(key, self.value, self.bound, self.remedy)
+
+
+class FileError(HitchoptError):
+    """A file that cannot be read or written, or that does not hold what its name promises."""
+
+
+class UnsupportedError(HitchoptError):
+    """A request that hitchopt's interface knows and this version cannot plan yet."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One constraint that cannot be kept, with all that is known of where and when.
+
+    Attributes
+    ----------
+    constraint: name of the check, as in the certificate.
+    value: the quantity's worst value, in ``unit``.
+    limit: the bound that it breaks, in ``unit``.
+    sense: ``min`` if the value must not be below the limit, ``max`` if not above it.
+    unit: such as ``m`` or ``ratio``.
+    where: names of drones, cables or vertices.
+    when: such as ``at t = 1.25 s of step 0 (morph)``; words, since some are found before timing.
+    remedy: what to change.
+    """
+
+    constraint: str
+    value: float
+    limit: float
+    sense: str
+    unit: str
+    where: tuple[str, ...]
+    when: str
+    remedy: str
+
+    def __str__(self) -> str:
+        when = f" {self.when}" if self.when else ""
+        broken = broken_limit(
+            self.constraint, self.value, self.limit, self.sense, self.unit, self.where
+        )
+        return f"{broken}{when}; {self.remedy}"
+
+
+class InfeasibleError(HitchoptError):
+    """A well-formed request that cannot be met.
+
+    Attributes
+    ----------
+    violations: what binds, the worst first.
+    """
+
+    def __init__(self, violations: Sequence[Violation]) -> None:
+        self.violations = tuple(violations)
+        super().__init__("\n".join(str(v) for v in self.violations))
+
+
+def broken_limit(
+    name: str, value: float, limit: float, sense: str, unit: str, where: Sequence[str]
+) -> str:
+    """Return "name: value is below the limit of …, at …", in digits that tell the two apart."""
+    relation = "below" if sense == "min" else "above"
+    words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
+    place = f" at {', '.join(where)}" if where else ""
+    texts = [f"{value:.6g}", f"{limit:.6g}"]
+    for digits in (9, 12, 17):
+        if texts[0] != texts[1]:
+            break
+        texts = [f"{value:.{digits}g}", f"{limit:.{digits}g}"]
+    return f"{name}: {texts[0]}{words} is {relation} the limit of {texts[1]}{words}{place}"
+
+
+def _shown(value: object) -> str:
+    """Return ``value`` in at most 80 characters: a message is no place for a whole table."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = f"a {type(value).__name__} too long to write"
+    return text if len(text) <= 80 else f"{text[:77]}..."
