@@ -1,0 +1,249 @@
+"""A hitch at rest: polygon, legs and tensions give every drone its place and its pull."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.equilibrium import leg_directions
+from hitchopt.hitch.limits import Arena, Limits, Separation
+from hitchopt.hitch.sharing import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask, share
+from hitchopt.hitch.team import Team
+from hitchopt.hitch.values import finite
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hitch:
+    """A closed hitch in a horizontal plane, in balance.
+
+    Parameters
+    ----------
+    team: whose cables it is tied of.
+    polygon: its outline, ``p_0 … p_{n-1}``, or the points (n, 2) [m].
+    altitude: height of its plane [m].
+    q_legs: (n,) [m], ``d_k``: from vertex k to drone q_k. The rest of cable k's slack is
+        ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k.
+
+    Raises
+    ------
+    InputError: a count that does not fit the team, or numbers that are not finite.
+    InfeasibleError: an edge as long as its cable, or a leg that is not positive.
+    """
+
+    team: Team
+    polygon: ConvexPolygon
+    altitude: float
+    q_legs: Array
+
+    def __init__(
+        self, team: Team, polygon: ConvexPolygon | ArrayLike, altitude: float, q_legs: ArrayLike
+    ) -> None:
+        outline = fitting_polygon(team, polygon)
+        slack = cable_slack(team, outline)
+        d = np.array(q_legs, dtype=np.float64)
+        if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
+            raise InputError(
+                "legs", q_legs, f"a list of {team.robots} finite lengths d_k", "give one per robot"
+            )
+        legs = np.column_stack([d, slack - d])
+        k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
+        if legs[k, end] <= 0.0:
+            raise InfeasibleError(
+                [
+                    Violation(
+                        "legs",
+                        float(legs[k, end]),
+                        0.0,
+                        "min",
+                        "m",
+                        (f"{'qr'[end]}{k}",),
+                        "",
+                        f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it",
+                    )
+                ]
+            )
+        d.setflags(write=False)
+        object.__setattr__(self, "team", team)
+        object.__setattr__(self, "polygon", outline)
+        object.__setattr__(self, "altitude", finite("altitude", altitude))
+        object.__setattr__(self, "q_legs", d)
+
+    @classmethod
+    def balanced(
+        cls, team: Team, polygon: ConvexPolygon | ArrayLike, altitude: float = 1.0
+    ) -> Hitch:
+        """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
+
+        Raises
+        ------
+        InputError, InfeasibleError: as the class.
+        """
+        outline = fitting_polygon(team, polygon)
+        return cls(team, outline, altitude, 0.5 * cable_slack(team, outline))
+
+    @classmethod
+    def spread(
+        cls,
+        team: Team,
+        polygon: ConvexPolygon | ArrayLike,
+        altitude: float = 1.0,
+        *,
+        limits: Limits | None = None,
+        separation: Separation | None = None,
+    ) -> Hitch:
+        """Return the hitch whose legs are shared so that drones keep well apart.
+
+        The sharing nearest to balanced (least squares in ``d``) whose separation over all pairs
+        and whose distances to cables are at least 1.5 times their limits and whose legs keep
+        theirs, else the one with the best such margin.
+
+        Raises
+        ------
+        InputError, InfeasibleError: as the class.
+        """
+        outline = fitting_polygon(team, polygon)
+        d = _nearest_legs(
+            team,
+            outline,
+            0.5 * cable_slack(team, outline),
+            SPREAD_MARGIN,
+            limits or Limits(),
+            separation or Separation(),
+            None,
+        )
+        return cls(team, outline, altitude, d)
+
+    @classmethod
+    def nearest(
+        cls,
+        team: Team,
+        polygon: ConvexPolygon | ArrayLike,
+        altitude: float,
+        fractions: ArrayLike,
+        *,
+        limits: Limits,
+        separation: Separation,
+        arena: Arena | None = None,
+    ) -> Hitch:
+        """Return the hitch shared nearest to ``fractions`` (n,) that keeps every limit.
+
+        Where none does, the one that comes nearest to it.
+
+        Raises
+        ------
+        InputError, InfeasibleError: as the class.
+        """
+        outline = fitting_polygon(team, polygon)
+        wanted = np.asarray(fractions, dtype=np.float64) * cable_slack(team, outline)
+        d = _nearest_legs(team, outline, wanted, LIMIT_MARGIN, limits, separation, arena)
+        return cls(team, outline, altitude, d)
+
+    @property
+    def slack(self) -> Array:
+        """(n,) [m]: what cable k has left for its two legs, ``L_k - l_k``."""
+        return self.team.cable_length - self.polygon.edge_lengths
+
+    @property
+    def legs(self) -> Array:
+        """(n, 2) [m]: ``d_k`` and ``e_k``."""
+        return np.column_stack([self.q_legs, self.slack - self.q_legs])
+
+    @property
+    def fractions(self) -> Array:
+        """(n,): the sharing, ``d_k / (d_k + e_k)``."""
+        return self.q_legs / self.slack
+
+    @property
+    def vertices(self) -> Array:
+        """(n, 3) [m]."""
+        return np.column_stack([self.polygon.vertices, np.full(len(self.polygon), self.altitude)])
+
+    @property
+    def leg_directions(self) -> Array:
+        """(2n, 3): unit vectors from the vertex to the drone, in the order q0, r0, q1, …."""
+        q, r = leg_directions(self.polygon.edge_directions, self.team.tension)
+        level = np.stack([q, r], axis=1).reshape(-1, 2)
+        return np.column_stack([level, np.zeros(len(level))])
+
+    @property
+    def drones(self) -> Array:
+        """(2n, 3) [m]: ``q_k = p_k + d_k q̂_k`` and ``r_k = p_{k+1} + e_k r̂_k``."""
+        p = self.vertices
+        anchors: Array = np.stack([p, np.roll(p, -1, axis=0)], axis=1).reshape(-1, 3)
+        drones: Array = anchors + self.legs.reshape(-1, 1) * self.leg_directions
+        return drones
+
+    @property
+    def cable_forces(self) -> Array:
+        """(2n, 3) [N]: the force that the cable puts on each drone.
+
+        ``-T_k`` along the leg, and down by half of the cable's weight.
+        """
+        forces = -np.repeat(self.team.tension, 2)[:, None] * self.leg_directions
+        forces[:, 2] -= self.team.cable_weight
+        return forces
+
+
+def _nearest_legs(
+    team: Team,
+    polygon: ConvexPolygon,
+    reference: Array,
+    margin: float,
+    limits: Limits,
+    separation: Separation,
+    arena: Arena | None,
+) -> Array:
+    task = SharingTask(
+        team,
+        separation,
+        arena,
+        polygon.vertices[None],
+        reference[None],
+        limits.leg * LIMIT_MARGIN,
+        margin,
+    )
+    q_legs: Array = share(task).q_legs[0]
+    return q_legs
+
+
+def fitting_polygon(team: Team, polygon: ConvexPolygon | ArrayLike) -> ConvexPolygon:
+    """Return ``polygon`` as one of team.robots vertices, or raise InputError."""
+    outline = polygon if isinstance(polygon, ConvexPolygon) else ConvexPolygon(polygon)
+    if len(outline) != team.robots:
+        raise InputError(
+            "polygon",
+            f"{len(outline)} points",
+            f"a list of {team.robots} points, one per robot",
+            "add or remove points, or change team.robots",
+        )
+    return outline
+
+
+def cable_slack(team: Team, polygon: ConvexPolygon) -> Array:
+    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError where an edge uses up its cable."""
+    lengths = polygon.edge_lengths
+    slack: Array = team.cable_length - lengths
+    if np.min(slack) <= 0.0:
+        worst = int(np.argmin(slack))
+        raise InfeasibleError(
+            [
+                Violation(
+                    "legs",
+                    float(slack[worst]),
+                    0.0,
+                    "min",
+                    "m",
+                    (f"cable {worst}",),
+                    "",
+                    f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
+                    f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable",
+                )
+            ]
+        )
+    return slack

@@ -1,0 +1,135 @@
+"""The team: who flies, on which cables, pulling how hard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.hitch.values import not_negative, per_robot, positive
+
+GRAVITY = 9.81
+"""[m/s²] Downward."""
+
+MAX_ROBOTS = 10_000
+"""More are refused before any memory is spent on them."""
+
+TOPOLOGIES = ("closed", "open")
+
+
+@dataclass(frozen=True)
+class Quadrotor:
+    """One quadrotor.
+
+    Parameters
+    ----------
+    mass: [kg]
+    max_thrust: largest collective thrust [N]
+    """
+
+    mass: float = 0.132
+    max_thrust: float = 2.6
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", positive("mass", self.mass))
+        object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """n catenary robots: two quadrotors each, on the ends of one cable.
+
+    Parameters
+    ----------
+    robots: number n of catenary robots.
+    cable_length: one, or one per robot (n,) [m].
+    topology: ``closed`` (a polygon) or ``open`` (a chain).
+    cable_density: [kg/m]
+    cable_friction: coefficient at the clasps.
+    tension: one, or one per robot (n,) [N].
+    quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind.
+
+    Raises
+    ------
+    InputError: a count, sign or number that is wrong in itself.
+    UnsupportedError: topology ``open``, which this version cannot plan yet.
+    """
+
+    robots: int
+    cable_length: NDArray[np.float64]
+    topology: str
+    cable_density: float
+    cable_friction: float
+    tension: NDArray[np.float64]
+    quadrotors: tuple[Quadrotor, ...] = field(repr=False)
+
+    def __init__(
+        self,
+        robots: int,
+        cable_length: float | Sequence[float] | ArrayLike,
+        *,
+        topology: str = "closed",
+        cable_density: float = 0.0,
+        cable_friction: float = 0.0,
+        tension: float | Sequence[float] | ArrayLike = 0.4,
+        quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
+    ) -> None:
+        if topology not in TOPOLOGIES:
+            raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
+        least = 3 if topology == "closed" else 2
+        if isinstance(robots, bool) or not isinstance(robots, int | np.integer):
+            raise InputError("robots", robots, "a whole number", "count the catenary robots")
+        if not least <= robots <= MAX_ROBOTS:
+            raise InputError(
+                "robots", robots, f"from {least} to {MAX_ROBOTS}", f"{topology} hitches need these"
+            )
+        n = int(robots)
+        kinds = (
+            (quadrotor,) * n
+            if isinstance(quadrotor, Quadrotor)
+            else tuple(quadrotor)
+            if quadrotor is not None
+            else (Quadrotor(),) * n
+        )
+        if len(kinds) != n:
+            raise InputError(
+                "quadrotor", len(kinds), f"one kind, or a list of {n}", "give one per robot"
+            )
+        values: dict[str, object] = {
+            "robots": n,
+            "cable_length": per_robot("cable_length", cable_length, n),
+            "topology": topology,
+            "cable_density": not_negative("cable_density", cable_density),
+            "cable_friction": not_negative("cable_friction", cable_friction),
+            "tension": per_robot("tension", tension, n),
+            "quadrotors": kinds,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if topology == "open":
+            raise UnsupportedError(
+                "team.topology = 'open': open chains cannot be planned in this version; use closed"
+            )
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """(2n,) [kg]: of each drone, in the order q0, r0, q1, r1, …."""
+        return np.repeat([kind.mass for kind in self.quadrotors], 2)
+
+    @property
+    def max_thrust(self) -> NDArray[np.float64]:
+        """(2n,) [N]: of each drone, in the order q0, r0, q1, r1, …."""
+        return np.repeat([kind.max_thrust for kind in self.quadrotors], 2)
+
+    @property
+    def drone_names(self) -> tuple[str, ...]:
+        """(2n,): q0, r0, q1, r1, …."""
+        return tuple(f"{end}{k}" for k in range(self.robots) for end in "qr")
+
+    @property
+    def cable_weight(self) -> NDArray[np.float64]:
+        """(2n,) [N]: what each drone carries of its cable's weight, one half of it."""
+        return np.repeat(0.5 * GRAVITY * self.cable_density * self.cable_length, 2)

@@ -1,0 +1,68 @@
+"""Checks of single values, so that every record words its complaints alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError
+
+
+def positive(key: str, value: object) -> float:
+    """Return ``value`` as a float, or raise InputError unless it is finite and above zero."""
+    number = finite(key, value)
+    if number <= 0.0:
+        raise InputError(key, value, "greater than 0", "give a positive number")
+    return number
+
+
+def not_negative(key: str, value: object) -> float:
+    """Return ``value`` as a float, or raise InputError unless it is finite and at least zero."""
+    number = finite(key, value)
+    if number < 0.0:
+        raise InputError(key, value, "at least 0", "give zero or a positive number")
+    return number
+
+
+def finite(key: str, value: object) -> float:
+    """Return ``value`` as a float, or raise InputError unless it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(key, value, "a number", "give a plain number in SI units")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(key, value, "finite", "nan and inf are no quantities")
+    return number
+
+
+def per_robot(
+    key: str, value: float | Sequence[float] | ArrayLike, robots: int
+) -> NDArray[np.float64]:
+    """Return ``value`` as (robots,), one number having been meant for all of them.
+
+    Raises
+    ------
+    InputError: not one number or one per robot, or any of them not finite or not positive.
+    """
+    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+        array = np.full(robots, positive(key, float(value)))
+    else:
+        try:
+            given = list(value)  # type: ignore[arg-type]
+        except TypeError:
+            given = []
+        if len(given) != robots:
+            raise InputError(
+                key,
+                value,
+                f"one number, or a list of {robots} (one per robot)",
+                f"{len(given)} were given; add or remove entries, or change team.robots",
+            )
+        array = np.array([positive(f"{key}[{k}]", x) for k, x in enumerate(given)])
+    array.setflags(write=False)
+    return array
