@@ -1,0 +1,142 @@
+"""Polynomials in Bernstein form on [0, 1], coefficients along the last axis.
+
+Why this form: a polynomial lies in the convex hull of its coefficients, and halving the interval
+brings the hull closer by a factor of four. References: R. T. Farouki, "The Bernstein polynomial
+basis: a centennial retrospective", CAGD 29 (2012).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def degree(coefficients: Array) -> int:
+    """Return the degree of polynomials with (…, degree + 1) ``coefficients``."""
+    return int(coefficients.shape[-1]) - 1
+
+
+def basis(x: Array, order: int) -> Array:
+    """Return the Bernstein polynomials of degree ``order`` at x (…), as (…, order + 1)."""
+    x = np.asarray(x, dtype=np.float64)[..., None]
+    i = np.arange(order + 1)
+    return binomials(order) * x**i * (1.0 - x) ** (order - i)
+
+
+def evaluate(coefficients: Array, x: Array | float) -> Array:
+    """Return the values at x, which broadcasts against the coefficients' leading axes."""
+    weights = basis(np.asarray(x, dtype=np.float64), degree(coefficients))
+    values: Array = np.sum(coefficients * weights, axis=-1)
+    return values
+
+
+def differentiate(coefficients: Array) -> Array:
+    """Return the derivative by the local parameter; a constant's is a constant zero."""
+    order = degree(coefficients)
+    if order == 0:
+        return np.zeros_like(coefficients)
+    return order * np.diff(coefficients, axis=-1)
+
+
+def elevate(coefficients: Array, order: int) -> Array:
+    """Return the same polynomials written in degree ``order``, at least their own."""
+    if order == degree(coefficients):
+        return coefficients
+    return coefficients @ elevation(degree(coefficients), order).T
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Return the product, of degree deg a + deg b; leading axes broadcast."""
+    m, n = degree(a), degree(b)
+    if m > n:
+        a, b, m, n = b, a, n, m
+    weighted = b * binomials(n)
+    shape = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    product = np.zeros((*shape, m + n + 1))
+    for i, weight in enumerate(binomials(m)):
+        product[..., i : i + n + 1] += (weight * a[..., i, None]) * weighted
+    return product / binomials(m + n)
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the scalar product of vector polynomials (…, d, degree + 1)."""
+    summed: Array = np.sum(multiply(a, b), axis=-2)
+    return summed
+
+
+def halve(coefficients: Array) -> tuple[Array, Array]:
+    """Return the coefficients on [0, ½] and on [½, 1]."""
+    left, right = _halving(degree(coefficients))
+    return coefficients @ left.T, coefficients @ right.T
+
+
+def restrict(coefficients: Array, lower: Array | float, upper: Array | float) -> Array:
+    """Return the coefficients on [lower, upper] ⊂ [0, 1], which broadcast as in evaluate."""
+    lower = np.asarray(lower, dtype=np.float64)[..., None]
+    upper = np.asarray(upper, dtype=np.float64)[..., None]
+    shape = np.broadcast_shapes(lower.shape[:-1], upper.shape[:-1], coefficients.shape[:-1])
+    c = np.array(np.broadcast_to(coefficients, (*shape, coefficients.shape[-1])))
+    order = degree(c)
+    for r in range(1, order + 1):  # de Casteljau: keep [0, upper]
+        c[..., r:] = (1.0 - upper) * c[..., r - 1 : -1] + upper * c[..., r:]
+    start = np.divide(lower, upper, out=np.zeros_like(lower * upper), where=upper > 0.0)
+    for r in range(1, order + 1):  # then [lower / upper, 1] of that
+        c[..., : order + 1 - r] = (1.0 - start) * c[..., : order + 1 - r] + start * c[
+            ..., 1 : order + 2 - r
+        ]
+    return c
+
+
+def interpolate(values: Array) -> Array:
+    """Return the coefficients of the polynomials through (…, m + 1) ``values`` at ``nodes(m)``."""
+    return values @ _interpolation(int(values.shape[-1]) - 1).T
+
+
+@lru_cache
+def nodes(order: int) -> Array:
+    """(order + 1,): Chebyshev points of the second kind on [0, 1], ends included."""
+    if order == 0:
+        return _frozen(np.array([0.5]))
+    return _frozen(0.5 - 0.5 * np.cos(np.pi * np.arange(order + 1) / order))
+
+
+@lru_cache
+def binomials(order: int) -> Array:
+    """(order + 1,): the row ``order`` of Pascal's triangle."""
+    return _frozen(np.array([comb(order, i) for i in range(order + 1)], dtype=np.float64))
+
+
+@lru_cache
+def elevation(order: int, target: int) -> Array:
+    """(target + 1, order + 1): the matrix that writes degree ``order`` in degree ``target``."""
+    if target < order:
+        raise ValueError(f"cannot write degree {order} in the lower degree {target}")
+    matrix = np.zeros((target + 1, order + 1))
+    for j in range(target + 1):
+        for i in range(max(0, j - target + order), min(order, j) + 1):
+            matrix[j, i] = comb(order, i) * comb(target - order, j - i) / comb(target, j)
+    return _frozen(matrix)
+
+
+@lru_cache
+def _halving(order: int) -> tuple[Array, Array]:
+    left = np.zeros((order + 1, order + 1))
+    for j in range(order + 1):
+        left[j, : j + 1] = binomials(j) / 2.0**j
+    return _frozen(left), _frozen(left[::-1, ::-1].copy())
+
+
+@lru_cache
+def _interpolation(order: int) -> Array:
+    inverse = np.linalg.inv(basis(nodes(order), order))
+    return _frozen(inverse.astype(np.float64))
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array

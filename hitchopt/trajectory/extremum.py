@@ -1,0 +1,244 @@
+"""The smallest or largest value of a quantity over continuous time, by branch and bound.
+
+Whoever asks gives *cells* (polynomials on a span of time) and a *bound*: on every cell a number
+that the quantity does not pass, and a value that it takes. Cells whose bound may still change the
+answer are halved until none does. The answer holds for all t; it is not read off samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.trajectory import bernstein
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+RELATIVE = 1e-4
+"""How far the answer may lie beyond a value that is attained, relative to that value."""
+
+ABSOLUTE = 2e-7
+"""The same in the quantity's own unit; the larger of the two counts."""
+
+MAX_HALVINGS = 40
+"""A cell halved so often is 1e-12 of its piece: its bound is taken as it is."""
+
+MAX_CELLS = 100_000
+"""More halves (or ten per given cell) are not looked at: the bounds are then taken as they are,
+valid but less tight."""
+
+BATCH = 4096
+"""Cells bounded in one go, so that what a bound allocates stays within the caches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Polynomials on spans of time, one span a cell.
+
+    Attributes
+    ----------
+    blocks: (cells, rows, degree + 1) each; rows that share a degree share a block.
+    item: (cells,), whose quantity it is.
+    start, end: (cells,) [s]
+    margin: (cells,), taken off every bound to cover rounding, in the quantity's unit.
+    """
+
+    blocks: tuple[Array, ...]
+    item: Indices
+    start: Array
+    end: Array
+    margin: Array
+
+    def __len__(self) -> int:
+        return len(self.item)
+
+    @classmethod
+    def over(cls, breaks: Array, blocks: Sequence[Array], margin: ArrayLike = 0.0) -> Cells:
+        """Return one cell per piece and item.
+
+        Parameters
+        ----------
+        breaks: (pieces + 1,) [s]
+        blocks: (pieces, items, rows, degree + 1) each.
+        margin: broadcasts to (pieces, items).
+        """
+        pieces, items = blocks[0].shape[:2]
+        return cls(
+            tuple(block.reshape(pieces * items, *block.shape[2:]) for block in blocks),
+            np.tile(np.arange(items), pieces),
+            np.repeat(breaks[:-1], items),
+            np.repeat(breaks[1:], items),
+            np.broadcast_to(np.asarray(margin, dtype=np.float64), (pieces, items)).ravel(),
+        )
+
+    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:
+        """Return the chosen cells."""
+        return Cells(
+            tuple(block[index] for block in self.blocks),
+            self.item[index],
+            self.start[index],
+            self.end[index],
+            self.margin[index],
+        )
+
+    def halves(self) -> Cells:
+        """Return all first halves, then all second halves."""
+        blocks = []
+        for block in self.blocks:
+            flat = block.reshape(-1, block.shape[-1])  # one product of matrices, not one a cell
+            halves = np.concatenate(bernstein.halve(flat))
+            blocks.append(halves.reshape(2 * len(block), *block.shape[1:]))
+        middle = 0.5 * (self.start + self.end)
+        return Cells(
+            tuple(blocks),
+            np.tile(self.item, 2),
+            np.concatenate([self.start, middle]),
+            np.concatenate([middle, self.end]),
+            np.tile(self.margin, 2),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a bound says of cells.
+
+    Attributes
+    ----------
+    bound: (cells,), not passed anywhere on the cell.
+    value: (cells,), taken at ``x``.
+    x: (cells,) in [0, 1], the place on the cell.
+    """
+
+    bound: Array
+    value: Array
+    x: Array
+
+    def negated(self) -> Estimate:
+        """Return the estimate of the quantity with its sign changed."""
+        return Estimate(-self.bound, -self.value, self.x)
+
+
+Bound = Callable[[tuple[Array, ...]], Estimate]
+"""From the blocks of some cells to their estimate."""
+
+
+@dataclass(frozen=True)
+class Extremum:
+    """The answer.
+
+    Attributes
+    ----------
+    worst: not passed by the quantity at any time, rounding included.
+    value: an attained value, about as far out as ``worst``.
+    item: whose value it is; -1 where there was no cell at all.
+    time: [s], when it is attained.
+    """
+
+    worst: float
+    value: float
+    item: int
+    time: float
+
+
+class Search:
+    """Branch and bound for the smallest value; cells may be added bit by bit.
+
+    Parameters
+    ----------
+    bound: gives lower bounds.
+    relative, absolute: how tight ``worst`` has to be.
+    """
+
+    def __init__(
+        self, bound: Bound, *, relative: float = RELATIVE, absolute: float = ABSOLUTE
+    ) -> None:
+        self.bound = bound
+        self.relative = relative
+        self.absolute = absolute
+        self.value = np.inf
+        self.item = -1
+        self.time = 0.0
+        self.floor = np.inf  # smallest bound of the cells that are done with
+        self.looked_at = 0
+        self._open: list[tuple[Cells, Array]] = []
+
+    @property
+    def threshold(self) -> float:
+        """Cells bounded by this or more need no closer look."""
+        if not np.isfinite(self.value):
+            return self.value
+        return float(self.value - max(self.absolute, self.relative * abs(self.value)))
+
+    def add(self, cells: Cells) -> None:
+        """Bound the cells once and keep those that may hold the smallest value."""
+        for first in range(0, len(cells), BATCH):
+            batch = cells.take(slice(first, first + BATCH))
+            self._keep(batch, self._bounds(batch))
+
+    def finish(self) -> Extremum:
+        """Halve what is open until nothing is, and return the answer."""
+        pending = [(cells, bounds, 0) for cells, bounds in self._open]
+        self._open = []
+        # Deepest first: few cells are alive at a time, and the best values come early.
+        pending.sort(key=lambda entry: -float(np.min(entry[1])))
+        enough = max(MAX_CELLS, 10 * self.looked_at) + self.looked_at
+        while pending:
+            cells, bounds, depth = pending.pop()
+            self._keep(cells, bounds)
+            if not self._open:
+                continue
+            cells, bounds = self._open.pop()
+            if depth == MAX_HALVINGS or self.looked_at > enough:
+                self._settle(cells, bounds)
+                continue
+            halves = cells.halves()
+            inherited = np.tile(bounds, 2)
+            for first in range(0, len(halves), BATCH):
+                span = slice(first, first + BATCH)
+                batch = halves.take(span)
+                closer = np.maximum(inherited[span], self._bounds(batch))
+                pending.append((batch, closer, depth + 1))
+        return Extremum(min(self.floor, self.value), self.value, self.item, self.time)
+
+    def _bounds(self, batch: Cells) -> Array:
+        """Return the lower bounds (cells,), having noted the smallest value."""
+        self.looked_at += len(batch)
+        with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
+            estimate = self.bound(batch.blocks)
+        # What is no number is as bad as can be: the search ends there, and the check fails.
+        lost = np.isnan(estimate.value) | np.isnan(estimate.bound)
+        values = np.where(lost, -np.inf, estimate.value)
+        best = int(np.argmin(values))
+        if values[best] < self.value or self.item < 0:
+            self.value = float(values[best])
+            self.item = int(batch.item[best])
+            x = float(estimate.x[best])
+            self.time = float(batch.start[best] + x * (batch.end[best] - batch.start[best]))
+        return np.where(lost, -np.inf, estimate.bound)
+
+    def _keep(self, cells: Cells, bounds: Array) -> None:
+        done = bounds >= self.threshold
+        if np.any(done):
+            self._settle(cells.take(done), bounds[done])
+        if not np.all(done):
+            self._open.append((cells.take(~done), bounds[~done]))
+
+    def _settle(self, cells: Cells, bounds: Array) -> None:
+        self.floor = min(self.floor, float(np.min(bounds - cells.margin)))
+
+
+def smallest(cells: Cells, bound: Bound) -> Extremum:
+    """Return the smallest value over all cells; ``bound`` gives lower bounds."""
+    search = Search(bound)
+    search.add(cells)
+    return search.finish()
+
+
+def largest(cells: Cells, bound: Bound) -> Extremum:
+    """Return the largest value over all cells; ``bound`` gives upper bounds."""
+    found = smallest(cells, lambda blocks: bound(blocks).negated())
+    return Extremum(-found.worst, -found.value, found.item, found.time)

@@ -1,0 +1,170 @@
+"""Piecewise polynomials of time, many at once, in Bernstein form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.trajectory import bernstein
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewisePolynomial:
+    """Functions of time with values of any shape, polynomial between common breaks.
+
+    Parameters
+    ----------
+    breaks: (pieces + 1,) [s], strictly increasing.
+    coefficients: (pieces, *shape, degree + 1); Bernstein coefficients of each piece.
+
+    Raises
+    ------
+    InputError: shapes that do not fit, breaks that do not increase, anything not finite.
+    """
+
+    breaks: Array
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        breaks = np.array(self.breaks, dtype=np.float64)
+        coefficients = np.array(self.coefficients, dtype=np.float64)
+        if breaks.ndim != 1 or len(breaks) < 2 or coefficients.ndim < 2:
+            raise InputError("breaks", breaks.shape, "(pieces + 1,)", "give at least one piece")
+        if len(coefficients) != len(breaks) - 1 or coefficients.shape[-1] == 0:
+            raise InputError(
+                "coefficients",
+                coefficients.shape,
+                f"({len(breaks) - 1}, …, degree + 1)",
+                "give one row of coefficients per piece",
+            )
+        if not (np.all(np.isfinite(breaks)) and np.all(np.diff(breaks) > 0.0)):
+            raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
+        if not np.all(np.isfinite(coefficients)):
+            raise InputError("coefficients", "nan or inf", "finite", "check how they were made")
+        for name, array in (("breaks", breaks), ("coefficients", coefficients)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def constant(cls, breaks: ArrayLike, value: ArrayLike, order: int = 0) -> PiecewisePolynomial:
+        """Return what stays at ``value`` (*shape) over ``breaks``, written in degree ``order``."""
+        times = np.asarray(breaks, dtype=np.float64)
+        array = np.asarray(value, dtype=np.float64)
+        shape = (len(times) - 1, *array.shape, order + 1)
+        return cls(times, np.broadcast_to(array[..., None], shape))
+
+    @classmethod
+    def hermite(cls, breaks: ArrayLike, left: Array, right: Array) -> PiecewisePolynomial:
+        """Return the polynomials with given derivatives at both ends of every piece.
+
+        Parameters
+        ----------
+        breaks: (pieces + 1,) [s]
+        left, right: (m, pieces, *shape); derivative 0 … m-1 by time at the pieces' ends.
+
+        Returns
+        -------
+        Of degree 2m - 1.
+        """
+        times = np.asarray(breaks, dtype=np.float64)
+        m = len(left)
+        order = 2 * m - 1
+        h = np.diff(times).reshape(-1, *(1,) * (left.ndim - 2))
+        coefficients = np.empty((*left.shape[1:], order + 1))
+        # The j-th forward difference at an end is the j-th derivative times h^j (N-j)!/N!.
+        for end, sign, data in ((0, 1, left), (order, -1, right)):
+            differences = [
+                data[j] * (sign * h) ** j * (factorial(order - j) / factorial(order))
+                for j in range(m)
+            ]
+            for i in range(m):
+                coefficients[..., end + sign * i] = sum(
+                    bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
+                )
+        return cls(times, coefficients)
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces."""
+        return len(self.breaks) - 1
+
+    @property
+    def degree(self) -> int:
+        """Degree of every piece."""
+        return bernstein.degree(self.coefficients)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a value."""
+        return self.coefficients.shape[1:-1]
+
+    @property
+    def durations(self) -> Array:
+        """(pieces,) [s]."""
+        return np.diff(self.breaks)
+
+    @property
+    def duration(self) -> float:
+        """From the first break to the last [s]."""
+        return float(self.breaks[-1] - self.breaks[0])
+
+    def at(self, t: ArrayLike, derivative: int = 0) -> Array:
+        """Return values, or a derivative by time, at times t (…) as (…, *shape).
+
+        Raises
+        ------
+        InputError: a time outside the breaks by more than 1e-9 s, or not finite.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        first, last = self.breaks[0], self.breaks[-1]
+        if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
+            raise InputError("t", t, f"within [{first:g}, {last:g}] s", "ask within the plan")
+        function = self.differentiated(derivative)
+        piece = np.clip(np.searchsorted(self.breaks, times, side="right") - 1, 0, self.pieces - 1)
+        x = (times - self.breaks[piece]) / self.durations[piece]
+        x = np.clip(x, 0.0, 1.0).reshape(*times.shape, *(1,) * len(self.shape))
+        return bernstein.evaluate(function.coefficients[piece], x)
+
+    def differentiated(self, order: int = 1) -> PiecewisePolynomial:
+        """Return the derivative of the given order by time."""
+        c = self.coefficients
+        h = self.durations.reshape(-1, *(1,) * (c.ndim - 1))
+        for _ in range(order):
+            c = bernstein.differentiate(c) / h
+        return PiecewisePolynomial(self.breaks, c)
+
+    def elevated(self, order: int) -> PiecewisePolynomial:
+        """Return the same functions written in degree ``order``."""
+        return PiecewisePolynomial(self.breaks, bernstein.elevate(self.coefficients, order))
+
+    def ends(self, derivative: int = 0) -> tuple[Array, Array]:
+        """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
+        c = self.differentiated(derivative).coefficients
+        return c[..., 0], c[..., -1]
+
+    def stretched(self, factor: float) -> PiecewisePolynomial:
+        """Return the same curves flown ``factor`` times as slowly from the same start."""
+        first = self.breaks[0]
+        return PiecewisePolynomial(first + factor * (self.breaks - first), self.coefficients)
+
+    def reversed(self) -> PiecewisePolynomial:
+        """Return the same curves flown backwards, over the same span of time."""
+        breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
+        return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
+
+
+def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
+    """Return the parts one after the other, from the first one's start, in their largest degree."""
+    order = max(part.degree for part in parts)
+    breaks = [parts[0].breaks[:1]]
+    for part in parts:
+        breaks.append(breaks[-1][-1] + (part.breaks[1:] - part.breaks[0]))
+    coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
+    return PiecewisePolynomial(np.concatenate(breaks), coefficients)

@@ -1,0 +1,141 @@
+"""Piecewise polynomials of time: derivatives, joints, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hitchopt.errors import InputError
+from hitchopt.trajectory import PiecewisePolynomial, joined
+
+BREAKS = np.array([0.5, 0.9, 2.0, 2.3])
+
+
+def some(order: int = 4, seed: int = 0) -> PiecewisePolynomial:
+    c = np.random.default_rng(seed).normal(size=(3, 2, 3, order + 1))
+    return PiecewisePolynomial(BREAKS, c)
+
+
+def test_values_and_shapes() -> None:
+    part = some()
+    assert (part.pieces, part.degree, part.shape) == (3, 4, (2, 3))
+    assert part.duration == pytest.approx(1.8)
+    assert part.at(1.0).shape == (2, 3)
+    assert part.at(np.full((4, 5), 1.0)).shape == (4, 5, 2, 3)
+    np.testing.assert_allclose(part.at(BREAKS[:-1]), part.coefficients[..., 0])
+    np.testing.assert_allclose(part.at(BREAKS[-1]), part.coefficients[-1, ..., -1])
+
+
+@pytest.mark.parametrize("derivative", [1, 2, 3])
+def test_derivatives_are_differences(derivative: int) -> None:
+    part, step = some(6), 1e-5
+    t = np.array([0.6, 1.1, 1.7, 2.1])
+    after, before = part.at(t + step, derivative - 1), part.at(t - step, derivative - 1)
+    difference = (after - before) / (2.0 * step)
+    exact = part.at(t, derivative)
+    np.testing.assert_allclose(exact, difference, rtol=1e-6, atol=1e-6 * np.max(np.abs(exact)))
+
+
+def test_hermite_meets_every_derivative_at_both_ends() -> None:
+    rng = np.random.default_rng(3)
+    left, right = rng.normal(size=(2, 4, 3, 2))
+    part = PiecewisePolynomial.hermite(BREAKS, left, right)
+    assert part.degree == 7
+    for j in range(4):
+        start, end = part.ends(j)
+        np.testing.assert_allclose(start, left[j], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(end, right[j], rtol=1e-9, atol=1e-9)
+
+
+def test_hermite_reproduces_a_cubic() -> None:
+    def cubic(t: np.ndarray, j: int) -> np.ndarray:
+        return (
+            np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0]).deriv(j)(t)
+            if j
+            else (1.0 - 2.0 * t + 0.5 * t**2 + 3.0 * t**3)
+        )
+
+    left = np.stack([cubic(BREAKS[:-1], j) for j in range(3)])
+    right = np.stack([cubic(BREAKS[1:], j) for j in range(3)])
+    part = PiecewisePolynomial.hermite(BREAKS, left, right)
+    t = np.linspace(0.5, 2.3, 50)
+    np.testing.assert_allclose(part.at(t), cubic(t, 0), rtol=1e-12)
+
+
+def test_a_constant_stays() -> None:
+    part = PiecewisePolynomial.constant(BREAKS, [3.0, -1.0], order=2)
+    assert part.degree == 2
+    np.testing.assert_allclose(part.at([0.5, 1.3, 2.3]), [[3.0, -1.0]] * 3)
+    assert np.all(part.at(1.0, 1) == 0.0)
+
+
+def test_stretching_slows_down_and_turning_round_undoes_itself() -> None:
+    part = some()
+    slow = part.stretched(3.0)
+    t = np.array([0.7, 1.0, 2.2])
+    np.testing.assert_allclose(slow.at(0.5 + 3.0 * (t - 0.5)), part.at(t), atol=1e-10)
+    np.testing.assert_allclose(slow.at(0.5 + 3.0 * (t - 0.5), 2), part.at(t, 2) / 9.0, rtol=1e-9)
+    back = part.reversed()
+    np.testing.assert_allclose(back.at(2.8 - t), part.at(t), atol=1e-10)
+    np.testing.assert_allclose(back.at(2.8 - t, 1), -part.at(t, 1), atol=1e-9)
+    again = back.reversed()
+    np.testing.assert_allclose(again.breaks, part.breaks)
+    np.testing.assert_array_equal(again.coefficients, part.coefficients)
+
+
+def test_elevation_keeps_the_curve() -> None:
+    part = some(3)
+    t = np.linspace(0.5, 2.3, 30)
+    np.testing.assert_allclose(part.elevated(6).at(t, 1), part.at(t, 1), atol=1e-10)
+
+
+def test_joined_parts_follow_one_another_whatever_their_own_start() -> None:
+    first, second = some(2), some(5, seed=1)
+    both = joined([first, second])
+    assert both.degree == 5
+    assert both.pieces == 6
+    assert both.duration == pytest.approx(3.6)
+    t = np.array([0.6, 1.5, 2.2])
+    np.testing.assert_allclose(both.at(t), first.at(t), atol=1e-12)
+    np.testing.assert_allclose(both.at(t + 1.8), second.at(t), atol=1e-10)
+
+
+def test_what_is_stored_cannot_be_changed_from_outside() -> None:
+    breaks, c = BREAKS.copy(), np.zeros((3, 2))
+    part = PiecewisePolynomial(breaks, c)
+    breaks[0], c[0, 0] = -5.0, 7.0
+    assert part.breaks[0] == 0.5
+    assert part.coefficients[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        part.coefficients[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("breaks", "coefficients", "key"),
+    [
+        ([0.0], np.zeros((0, 2)), "breaks"),
+        ([0.0, 1.0, 1.0], np.zeros((2, 2)), "breaks"),
+        ([0.0, math.nan], np.zeros((1, 2)), "breaks"),
+        ([0.0, 1.0], np.zeros((2, 2)), "coefficients"),
+        ([0.0, 1.0], np.zeros((1, 0)), "coefficients"),
+        ([0.0, 1.0], np.array([[0.0, math.inf]]), "coefficients"),
+    ],
+)
+def test_what_is_no_function_is_refused(
+    breaks: list[float], coefficients: np.ndarray, key: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        PiecewisePolynomial(np.array(breaks), coefficients)
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize("t", [0.4, 2.4, math.nan])
+def test_times_outside_are_refused(t: float) -> None:
+    with pytest.raises(InputError, match="within"):
+        some().at(t)
+
+
+def test_times_a_rounding_outside_are_the_ends() -> None:
+    part = some()
+    np.testing.assert_allclose(part.at(0.5 - 1e-12), part.at(0.5))
+    np.testing.assert_allclose(part.at(2.3 + 1e-12), part.at(2.3))
