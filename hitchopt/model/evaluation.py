@@ -1,0 +1,156 @@
+"""The model over many robots and times at once, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Team
+from hitchopt.model.robot import JET, clasp_function, robot_function
+
+Array = NDArray[np.float64]
+
+BATCH = 4096
+"""Columns evaluated in one go."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlatJets:
+    """Flat outputs at J values of a parameter, with derivatives by it up to the third.
+
+    Attributes
+    ----------
+    vertices: (J, n, 3, 4) [m]
+    q_legs: (J, n, 4) [m]
+    tensions: (J, n, 4) [N]
+    """
+
+    vertices: Array
+    q_legs: Array
+    tensions: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DroneJets:
+    """What follows from flat outputs, at the same J values of the parameter.
+
+    Attributes
+    ----------
+    positions: (J, 2n, 3, 4) [m] and derivatives by the parameter, in the order q0, r0, q1, ….
+    cable_forces: (J, 2n, 3) [N], of the cable on the drone.
+    thrusts: (J, 2n, 3) [N], with the parameter taken as time.
+    r_legs: (J, n, 4) [m], ``e_k`` and derivatives.
+    cable_residuals: (J, n) [m]
+    """
+
+    positions: Array
+    cable_forces: Array
+    thrusts: Array
+    r_legs: Array
+    cable_residuals: Array
+
+
+def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
+    """Return drones, forces, thrusts and residuals for flat outputs; linear in J·n.
+
+    The paper's class is used where all tensions are equal, the general clasp elsewhere.
+    """
+    count, n = flat.q_legs.shape[:2]
+    stencil = np.stack([np.roll(flat.vertices, shift, axis=1) for shift in (1, 0, -1, -2)], axis=2)
+    tensions = np.stack([np.roll(flat.tensions, shift, axis=1) for shift in (1, 0, -1)], axis=2)
+    equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
+        flat.tensions[..., 1:]
+    )
+    columns = count * n
+    per_robot = (team.cable_length, team.mass[::2], team.cable_weight[::2])
+    q, r, q_force, r_force, q_thrust, r_thrust, r_leg, residual = _mapped(
+        robot_function(equal),
+        [
+            stencil.reshape(columns, 12, JET),
+            flat.q_legs.reshape(columns, 1, JET),
+            tensions.reshape(columns, 3, JET),
+            *(np.tile(value, count).reshape(columns, 1, 1) for value in per_robot),
+        ],
+    )
+
+    def paired(a: Array, b: Array) -> Array:
+        """Return (J, 2n, 3, width) of two (columns, 3, width), q and r alternating."""
+        return np.stack([a, b], axis=1).reshape(count, 2 * n, 3, a.shape[-1])
+
+    return DroneJets(
+        paired(q, r),
+        paired(q_force, r_force)[..., 0],
+        paired(q_thrust, r_thrust)[..., 0],
+        r_leg.reshape(count, n, JET),
+        residual.reshape(count, n),
+    )
+
+
+def clasp_residuals(
+    vertices: Array, drones: Array, tensions: Array, loads: Array | float = 0.0
+) -> Array:
+    """Return the unbalanced force at every clasp for any positions, as (J, n, 3) [N].
+
+    Parameters
+    ----------
+    vertices: (J, n, 3) [m]
+    drones: (J, 2n, 3) [m]
+    tensions: (J, n) [N]
+    loads: (J, n, 3) or scalar [N]
+    """
+    count, n = vertices.shape[:2]
+    columns = count * n
+    stencil = np.stack([np.roll(vertices, shift, axis=1) for shift in (1, 0, -1)], axis=2)
+    pulls = np.stack([np.roll(tensions, 1, axis=1), tensions], axis=2)
+    outside = np.broadcast_to(np.asarray(loads, dtype=np.float64), vertices.shape)
+    (residual,) = _mapped(
+        clasp_function(),
+        [
+            stencil.reshape(columns, 9, 1),
+            drones[:, 0::2].reshape(columns, 3, 1),
+            np.roll(drones[:, 1::2], 1, axis=1).reshape(columns, 3, 1),
+            pulls.reshape(columns, 2, 1),
+            outside.reshape(columns, 3, 1),
+        ],
+    )
+    return residual.reshape(count, n, 3)
+
+
+def _mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
+    """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
+
+    Through casadi's buffers, which read and write numpy's memory: converting large arrays to its
+    own matrices takes four times as long as the evaluation. In batches, as casadi takes longer to
+    make a map than to run it; the few sizes of a batch are kept.
+    """
+    columns = len(inputs[0])
+    size = min(BATCH, 1 << (columns - 1).bit_length())
+    padded = -(-columns // size) * size
+    given = []
+    for array in inputs:
+        column_major = np.empty((padded, array.shape[2], array.shape[1]))
+        column_major[:columns] = array.transpose(0, 2, 1)
+        column_major[columns:] = column_major[0]
+        given.append(column_major)
+    results = [
+        np.zeros((padded, function.size2_out(i), function.size1_out(i)))
+        for i in range(function.n_out())
+    ]
+    buffer, evaluate = _map(function, size).buffer()
+    for first in range(0, padded, size):
+        for i, array in enumerate(given):
+            # casadi's stubs ask for a size, which its wrapper takes from the memory itself.
+            buffer.set_arg(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
+        for i, array in enumerate(results):
+            buffer.set_res(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
+        evaluate()
+    return [array[:columns].transpose(0, 2, 1) for array in results]
+
+
+@lru_cache(maxsize=64)
+def _map(function: ca.Function, size: int) -> ca.Function:
+    return function.map(size)

@@ -1,0 +1,152 @@
+"""The casadi model: derivatives by finite differences, values by the hitch's own formulas."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt.geometry import random_convex_polygon
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.equilibrium import clasp_residuals as hitch_residuals
+from hitchopt.model import evaluation
+from hitchopt.model.evaluation import FlatJets, clasp_residuals, drone_jets
+from hitchopt.model.robot import clasp_function, robot_function
+
+
+def hitch(seed: int, n: int, *, equal: bool) -> Hitch:
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
+    tension = 0.5 if equal else rng.uniform(0.4, 0.6, n)
+    lengths = float(np.max(polygon.edge_lengths)) + rng.uniform(0.5, 1.0, n)
+    team = Team(n, lengths, tension=tension, cable_density=0.01)
+    slack = team.cable_length - polygon.edge_lengths
+    return Hitch(team, polygon, 0.8, slack * rng.uniform(0.3, 0.7, n))
+
+
+def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJets:
+    """Flat outputs on random cubics in time through the hitch, as jets at times t (J,)."""
+    rng = np.random.default_rng(seed)
+    powers = np.stack(
+        [
+            np.stack([t**3, 3 * t**2, 6 * t, np.full_like(t, 6.0)], axis=-1),
+            np.stack([t**2, 2 * t, np.full_like(t, 2.0), 0 * t], axis=-1),
+            np.stack([t, np.ones_like(t), 0 * t, 0 * t], axis=-1),
+        ]
+    )
+
+    def moving(value: np.ndarray, size: float) -> np.ndarray:
+        jet = np.zeros((len(t), *value.shape, 4))
+        jet[..., 0] = value
+        coefficients = size * rng.normal(size=(3, *value.shape))
+        return jet + np.einsum("c...,ctk->t...k", coefficients, powers)
+
+    tensions = moving(h.team.tension, 0.02 if tensions_move else 0.0)
+    return FlatJets(moving(h.vertices, 0.1), moving(h.q_legs, 0.05), tensions)
+
+
+def functions() -> list[ca.Function]:
+    return [robot_function(True), robot_function(False), clasp_function()]
+
+
+@pytest.mark.parametrize("function", functions(), ids=["equal tensions", "any tensions", "clasp"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=5, deadline=None)
+def test_every_derivative_of_every_output_by_finite_differences(
+    function: ca.Function, seed: int
+) -> None:
+    """By every input entry, through casadi's own Jacobian."""
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(5, 1.2, rng)
+    points = np.column_stack([polygon.vertices, rng.normal(scale=0.05, size=5)])
+    if function.name() == "clasp":
+        given_values = [
+            points[:3].ravel(),
+            points[1] + [0.3, 0.1, 0.1],
+            points[1] - [0.2, 0.3, 0.0],
+        ]
+        given_values += [np.array([0.4, 0.5]), rng.normal(size=3)]
+    else:
+        jets = rng.normal(scale=0.3, size=(12, 4))
+        jets[:, 0] = points[:4].ravel()
+        leg = np.array([[0.4, 0.1, -0.2, 0.3]])
+        tensions = rng.normal(scale=0.05, size=(3, 4))
+        tensions[:, 0] = [0.4, 0.5, 0.45]
+        given_values = [jets, leg, tensions, 2.2, 0.13, 0.1]
+    flat = np.concatenate([np.asarray(v, dtype=float).ravel(order="F") for v in given_values])
+    shapes = [function.size_in(i) for i in range(function.n_in())]
+    symbol = ca.MX.sym("x", len(flat))
+    parts, first = [], 0
+    for rows, columns in shapes:
+        parts.append(ca.reshape(symbol[first : first + rows * columns], rows, columns))
+        first += rows * columns
+    outputs = function(*parts)
+    stacked = ca.vertcat(
+        *(ca.vec(o) for o in (outputs if isinstance(outputs, tuple) else [outputs]))
+    )
+    value = ca.Function("value", [symbol], [stacked])
+    exact = np.asarray(ca.Function("jacobian", [symbol], [ca.jacobian(stacked, symbol)])(flat))
+    step = 1e-5
+    for i in range(len(flat)):
+        shifted = np.zeros(len(flat))
+        shifted[i] = step
+        # Fourth-order central differences.
+        around = [np.asarray(value(flat + k * shifted)).ravel() for k in (-2.0, -1.0, 1.0, 2.0)]
+        difference = (around[0] - 8 * around[1] + 8 * around[2] - around[3]) / (12 * step)
+        scale = 1.0 + np.max(np.abs(exact[:, i]))
+        np.testing.assert_allclose(difference, exact[:, i], atol=2e-7 * scale)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 9), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_jets_are_the_derivatives_along_a_curve(seed: int, n: int, equal: bool) -> None:
+    h = hitch(seed, n, equal=equal)
+    step = 1e-3
+    t = step * np.arange(-2.0, 3.0)
+    jets = drone_jets(h.team, curve(h, seed, t, tensions_move=not equal))
+    for values in (jets.positions, jets.r_legs):
+        for order in range(3):
+            f = values[..., order]
+            difference = (f[0] - 8 * f[1] + 8 * f[3] - f[4]) / (12 * step)
+            scale = 1.0 + np.max(np.abs(values[2, ..., order + 1]))
+            np.testing.assert_allclose(difference, values[2, ..., order + 1], atol=1e-5 * scale)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 12), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_values_are_the_hitchs_own(seed: int, n: int, equal: bool) -> None:
+    h = hitch(seed, n, equal=equal)
+    flat = curve(h, seed, np.array([0.0, 0.3]), tensions_move=False)
+    jets = drone_jets(h.team, flat)
+    np.testing.assert_allclose(jets.positions[0, ..., 0], h.drones, atol=1e-12)
+    np.testing.assert_allclose(jets.cable_forces[0], h.cable_forces, atol=1e-12)
+    np.testing.assert_allclose(jets.r_legs[0, :, 0], h.legs[:, 1], atol=1e-12)
+    np.testing.assert_allclose(jets.cable_residuals, 0.0, atol=1e-12)
+    weight = h.team.mass[:, None] * (jets.positions[..., 2] + [0.0, 0.0, GRAVITY])
+    np.testing.assert_allclose(jets.thrusts, weight - jets.cable_forces, atol=1e-12)
+    residuals = clasp_residuals(
+        flat.vertices[..., 0], jets.positions[..., 0], flat.tensions[..., 0]
+    )
+    np.testing.assert_allclose(residuals, 0.0, atol=1e-9)
+
+
+def test_residuals_are_those_of_the_hitch_floor_off_balance() -> None:
+    h = hitch(3, 5, equal=False)
+    rng = np.random.default_rng(0)
+    drones = h.drones + rng.normal(scale=0.1, size=h.drones.shape)
+    load = rng.normal(size=(5, 3))
+    found = clasp_residuals(h.vertices[None], drones[None], h.team.tension[None], load[None])
+    pairs = drones.reshape(5, 2, 3)
+    wanted = hitch_residuals(h.vertices, pairs[:, 0], pairs[:, 1], h.team.tension, load)
+    np.testing.assert_allclose(found[0], wanted, atol=1e-12)
+    assert np.max(np.abs(wanted)) > 0.01
+
+
+def test_batches_and_their_padding_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    h = hitch(4, 7, equal=True)
+    flat = curve(h, 4, np.linspace(0.0, 0.1, 5), tensions_move=False)
+    whole = drone_jets(h.team, flat)
+    monkeypatch.setattr(evaluation, "BATCH", 8)  # 35 columns in five batches, the last padded
+    parts = drone_jets(h.team, flat)
+    np.testing.assert_array_equal(parts.positions, whole.positions)
+    np.testing.assert_array_equal(parts.thrusts, whole.thrusts)
