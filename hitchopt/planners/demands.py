@@ -1,0 +1,139 @@
+"""What a path demands of the drones: how motion along it turns into what their limits are of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import GRAVITY, Limits, Team
+from hitchopt.model.evaluation import DroneJets, FlatJets
+
+Array = NDArray[np.float64]
+
+LIMIT_SHARE = 0.999
+"""Limits are planned at this share, for what happens between the points that are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demands:
+    """Jets along a path and the loads at rest, at J points.
+
+    Attributes
+    ----------
+    drones: (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter.
+    vertex_speed: (J,) [m], largest first derivative of a vertex.
+    loads: (J, 2n, 3) [N], thrust at rest: weight and the cable's pull held against.
+    mass, max_thrust: (2n,) [kg], [N]
+    limits: of which ``share`` is used.
+    """
+
+    drones: Array
+    vertex_speed: Array
+    loads: Array
+    mass: Array
+    max_thrust: Array
+    limits: Limits
+    share: float = LIMIT_SHARE
+
+    @classmethod
+    def of(cls, team: Team, limits: Limits, flat: FlatJets, drones: DroneJets) -> Demands:
+        """Return the demands of flat outputs and of the drones that follow from them."""
+        return cls(
+            drones.positions,
+            np.max(np.linalg.norm(flat.vertices[..., 1], axis=-1), axis=1),
+            loads_at_rest(team, drones.cable_forces),
+            team.mass,
+            team.max_thrust,
+            limits,
+        )
+
+    @property
+    def speed_bound(self) -> Array:
+        """(J,): largest ṡ² within the speed limits of drones and vertices."""
+        fastest = np.max(np.linalg.norm(self.drones[..., 1], axis=-1), axis=1)
+        own = np.maximum(fastest / self.limits.speed, self.vertex_speed / self.limits.vertex_speed)
+        bound: Array = (self.share / np.maximum(own, 1e-12)) ** 2
+        return bound
+
+    def reach(self, u: Array, x: Array) -> Array:
+        """Return how far along rays (u, x) in the plane of s̈ and ṡ² every drone's limits hold.
+
+        The set that they allow is convex (norms and a cone of an affine function), so the ends of
+        rays span an inner approximation of it.
+
+        Parameters
+        ----------
+        u, x: (J, m), ray directions.
+
+        Returns
+        -------
+        (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
+        """
+        q1, q2 = self.drones[..., 1], self.drones[..., 2]
+        aa, ab, bb = (np.sum(a * b, axis=-1)[:, :, None] for a, b in ((q1, q1), (q1, q2), (q2, q2)))
+        zu, zx = q1[..., 2][:, :, None], q2[..., 2][:, :, None]
+        lu = np.sum(q1 * self.loads, axis=-1)[:, :, None]
+        lx = np.sum(q2 * self.loads, axis=-1)[:, :, None]
+        u, x = u[:, None, :], x[:, None, :]
+        squared = aa * u**2 + 2.0 * ab * u * x + bb * x**2  # |q' u + q'' x|²
+        upward = zu * u + zx * x
+        along = lu * u + lx * x
+        m = self.mass[None, :, None]
+        load2 = np.sum(self.loads**2, axis=-1)[:, :, None]
+        load_z = self.loads[..., 2][:, :, None]
+        most = self.share * self.max_thrust[None, :, None]
+        slope2 = 1.0 + np.tan(self.share * self.limits.tilt) ** 2
+        factor = self.share * self.limits.acceleration / np.sqrt(np.maximum(squared, 1e-300))
+        factor = np.minimum(factor, _first_root(m * m * squared, m * along, load2 - most * most))
+        factor = np.minimum(
+            factor,
+            _first_root(
+                m * m * (squared - slope2 * upward**2),
+                m * (along - slope2 * upward * load_z),
+                load2 - slope2 * load_z**2,
+            ),
+        )
+        smallest: Array = np.min(factor, axis=1)
+        return smallest
+
+    def stretch(self, jerk: float) -> float:
+        """Return how many times slower a flight must be to keep its limits, the parameter its time.
+
+        Below 1 where it could be faster. Slowed by κ, velocities fall with κ, accelerations with
+        κ² and jerks, of which the largest is given [m/s³], with κ³.
+        """
+        still = np.zeros((len(self.drones), 1))
+        return float(
+            max(
+                1.0 / np.sqrt(np.min(self.speed_bound)),
+                1.0 / np.sqrt(np.min(self.reach(still, still + 1.0))),
+                np.cbrt(jerk / (self.share * self.limits.jerk)),
+            )
+        )
+
+    def at_rest(self) -> tuple[Array, Array]:
+        """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""
+        thrust = np.linalg.norm(self.loads, axis=-1) / self.max_thrust
+        level = np.hypot(self.loads[..., 0], self.loads[..., 1])
+        return thrust, np.arctan2(level, self.loads[..., 2]) / self.limits.tilt
+
+
+def loads_at_rest(team: Team, cable_forces: Array) -> Array:
+    """Return the thrust (…, 2n, 3) [N] of drones at rest: ``m g ẑ - cable force``."""
+    loads: Array = team.mass[:, None] * np.array([0.0, 0.0, GRAVITY]) - cable_forces
+    return loads
+
+
+def _first_root(a: Array, b: Array, c: Array) -> Array:
+    """Return the smallest positive root of ``a ρ² + 2 b ρ + c``, infinity if none, 0 if c ≥ 0."""
+    discriminant = b * b - a * c
+    root = np.sqrt(np.maximum(discriminant, 0.0))
+    # Written so that nothing cancels: with c < 0 the wanted root is -c / (b + root).
+    below = b + root
+    found = np.where(
+        (discriminant >= 0.0) & (below > 0.0), -c / np.where(below > 0.0, below, 1.0), np.inf
+    )
+    first: Array = np.where(c >= 0.0, 0.0, found)
+    return first

@@ -1,0 +1,210 @@
+"""A timed path as piecewise polynomials of time, within its limits and of the wanted duration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import Limits
+from hitchopt.planners.demands import Demands, loads_at_rest
+from hitchopt.planners.jets import chained
+from hitchopt.planners.path import StraightPath
+from hitchopt.planners.timing import SpeedProfile, fastest_profile
+from hitchopt.planners.warp import Clock, first_clock, jerk_limited
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+GRID = 200
+"""Steps of toppra's grid along the path."""
+
+FEWEST_PIECES, MOST_PIECES = 24, 60
+"""A piece is to be about as long as a ramp of the acceleration, within these."""
+
+MODEL_ERROR = 1e-6
+"""Largest error of a cable's length, relative: ten times better than a plan promises."""
+
+FINEST = 240
+"""Pieces at which refining for the model's sake ends."""
+
+FINAL_SHARE = 0.9995
+"""Share of the limits that the polynomials may use where they are sampled; the certificate,
+which looks at all of the time, has the rest to itself."""
+
+PROBES = 16
+"""Samples per piece."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """What flies along a path.
+
+    Attributes
+    ----------
+    drones, vertices, legs, tensions: as in a Motion, from t = 0.
+    profile: toppra's optimum for the same path, without a jerk limit.
+    """
+
+    drones: PiecewisePolynomial
+    vertices: PiecewisePolynomial
+    legs: PiecewisePolynomial
+    tensions: PiecewisePolynomial
+    profile: SpeedProfile
+
+    @property
+    def duration(self) -> float:
+        """From rest to rest [s]."""
+        return self.drones.duration
+
+    def stretched(self, factor: float) -> Flight:
+        """Return the same flight ``factor`` times as slow."""
+        return self._each(lambda part: part.stretched(factor))
+
+    def lasting(self, duration: float) -> Flight:
+        """Return the same flight slowed to last exactly ``duration`` [s]."""
+        factor = duration / self.duration
+
+        def slowed(part: PiecewisePolynomial) -> PiecewisePolynomial:
+            breaks = factor * part.breaks
+            breaks[-1] = duration
+            return PiecewisePolynomial(breaks, part.coefficients)
+
+        return self._each(slowed)
+
+    def _each(self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial]) -> Flight:
+        return Flight(
+            change(self.drones),
+            change(self.vertices),
+            change(self.legs),
+            change(self.tensions),
+            self.profile,
+        )
+
+
+def fly(path: StraightPath, limits: Limits, duration: float | None = None) -> Flight:
+    """Return the flight along a path, from rest to rest.
+
+    Parameters
+    ----------
+    path: what is flown.
+    limits: of which none is broken where the polynomials are sampled.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InfeasibleError: ``duration`` is shorter than the limits allow.
+    TimingError, WarpError: no timing was found.
+    """
+
+    def demands_at(s: Array) -> Demands:
+        return Demands.of(path.team, limits, path.flat(s), path.drones(s))
+
+    grid = np.linspace(0.0, 1.0, GRID + 1)
+    profile = fastest_profile(grid, demands_at(grid))
+    ramp = limits.acceleration / limits.jerk
+    pieces = int(np.clip(round(profile.duration / ramp), FEWEST_PIECES, MOST_PIECES))
+    # A path so short that the acceleration's limit is never reached takes the time that the jerk
+    # needs for the distance of a bang-bang profile: four ramps of it.
+    shortest = (8.0 * profile.duration**2 * limits.acceleration / limits.jerk) ** (1.0 / 3.0)
+    smoothing = min(2.0 * ramp, shortest)
+    while True:
+        clock = jerk_limited(first_clock(profile, smoothing, pieces), demands_at)
+        flight = _polynomials(path, clock, profile)
+        if pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
+            break
+        pieces *= 2
+    flight = flight.stretched(_needed_stretch(path, limits, flight))
+    if duration is None:
+        return flight
+    if duration < flight.duration:
+        raise InfeasibleError(
+            [
+                Violation(
+                    "duration",
+                    duration,
+                    flight.duration,
+                    "min",
+                    "s",
+                    (),
+                    "",
+                    f"give it {flight.duration:.6g} s or more, or raise the limits of motion",
+                )
+            ]
+        )
+    return flight.lasting(duration)
+
+
+def _polynomials(path: StraightPath, clock: Clock, profile: SpeedProfile) -> Flight:
+    """Return polynomials that meet value, velocity, acceleration and jerk at every break."""
+    breaks, progress = clock.breaks, clock.jets()
+    s = np.clip(progress[:, 0], 0.0, 1.0)
+    s[0], s[-1] = 0.0, 1.0
+    flat, drones = path.flat(s), path.drones(s)
+    legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
+
+    def timed(jets: Array) -> PiecewisePolynomial:
+        """Return the polynomials for jets by s (J, *shape, 4)."""
+        inner = progress.reshape(len(s), *(1,) * (jets.ndim - 2), 4)
+        data = np.moveaxis(chained(jets, inner), -1, 0)
+        return PiecewisePolynomial.hermite(breaks, data[:, :-1], data[:, 1:])
+
+    tensions = PiecewisePolynomial.constant(breaks, path.team.tension)
+    return Flight(timed(drones.positions), timed(flat.vertices), timed(legs), tensions, profile)
+
+
+def _cable_error(path: StraightPath, flight: Flight) -> float:
+    """Return the largest relative error of a cable's length at samples between the breaks."""
+    t = _probes(flight.drones.breaks, 5)
+    p, drones = flight.vertices.at(t), flight.drones.at(t)
+    following = np.roll(p, -1, axis=1)
+    length = (
+        np.linalg.norm(drones[:, 0::2] - p, axis=-1)
+        + np.linalg.norm(following - p, axis=-1)
+        + np.linalg.norm(drones[:, 1::2] - following, axis=-1)
+    )
+    return float(np.max(np.abs(length / path.team.cable_length - 1.0)))
+
+
+def _needed_stretch(path: StraightPath, limits: Limits, flight: Flight) -> float:
+    """Return how many times slower the flight must be to keep its limits where it is sampled."""
+    t = _probes(flight.drones.breaks, PROBES)
+    team = path.team
+    p, drones = flight.vertices.at(t), flight.drones.at(t)
+    anchors = np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(drones.shape)
+    legs = drones - anchors
+    directions = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
+    forces[..., 2] -= team.cable_weight
+    demands = Demands(
+        np.stack([drones, *(flight.drones.at(t, order) for order in (1, 2, 3))], axis=-1),
+        np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1), axis=1),
+        loads_at_rest(team, forces),
+        team.mass,
+        team.max_thrust,
+        limits,
+        FINAL_SHARE,
+    )
+    return demands.stretch(_largest_jerk(flight))
+
+
+def _largest_jerk(flight: Flight) -> float:
+    """Return an upper bound of all drones' jerk [m/s³], tight to about 0.1 %.
+
+    Jerk changes fastest, so it is bounded rather than sampled: a vector polynomial's coefficients
+    enclose it, the closer the shorter the piece.
+    """
+    pieces = [flight.drones.differentiated(3).coefficients]
+    for _ in range(3):
+        pieces = [half for piece in pieces for half in bernstein.halve(piece)]
+    return max(float(np.max(np.linalg.norm(piece, axis=-2))) for piece in pieces)
+
+
+def _probes(breaks: Array, count: int) -> Array:
+    """Return ``count`` times inside every piece, and all breaks."""
+    inner = (np.arange(count) + 0.5) / count
+    times = breaks[:-1, None] + np.diff(breaks)[:, None] * inner
+    return np.sort(np.append(times.reshape(-1), breaks))

@@ -1,0 +1,51 @@
+"""Arithmetic of jets: values with their derivatives by one parameter, order last."""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return the jet of a·b, by Leibniz' rule; (…, m) each."""
+    a, b = np.broadcast_arrays(a, b)
+    out = np.zeros(a.shape)
+    for k in range(a.shape[-1]):
+        for i in range(k + 1):
+            out[..., k] += comb(k, i) * a[..., i] * b[..., k - i]
+    return out
+
+
+def square_root(a: Array) -> Array:
+    """Return the jet of √a, a positive; (…, m)."""
+    root = np.zeros(a.shape)
+    root[..., 0] = np.sqrt(a[..., 0])
+    for k in range(1, a.shape[-1]):  # from (√a)² = a, solved for the newest derivative
+        known = sum(comb(k, i) * root[..., i] * root[..., k - i] for i in range(1, k))
+        root[..., k] = (a[..., k] - known) / (2.0 * root[..., 0])
+    return root
+
+
+def chained(outer: Array, inner: Array) -> Array:
+    """Return the jet of f(g(t)) by t up to the third, by Faà di Bruno's formula.
+
+    Parameters
+    ----------
+    outer: (…, 4), derivatives of f at g(t).
+    inner: (…, 4), derivatives of g at t.
+    """
+    f1, f2, f3 = outer[..., 1], outer[..., 2], outer[..., 3]
+    g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
+    return np.stack(
+        np.broadcast_arrays(
+            outer[..., 0],
+            f1 * g1,
+            f2 * g1**2 + f1 * g2,
+            f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3,
+        ),
+        axis=-1,
+    )

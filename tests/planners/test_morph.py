@@ -1,0 +1,88 @@
+"""Morphs: legs that make way, shut ways and their diagnosis."""
+
+import numpy as np
+import pytest
+
+from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch.sharing import measured
+from hitchopt.planners.leg_law import KeptDistances, _task, with_legs_clear
+from hitchopt.planners.morph import straight_morph
+from hitchopt.planners.path import StraightPath
+
+TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+KEPT = KeptDistances(Limits(), Separation(), None)
+
+
+def distances_on_the_way(path: StraightPath) -> float:
+    s = np.linspace(0.0, 1.0, 301)
+    return measured(_task(path, KEPT, s, path.fractions.at(s), 1.0))
+
+
+def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
+    """From one sharing of the sharp triangle to its mirror image: even sharing is too close."""
+    team = Team(3, 2.4)
+    start = Hitch.spread(team, TRIANGLE)
+    end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
+    linear = StraightPath.between(start, end)
+    assert distances_on_the_way(linear) < 1.0
+    clear = with_legs_clear(linear, KEPT)
+    assert distances_on_the_way(clear) >= 1.0
+    np.testing.assert_allclose(clear.fractions.at(0.0), start.fractions, atol=1e-9)
+    np.testing.assert_allclose(clear.fractions.at(1.0), end.fractions, atol=1e-9)
+    flight = straight_morph(start, end, Limits(), Separation())
+    assert flight is not None
+    np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
+
+
+def test_a_linear_law_is_kept_where_it_will_do() -> None:
+    team = Team(3, 2.4)
+    start = Hitch.spread(team, TRIANGLE)
+    wide = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
+    end = Hitch.nearest(team, wide, 1.0, start.fractions, limits=Limits(), separation=Separation())
+    path = StraightPath.between(start, end)
+    assert with_legs_clear(path, KEPT) is path
+
+
+def test_nothing_to_do_is_no_flight() -> None:
+    hitch = Hitch.spread(Team(3, 2.4), TRIANGLE)
+    assert straight_morph(hitch, hitch, Limits(), Separation()) is None
+
+
+def test_a_straight_way_that_loses_convexity_says_where() -> None:
+    """PAPER.md's pair of quadrilaterals: convex at both ends, not half way."""
+    team = Team(4, 6.0)
+    first = [[1.0, 1.0], [1.0, 2.0], [2.0, 0.0], [2.0, -1.0]]
+    second = [[1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
+    hitches = [Hitch.balanced(team, p) for p in (first, second)]
+    with pytest.raises(InfeasibleError, match="convexity") as caught:
+        straight_morph(*hitches, Limits(), Separation())
+    violation = caught.value.violations[0]
+    assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
+    assert violation.where[0].startswith("p")
+    assert "of the way" in violation.when
+
+
+def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:
+    """Lengths are convex along a straight way, so the ends decide; 0.1 mm is no leg to fly."""
+    first = [[0.0, 0.0], [0.0, 1.3], [1.2, 1.0], [1.0, 0.0]]
+    second = [[0.0, 0.0], [0.3, 1.0], [1.2, 1.4], [1.2, 0.0]]
+    middle = 0.5 * (np.array(first) + np.array(second))
+    lengths = [np.linalg.norm(np.diff(p, axis=0)[1]) for p in (first, middle, second)]
+    short = Team(4, [2.2, float(max(lengths[0], lengths[2])) + 1e-4, 2.2, 2.2])
+    assert lengths[1] < max(lengths[0], lengths[2])
+    hitches = [Hitch.balanced(short, p) for p in (first, second)]
+    with pytest.raises(InfeasibleError, match="cable 1 leaves"):
+        straight_morph(*hitches, Limits(), Separation())
+
+
+def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
+    weak = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.35))  # hovering needs 1.356 N
+    hitches = [Hitch.spread(weak, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]])]
+    with pytest.raises(InfeasibleError, match="thrust") as caught:
+        straight_morph(*hitches, Limits(), Separation())
+    violation = caught.value.violations[0]
+    assert violation.value == pytest.approx(np.hypot(0.132 * 9.81, 0.4), rel=1e-9)
+    strong = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.37))
+    hitches = [Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]])]
+    flight = straight_morph(*hitches, Limits(), Separation())
+    assert flight is not None

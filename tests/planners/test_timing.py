@@ -1,0 +1,226 @@
+"""Timing: jets, what limits allow, optima known in closed form."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
+from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.planners import jets
+from hitchopt.planners.demands import LIMIT_SHARE, Demands
+from hitchopt.planners.flight import Flight, fly
+from hitchopt.planners.path import StraightPath
+from hitchopt.planners.timing import acceleration_rows, fastest_profile
+
+FREE = {"vertex_speed": 100.0, "tilt": 1.5}
+
+
+def polynomial_jet(coefficients: np.ndarray, t: float) -> np.ndarray:
+    return np.array([np.polyval(np.polyder(coefficients, k), t) for k in range(4)])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
+@settings(max_examples=40, deadline=None)
+def test_jet_arithmetic_is_that_of_polynomials(seed: int, t: float) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, 4))
+    ja, jb = polynomial_jet(a, t), polynomial_jet(b, t)
+    np.testing.assert_allclose(jets.product(ja, jb), polynomial_jet(np.polymul(a, b), t), atol=1e-9)
+    composed = np.poly1d(a)(np.poly1d(b))
+    outer = polynomial_jet(a, jb[0])
+    np.testing.assert_allclose(
+        jets.chained(outer, jb), polynomial_jet(np.atleast_1d(composed.c), t), rtol=1e-7, atol=1e-7
+    )
+    square = polynomial_jet(np.polyadd(np.polymul(b, b), [1.0]), t)
+    root = jets.square_root(square)
+    np.testing.assert_allclose(jets.product(root, root), square, atol=1e-9)
+
+
+def straight(
+    n: int, seed: int, limits: Limits, offset: tuple[float, float] | None = None
+) -> StraightPath:
+    """A random morph, or a rigid shift by ``offset``."""
+    rng = np.random.default_rng(seed)
+    first = random_convex_polygon(n, 1.0, rng)
+    second = (
+        first.translated(offset)
+        if offset is not None
+        else first.scaled(1.08).rotated(0.1).translated(rng.normal(scale=0.4, size=2))
+    )
+    team = Team(n, 2.2, tension=rng.uniform(0.38, 0.42, n))
+    start = Hitch.balanced(team, first)
+    end = Hitch.nearest(team, second, 1.0, start.fractions, limits=limits, separation=Separation())
+    return StraightPath.between(start, end)
+
+
+def demands(path: StraightPath, limits: Limits, count: int = 201) -> Demands:
+    s = np.linspace(0.0, 1.0, count)
+    return Demands.of(path.team, limits, path.flat(s), path.drones(s))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 6))
+@settings(max_examples=10, deadline=None)
+def test_the_rows_allow_what_the_limits_allow_and_nothing_else(seed: int, n: int) -> None:
+    limits = Limits(speed=0.7, acceleration=1.5, tilt=math.radians(25.0))
+    found = demands(straight(n, seed, limits), limits, 5)
+    rows = acceleration_rows(found)
+    rng = np.random.default_rng(seed)
+    q1, q2 = found.drones[..., 1], found.drones[..., 2]
+    largest_x, largest_u = found.speed_bound, 1.5 / np.linalg.norm(q1, axis=-1).max(axis=1)
+    for _ in range(300):
+        j = rng.integers(5)
+        u, x = largest_u[j] * rng.uniform(-1.2, 1.2), largest_x[j] * rng.uniform(0.0, 1.2)
+        a = q1[j] * u + q2[j] * x
+        force = found.mass[:, None] * a + found.loads[j]
+        ratio = max(
+            np.max(np.linalg.norm(a, axis=-1)) / 1.5,
+            np.max(np.linalg.norm(force, axis=-1) / found.max_thrust),
+            np.max(np.arctan2(np.hypot(force[:, 0], force[:, 1]), force[:, 2])) / limits.tilt,
+            np.max(np.linalg.norm(q1[j], axis=-1)) * math.sqrt(x) / 0.7,
+            found.vertex_speed[j] * math.sqrt(x) / 0.5,
+        )
+        allowed = bool(np.all(rows.normals[j] @ [u, x] <= rows.bounds[j] + 1e-12))
+        if allowed:
+            assert ratio <= LIMIT_SHARE + 1e-9
+        elif ratio < LIMIT_SHARE:
+            # Only the chords' narrow margin is lost.
+            assert not np.all(rows.normals[j] @ [0.995 * u, 0.995 * x] <= rows.bounds[j]) or (
+                ratio > 0.98 * LIMIT_SHARE
+            )
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.6, 3.0])
+def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
+    """Trapezoids: without a jerk limit D/v + v/a, with one a/j more (in the long case)."""
+    v, a, j = 0.8, 2.0, 20.0
+    limits = Limits(speed=v, acceleration=a, jerk=j, **FREE)
+    path = straight(4, 3, limits, (0.6 * distance, 0.8 * distance))
+    bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
+    flight = fly(path, limits)
+    assert flight.profile.duration == pytest.approx(bang, rel=2e-3)
+    # The jerk-limited optimum in closed form.
+    ramp = a / j
+    if distance >= v * (v / a + ramp):
+        optimum = distance / v + v / a + ramp
+    else:
+        optimum = ramp + math.sqrt(ramp**2 + 4.0 * distance / a)
+        if 2.0 * ramp > optimum / 2.0:  # the acceleration's limit is not reached
+            optimum = 4.0 * (distance / (2.0 * j)) ** (1.0 / 3.0)
+    assert optimum <= flight.duration <= 1.02 * optimum
+
+
+def worst_ratio(path: StraightPath, limits: Limits, flight: Flight) -> dict[str, float]:
+    """Largest share of each limit in use, sampled, forces through the model."""
+    t = np.linspace(0.0, flight.duration, 4001)
+    v, a, j = (np.linalg.norm(flight.drones.at(t, k), axis=-1).max() for k in (1, 2, 3))
+    vertex = np.linalg.norm(flight.vertices.at(t, 1), axis=-1).max()
+    along = path.end - path.start
+    k = int(np.argmax(np.linalg.norm(along, axis=1)))
+    s = (flight.vertices.at(t)[:, k] - path.start[k]) @ along[k] / (along[k] @ along[k])
+    force = (
+        path.team.mass[:, None] * (flight.drones.at(t, 2) + [0.0, 0.0, 9.81])
+        - path.drones(np.clip(s, 0.0, 1.0)).cable_forces
+    )
+    tilt = np.arctan2(np.hypot(force[..., 0], force[..., 1]), force[..., 2]).max()
+    thrust = (np.linalg.norm(force, axis=-1) / path.team.max_thrust).max()
+    return {
+        "speed": v / limits.speed,
+        "acceleration": a / limits.acceleration,
+        "jerk": j / limits.jerk,
+        "vertex_speed": vertex / limits.vertex_speed,
+        "thrust": thrust,
+        "tilt": tilt / limits.tilt,
+    }
+
+
+@pytest.mark.parametrize(
+    ("limits", "binding"),
+    [
+        (Limits(), "vertex_speed"),
+        (Limits(vertex_speed=9.0, speed=0.4), "speed"),
+        (Limits(vertex_speed=9.0, speed=9.0, jerk=200.0), "acceleration"),
+        (Limits(vertex_speed=9.0, speed=9.0), "jerk"),
+        (Limits(vertex_speed=9.0, speed=9.0, tilt=math.radians(21.0)), "tilt"),
+    ],
+)
+@pytest.mark.parametrize("n", [3, 5])
+def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
+    limits: Limits, binding: str, n: int
+) -> None:
+    path = straight(n, 10 + n, limits)
+    flight = fly(path, limits)
+    ratios = worst_ratio(path, limits, flight)
+    assert max(ratios.values()) <= 1.0
+    assert ratios[binding] >= 0.985
+    fine = np.linspace(0.0, 1.0, 1001)
+    exact = Demands.of(path.team, limits, path.flat(fine), path.drones(fine))
+    optimum = fastest_profile(fine, exact).duration
+    assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
+
+
+def test_a_finer_grid_changes_toppras_optimum_little_and_less() -> None:
+    limits = Limits(vertex_speed=9.0, speed=9.0)
+    path = straight(4, 8, limits)
+    times = [
+        fastest_profile(np.linspace(0.0, 1.0, m), demands(path, limits, m)).duration
+        for m in (51, 101, 201, 801)
+    ]
+    errors = np.abs(np.array(times[:3]) - times[3])
+    assert errors[2] < errors[0]
+    assert errors[2] < 2e-3 * times[3]
+
+
+def test_the_flight_is_smooth_at_rest_at_its_ends_and_follows_the_model() -> None:
+    limits = Limits()
+    path = straight(5, 2, limits)
+    flight = fly(path, limits)
+    for part in (flight.drones, flight.vertices, flight.legs):
+        for order in range(3):
+            left, right = part.ends(order)
+            np.testing.assert_allclose(left[1:], right[:-1], atol=1e-9)
+        for order in (1, 2):
+            np.testing.assert_allclose(part.at([0.0, flight.duration], order), 0.0, atol=1e-9)
+    t = np.linspace(0.0, flight.duration, 501)
+    p = flight.vertices.at(t)
+    along = path.end - path.start
+    s = np.einsum("tkc,kc->tk", p - path.start, along) / np.sum(along**2, axis=1)
+    np.testing.assert_allclose(s, s[:, :1] * np.ones(5), atol=1e-9)  # all at one pace, straight
+    np.testing.assert_allclose(p, path.start + s[..., None] * along, atol=1e-9)
+    exact = path.drones(np.clip(s[:, 0], 0.0, 1.0))
+    np.testing.assert_allclose(flight.drones.at(t), exact.positions[..., 0], atol=2e-6)
+    np.testing.assert_allclose(flight.legs.at(t)[..., 1], exact.r_legs[..., 0], atol=2e-6)
+
+
+def test_a_duration_is_met_exactly_or_refused() -> None:
+    limits = Limits()
+    path = straight(3, 4, limits)
+    fastest = fly(path, limits)
+    slow = fly(path, limits, 7.25)
+    assert slow.duration == 7.25
+    np.testing.assert_allclose(slow.drones.at(7.25), fastest.drones.at(fastest.duration))
+    with pytest.raises(InfeasibleError, match="duration") as caught:
+        fly(path, limits, 0.9 * fastest.duration)
+    assert caught.value.violations[0].limit == pytest.approx(fastest.duration, rel=1e-6)
+
+
+@pytest.mark.parametrize("distance", [1e-6, 1e-4])
+def test_tiny_paths_are_timed(distance: float) -> None:
+    limits = Limits()
+    path = straight(3, 6, limits, (distance, 0.0))
+    flight = fly(path, limits)
+    assert 4.0 * (distance / 40.0) ** (1 / 3) <= flight.duration <= 0.2
+    assert max(worst_ratio(path, limits, flight).values()) <= 1.0
+
+
+def test_timing_does_not_care_where_or_how_turned() -> None:
+    limits = Limits()
+    team = Team(6, 2.0)
+    first, second = regular_polygon(6, 1.3), regular_polygon(6, 1.35, 0.05)
+    times = []
+    for angle, offset in ((0.0, (0.0, 0.0)), (1.1, (3.0, -2.0))):
+        pair = [Hitch.balanced(team, p.rotated(angle).translated(offset)) for p in (first, second)]
+        times.append(fly(StraightPath.between(*pair), limits).duration)
+    assert times[1] == pytest.approx(times[0], rel=1e-4)
