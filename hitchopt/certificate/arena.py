@@ -1,0 +1,36 @@
+"""Check ``arena``: the drones stay within the walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate.report import Check
+from hitchopt.certificate.rounding import ROUNDING, position_margin
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+
+Array = NDArray[np.float64]
+
+
+def check(motion: Motion) -> Check | None:
+    """Return the smallest distance of any drone to a wall, negative outside; None without arena."""
+    arena = motion.arena
+    if arena is None:
+        return None
+    x = motion.drones.coefficients
+    inside = np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)
+    walls = float(max(np.max(np.abs(arena.lower)), np.max(np.abs(arena.upper))))
+    margin = position_margin(motion) + ROUNDING * walls
+    found = smallest(Cells.over(motion.drones.breaks, [inside], margin), _bound)
+    where = (motion.team.drone_names[found.item],)
+    return Check.of("arena", found.worst, 0.0, "min", "m", found.time, where)
+
+
+def _bound(blocks: tuple[Array, ...]) -> Estimate:
+    (walls,) = blocks
+    nearest = np.min(walls, axis=1)
+    x = np.argmin(nearest, axis=-1) / max(1, bernstein.degree(walls))
+    value = np.min(bernstein.evaluate(walls, x[:, None]), axis=-1)
+    return Estimate(np.min(nearest, axis=-1), value, x)

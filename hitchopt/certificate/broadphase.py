@@ -1,0 +1,137 @@
+"""Which pairs of many boxes come close: a spatial index, for spans of time and for space alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes along the axes.
+
+    Attributes
+    ----------
+    lower, upper: (boxes, 3) [m]
+    """
+
+    lower: Array
+    upper: Array
+
+    def __len__(self) -> int:
+        return len(self.lower)
+
+    @classmethod
+    def around(cls, points: Array) -> Boxes:
+        """Return the boxes that hold what has the control points (boxes, corners, 3, m)."""
+        return cls(np.min(points, axis=(1, 3)), np.max(points, axis=(1, 3)))
+
+    @property
+    def centres(self) -> Array:
+        """(boxes, 3) [m]: where their middles are."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def sizes(self) -> Array:
+        """(boxes,) [m]: half of the longest side."""
+        longest: Array = 0.5 * np.max(self.upper - self.lower, axis=-1, initial=0.0)
+        return longest
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Pairs of bodies.
+
+    Attributes
+    ----------
+    first, second: (pairs,), indices into the first and the second group.
+    """
+
+    first: Indices
+    second: Indices
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def take(self, index: NDArray[np.bool_] | slice) -> Pairs:
+        """Return the chosen pairs."""
+        return Pairs(self.first[index], self.second[index])
+
+
+def all_pairs(first: int, second: int | None) -> Pairs:
+    """Return every pair of two groups of that many, or i < j within the first one."""
+    if second is None:
+        return Pairs(*np.triu_indices(first, 1))
+    i, j = np.divmod(np.arange(first * second), second)
+    return Pairs(i, j)
+
+
+def close_pairs(first: Boxes, second: Boxes | None, cutoff: float, most: int) -> Pairs | None:
+    """Return a list that holds every pair of boxes that are at most ``cutoff`` apart.
+
+    Parameters
+    ----------
+    first, second: two groups, or one whose pairs (i < j) are looked for.
+    cutoff: [m]
+    most: with more pairs than this within reach of the index, nothing is listed.
+
+    Returns
+    -------
+    The pairs, or None where there would be too many.
+    """
+    groups = _classes(first, cutoff)
+    others = groups if second is None else _classes(second, cutoff)
+    reach = [
+        (a, b, cutoff + a.size + b.size)
+        for i, a in enumerate(groups)
+        for j, b in enumerate(others)
+        if second is not None or i <= j
+    ]
+    # Counted first: a list of all pairs of thousands of boxes is what must not happen.
+    if sum(int(a.tree.count_neighbors(b.tree, r, p=np.inf)) for a, b, r in reach) > most:
+        return None
+    found = []
+    for a, b, r in reach:
+        if second is None and a is b:
+            pairs = a.tree.query_pairs(r, p=np.inf, output_type="ndarray")
+            i, j = a.members[pairs[:, 0]], a.members[pairs[:, 1]]
+        else:
+            table = a.tree.sparse_distance_matrix(b.tree, r, p=np.inf, output_type="ndarray")
+            i, j = a.members[table["i"]], b.members[table["j"]]
+        found.append((i, j) if second is not None else (np.minimum(i, j), np.maximum(i, j)))
+    pairs_i = np.concatenate([i for i, _ in found])
+    pairs_j = np.concatenate([j for _, j in found])
+    other = first if second is None else second
+    gaps = np.maximum(
+        first.lower[pairs_i] - other.upper[pairs_j], other.lower[pairs_j] - first.upper[pairs_i]
+    )
+    near = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
+    return Pairs(pairs_i[near], pairs_j[near])
+
+
+@dataclass(frozen=True, eq=False)
+class _SizeClass:
+    """Boxes of about one size: a few large ones must not widen the search for all."""
+
+    members: Indices
+    size: float
+    tree: cKDTree
+
+
+def _classes(boxes: Boxes, cutoff: float) -> list[_SizeClass]:
+    sizes = boxes.sizes
+    floor = max(1e-6 * float(np.max(sizes)), np.finfo(np.float64).tiny)
+    unit = max(cutoff, float(np.median(sizes)), floor)
+    rank = np.ceil(np.log2(np.maximum(sizes / unit, 1.0))).astype(np.intp)
+    classes = []
+    for value in np.unique(rank):
+        members = np.flatnonzero(rank == value)
+        tree = cKDTree(boxes.centres[members])
+        classes.append(_SizeClass(members, float(np.max(sizes[members])), tree))
+    return classes

@@ -1,0 +1,48 @@
+"""Check ``continuity``: nothing jumps where one piece follows another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.certificate.bodies import PART_NAMES
+from hitchopt.certificate.report import Check
+from hitchopt.certificate.rounding import derivative_margin, position_margin
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial
+
+LIMIT = 1e-6
+"""[m], [m/s], [m/s²]: below anything that a drone could tell from none."""
+
+
+def check(motion: Motion) -> Check:
+    """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
+
+    Of drones, vertices and legs; the unit is given as m, whichever of the three it is. A jump of a
+    vector is measured by its norm. ``where`` names the drone, the vertex or the leg.
+    """
+    n = motion.team.robots
+    legs = PiecewisePolynomial(
+        motion.legs.breaks, motion.legs.coefficients.reshape(motion.legs.pieces, 2 * n, 1, -1)
+    )
+    leg_names = tuple(f"{name} {k}" for k in range(n) for name in PART_NAMES[0::2])
+    parts = (
+        (motion.drones, motion.team.drone_names),
+        (motion.vertices, tuple(f"p{k}" for k in range(n))),
+        (legs, leg_names),
+    )
+    worst, time = 0.0, float(motion.drones.breaks[0])
+    where: tuple[str, ...] = ()
+    for part, names in parts if motion.drones.pieces > 1 else ():
+        for derivative in range(3):
+            left, right = part.ends(derivative)
+            jump = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+            if derivative == 0:
+                jump += position_margin(motion)
+            else:
+                margin = derivative_margin(part, derivative)
+                jump += margin[1:] + margin[:-1]
+            joint, item = np.unravel_index(int(np.argmax(jump)), jump.shape)
+            if jump[joint, item] > worst:
+                worst, time = float(jump[joint, item]), float(part.breaks[joint + 1])
+                where = (names[item],)
+    return Check.of("continuity", worst, LIMIT, "max", "m", time, where)

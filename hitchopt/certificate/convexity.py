@@ -1,0 +1,85 @@
+"""Check ``convexity``: the polygon turns right at every vertex, once around in all."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate.bodies import edge_vectors
+from hitchopt.certificate.pull import NO_DIRECTION
+from hitchopt.certificate.report import Check
+from hitchopt.certificate.rounding import ROUNDING, position_margin
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+
+Array = NDArray[np.float64]
+
+BACKWARD = -180.0
+"""[deg] The smallest angle there is; also that of an edge without direction."""
+
+
+def check(motion: Motion) -> Check:
+    """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
+
+    A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
+    less. The number at the start is that of all times unless an angle passes -180° in between,
+    which is worse already.
+    """
+    edges = edge_vectors(motion)[:, :, :2]
+    rows = np.concatenate([np.roll(edges, 1, axis=1), edges], axis=2)
+    bound = partial(_bound, noise=position_margin(motion))
+    found = smallest(Cells.over(motion.vertices.breaks, [rows]), bound)
+    worst, time = max(found.worst, BACKWARD), found.time
+    where: tuple[str, ...] = (f"p{found.item}",)
+    start = rows[0, :, :, 0]
+    turns = round(float(np.sum(_angles_at(start))) / 360.0)
+    if turns != 1 and worst > BACKWARD and 360.0 * (1 - turns) < worst:
+        worst, time, where = 360.0 * (1 - turns), float(motion.vertices.breaks[0]), ()
+    return Check.of("convexity", worst, 0.0, "min", "deg", time, where)
+
+
+def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    """Bound the angle of the curve (dot, cross) by its coefficients' angles.
+
+    Seen from its direction at mid time, a curve whose coefficients all lie ahead stays within the
+    wedge that they span. Past 180° angles start again at -180°.
+    """
+    (rows,) = blocks
+    along, right = _products(rows)
+    degree = bernstein.degree(along)
+    middle = np.full(len(rows), 0.5)
+    x0, y0 = bernstein.evaluate(along, middle), bernstein.evaluate(right, middle)
+    ahead = x0[:, None] * along + y0[:, None] * right
+    aside = x0[:, None] * right - y0[:, None] * along
+    relative = np.degrees(np.arctan2(aside, ahead))
+    start = np.degrees(np.arctan2(y0, x0))
+    # How far rounding of both edges turns a point of the wedge, all of them being this far out.
+    least = np.min(ahead, axis=-1) / np.hypot(x0, y0)
+    spread = 4.0 * (ROUNDING * np.max(np.abs(rows), axis=(1, 2)) + noise)
+    spread = np.degrees(spread * np.sum(np.max(np.abs(rows), axis=-1), axis=-1) / least)
+    bound = start + np.min(relative, axis=-1) - spread
+    highest = start + np.max(relative, axis=-1) + spread
+    wedge = (least > 0.0) & (spread < 1.0) & (highest < -BACKWARD)
+    angles = np.where(wedge[:, None], relative, np.arctan2(right, along))
+    x = np.argmin(angles, axis=-1) / max(1, degree)
+    value = _angles_at(bernstein.evaluate(rows, x[:, None]))
+    # Where the middle is a point without direction nothing above is a number; nor is it needed.
+    return Estimate(np.where(wedge, np.maximum(bound, BACKWARD), BACKWARD), value, x)
+
+
+def _products(rows: Array) -> tuple[Array, Array]:
+    """Return dot and right-hand cross product of two edges (…, 4, degree + 1)."""
+    bx, by, ax, ay = (rows[..., i, :] for i in range(4))
+    along = bernstein.multiply(bx, ax) + bernstein.multiply(by, ay)
+    right = bernstein.multiply(by, ax) - bernstein.multiply(bx, ay)
+    return along, right
+
+
+def _angles_at(rows: Array) -> Array:
+    """Return the angles between pairs of edges (…, 4) [deg]; a short edge turns backward."""
+    along, right = (product[..., 0] for product in _products(rows[..., None]))
+    lengths = np.minimum(np.hypot(rows[..., 0], rows[..., 1]), np.hypot(rows[..., 2], rows[..., 3]))
+    return np.where(lengths > NO_DIRECTION, np.degrees(np.arctan2(right, along)), BACKWARD)

@@ -1,0 +1,17 @@
+"""Check ``duration`` of the whole plan."""
+
+from __future__ import annotations
+
+from hitchopt.certificate.report import Check
+from hitchopt.model.motion import Motion
+
+
+def check(motion: Motion) -> Check | None:
+    """Return the plan's duration; None where no limit is set.
+
+    No margin: it is one difference of two stored numbers.
+    """
+    if motion.limits.duration is None:
+        return None
+    end = float(motion.drones.breaks[-1])
+    return Check.of("duration", motion.duration, motion.limits.duration, "max", "s", end, ())

@@ -1,0 +1,178 @@
+"""The smallest distance between any two of many moving points and segments.
+
+Few bodies are all paired. Of many, a span of time is searched for an attained distance first;
+only pairs whose boxes over that span come at least as close are looked at, all others being
+farther apart for certain. Spans in which much moves are halved before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.certificate.broadphase import Boxes, Indices, Pairs, all_pairs, close_pairs
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.distance import distance_bound, shortest_offset
+from hitchopt.trajectory.extremum import Cells, Extremum, Search
+
+Array = NDArray[np.float64]
+Allowed = Callable[[Indices, Indices], NDArray[np.bool_]]
+"""Which pairs (first, second) count."""
+
+FEW = 1500
+"""Pairs in all, up to which an index costs more than it saves."""
+
+CHUNK = 8192
+"""Pairs whose polynomials are laid out at a time."""
+
+NEIGHBOURS = 8
+"""How many of a body's neighbours are tried for an attained distance."""
+
+CROWD = 12
+"""Pairs per body above which a span is halved, if motion is to blame."""
+
+MAX_DEPTH = 8
+"""Spans are halved this often at most."""
+
+SLACK = 1e-9
+"""Relative: boxes are rounded, and so is the distance that they are compared with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Points or segments.
+
+    Attributes
+    ----------
+    corners: (pieces, bodies, 1 or 2, 3, degree + 1) [m]: their ends.
+    """
+
+    corners: Array
+
+    def __len__(self) -> int:
+        return int(self.corners.shape[1])
+
+
+def smallest_distance(
+    breaks: Array, first: Bodies, second: Bodies | None, allowed: Allowed, margin: float
+) -> Extremum:
+    """Return the smallest distance of allowed pairs over all of the time.
+
+    Parameters
+    ----------
+    breaks: (pieces + 1,) [s]
+    first, second: two groups of bodies, or one whose pairs among themselves are meant.
+    allowed: which pairs count; symmetric where there is one group.
+    margin: taken off to cover rounding [m].
+
+    Returns
+    -------
+    Its ``item`` is ``i * len(second) + j`` (or ``len(first)``, where there is one group).
+    """
+    search = Search(distance_bound)
+    count = len(first) if second is None else len(second)
+    pairs = len(first) * (len(first) - 1) // 2 if second is None else len(first) * count
+    if pairs <= FEW:
+        every = all_pairs(len(first), None if second is None else count)
+        every = every.take(allowed(every.first, every.second))
+        group = max(1, CHUNK // max(1, len(every)))  # pieces at a time
+        for start in range(0, len(breaks) - 1, group):
+            a = first.corners[start : start + group]
+            b = a if second is None else second.corners[start : start + group]
+            times = breaks[start : start + group + 1]
+            search.add(_cells(times, a, b, every, count, margin))
+        return _not_negative(search.finish())
+    for span in _spans(breaks, first, second, search, allowed, margin):
+        a, b = span.first, span.second if span.second is not None else span.first
+        for start in range(0, len(span.pairs), CHUNK):
+            chunk = span.pairs.take(slice(start, start + CHUNK))
+            search.add(_cells(span.times, a[None], b[None], chunk, count, margin))
+        if search.value <= search.absolute:  # they touch: no other pair can do worse
+            return Extremum(0.0, search.value, search.item, search.time)
+    return _not_negative(search.finish())
+
+
+@dataclass(frozen=True, eq=False)
+class _Span:
+    """A span of time and the pairs that matter on it: ends (bodies, 1 or 2, 3, degree + 1)."""
+
+    times: Array
+    first: Array
+    second: Array | None
+    pairs: Pairs
+
+
+def _spans(
+    breaks: Array,
+    first: Bodies,
+    second: Bodies | None,
+    search: Search,
+    allowed: Allowed,
+    margin: float,
+) -> Iterator[_Span]:
+    """Give spans that cover all of the time; the cutoff falls as the search goes on."""
+    bodies = len(first) + (0 if second is None else len(second))
+    for piece in range(len(breaks) - 1):
+        b = None if second is None else second.corners[piece]
+        stack = [(breaks[piece : piece + 2], first.corners[piece], b, 0)]
+        while stack:
+            times, a, b, depth = stack.pop()
+            attained = min(search.value, _attained(a, b, allowed))
+            cutoff = attained * (1.0 + SLACK) + margin
+            drift = np.mean(a, axis=(0, 1))  # what all do together changes no distance
+            boxes = Boxes.around(a - drift)
+            others = None if b is None else Boxes.around(b - drift)
+            moving = np.median(0.5 * np.max(np.ptp(a - drift, axis=-1), axis=(1, 2)))
+            hopeful = depth < MAX_DEPTH and moving > 0.25 * cutoff
+            most = CROWD * bodies if hopeful else np.iinfo(np.int64).max
+            pairs = close_pairs(boxes, others, cutoff, int(most))
+            if pairs is None:
+                middle = 0.5 * (times[0] + times[1])
+                a_halves, b_halves = _halves(a), (None, None) if b is None else _halves(b)
+                stack.append((np.array([middle, times[1]]), a_halves[1], b_halves[1], depth + 1))
+                stack.append((np.array([times[0], middle]), a_halves[0], b_halves[0], depth + 1))
+                continue
+            pairs = pairs.take(allowed(pairs.first, pairs.second))
+            yield _Span(times, a, b, pairs)
+
+
+def _cells(times: Array, a: Array, b: Array, pairs: Pairs, count: int, margin: float) -> Cells:
+    """Return one cell per piece and pair, holding the differences of their ends."""
+    ends_a = a[:, pairs.first][:, :, :, None]
+    ends_b = b[:, pairs.second][:, :, None]
+    differences = ends_a - ends_b
+    rows = differences.reshape(*differences.shape[:2], -1, differences.shape[-1])
+    cells = Cells.over(times, [rows], margin)
+    item = np.tile(pairs.first * count + pairs.second, len(times) - 1)
+    return Cells(cells.blocks, item, cells.start, cells.end, cells.margin)
+
+
+def _attained(a: Array, b: Array | None, allowed: Allowed) -> float:
+    """Return a distance that some pair has in the middle of the span; near the smallest then."""
+    half = bernstein.basis(np.array(0.5), a.shape[-1] - 1)
+    here = a @ half
+    there = here if b is None else b @ half
+    nearest = min(NEIGHBOURS, len(there))
+    _, j = cKDTree(np.mean(there, axis=1)).query(np.mean(here, axis=1), k=nearest)
+    j = np.asarray(j, dtype=np.intp).ravel()
+    i = np.repeat(np.arange(len(here)), nearest)
+    counted = allowed(i, j) & ((i != j) if b is None else True)
+    i, j = i[counted], j[counted]
+    if len(i) == 0:
+        return np.inf
+    differences = (here[i][:, :, None] - there[j][:, None]).reshape(len(i), -1, 3)
+    return float(np.min(np.linalg.norm(shortest_offset(differences), axis=-1)))
+
+
+def _halves(corners: Array) -> tuple[Array, Array]:
+    left, right = bernstein.halve(corners.reshape(-1, corners.shape[-1]))
+    return left.reshape(corners.shape), right.reshape(corners.shape)
+
+
+def _not_negative(found: Extremum) -> Extremum:
+    """Return the same, bodies that touch being at distance zero, whatever the margin."""
+    return Extremum(max(found.worst, 0.0), found.value, found.item, found.time)

@@ -1,0 +1,91 @@
+"""The thrust that every drone needs, enclosed: what the checks thrust and tilt have in common.
+
+It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg and down by half of the
+cable's weight. The leg's direction is no polynomial; it is enclosed by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate.bodies import leg_vectors
+from hitchopt.certificate.rounding import ROUNDING, derivative_margin
+from hitchopt.hitch import GRAVITY
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.trajectory.extremum import Cells
+
+Array = NDArray[np.float64]
+
+NO_DIRECTION = 1e-5
+"""[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
+
+
+def thrust_cells(motion: Motion, unit: Array) -> Cells:
+    """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
+
+    Parameters
+    ----------
+    unit: (2n,) [N], what each drone's forces are divided by.
+    """
+    team = motion.team
+    mass = (team.mass / unit)[:, None]
+    free = motion.drones.differentiated(2).coefficients * mass[..., None]
+    free[:, :, 2] += mass * GRAVITY + (team.cable_weight / unit)[:, None]
+    legs = leg_vectors(motion)
+    tension = lowered(np.repeat(motion.tensions.coefficients, 2, axis=1) / unit[:, None])
+    pull = np.max(np.abs(tension), axis=-1)
+    slop = derivative_margin(motion.drones, 2) * mass[:, 0]
+    slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
+    blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
+    return Cells.over(motion.drones.breaks, blocks)
+
+
+def lowered(coefficients: Array) -> Array:
+    """Return constants written in degree 0, anything else as it is: products get cheaper."""
+    if np.all(coefficients == coefficients[..., :1]):
+        return coefficients[..., :1]
+    return coefficients
+
+
+def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclosure:
+    """Return polynomials (cells, 3, degree + 1) and radii (cells,) around the thrusts.
+
+    Parameters
+    ----------
+    blocks: of ``thrust_cells``.
+    noise: of the positions [m].
+    """
+    free, legs, tension, slop = blocks
+    along = enclosure.direction(legs, noise)
+    pull = bernstein.multiply(along.coefficients, tension)
+    order = max(bernstein.degree(pull), bernstein.degree(free))
+    thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)
+    radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
+    return enclosure.Enclosure(thrust, radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Thrust:
+    """Thrusts at one time a cell.
+
+    Attributes
+    ----------
+    vectors: (cells, 3); without the cable's pull where the leg has no direction.
+    pull: (cells,), how large a pull comes on top there, else 0.
+    """
+
+    vectors: Array
+    pull: Array
+
+
+def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
+    """Return the thrusts at x (cells,)."""
+    free, legs, tension, _ = (bernstein.evaluate(block, x[:, None]) for block in blocks)
+    length = np.linalg.norm(legs, axis=-1, keepdims=True)
+    known = length > NO_DIRECTION
+    pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
+    return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

@@ -1,0 +1,15 @@
+"""Check ``speed`` of the drones."""
+
+from __future__ import annotations
+
+from hitchopt.certificate.rates import largest_rate
+from hitchopt.certificate.report import Check
+from hitchopt.model.motion import Motion
+
+
+def check(motion: Motion) -> Check:
+    """Return the largest speed of any drone, which ``where`` names."""
+    found = largest_rate(motion.drones, 1)
+    where = (motion.team.drone_names[found.item],)
+    limit = motion.limits.speed
+    return Check.of("speed", found.worst, limit, "max", "m/s", found.time, where)

@@ -1,0 +1,38 @@
+"""Check ``thrust``: no drone is asked for more than its motors give."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate.pull import thrust_at, thrust_cells, thrust_enclosure
+from hitchopt.certificate.report import Check
+from hitchopt.certificate.rounding import position_margin
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Estimate, largest
+
+Array = NDArray[np.float64]
+
+
+def check(motion: Motion) -> Check:
+    """Return the largest thrust of the drone that is nearest to its own ``max_thrust``.
+
+    ``worst`` and ``limit`` are that drone's; the check holds if all drones keep theirs.
+    """
+    limits = motion.team.max_thrust
+    found = largest(thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion)))
+    limit = float(limits[found.item])
+    where = (motion.team.drone_names[found.item],)
+    return Check.of("thrust", found.worst * limit, limit, "max", "N", found.time, where)
+
+
+def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    thrust = thrust_enclosure(blocks, noise)
+    norms = np.linalg.norm(thrust.coefficients, axis=-2)
+    x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))
+    there = thrust_at(blocks, x)
+    value = np.linalg.norm(there.vectors, axis=-1) + there.pull
+    return Estimate(np.max(norms, axis=-1) + thrust.radius, value, x)

@@ -1,0 +1,15 @@
+"""Check ``vertex_speed``: the hitch changes slowly enough to stay quasi-static."""
+
+from __future__ import annotations
+
+from hitchopt.certificate.rates import largest_rate
+from hitchopt.certificate.report import Check
+from hitchopt.model.motion import Motion
+
+
+def check(motion: Motion) -> Check:
+    """Return the largest speed of any vertex, which ``where`` names (such as ``p1``)."""
+    found = largest_rate(motion.vertices, 1)
+    limit = motion.limits.vertex_speed
+    where = (f"p{found.item}",)
+    return Check.of("vertex_speed", found.worst, limit, "max", "m/s", found.time, where)

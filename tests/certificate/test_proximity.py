@@ -1,0 +1,204 @@
+"""The spatial index: it finds what looking at all pairs finds, whatever moves and however far."""
+
+import itertools
+import math
+import time
+
+import numpy as np
+import pytest
+from certificate_cases import fitted, moving, random_motion, still
+from certificate_sampling import sampled, segment_to_segment
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt.certificate import certify, proximity
+from hitchopt.certificate.broadphase import Boxes, all_pairs, close_pairs
+from hitchopt.certificate.certify import CHECKS
+from hitchopt.certificate.proximity import Bodies, smallest_distance
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import Separation, Team
+
+FAR = 10**12
+
+
+def every(i: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return np.ones(len(i), dtype=np.bool_)
+
+
+def gap(a: Boxes, i: int, b: Boxes, j: int) -> float:
+    """The distance of two boxes, axis by axis."""
+    per_axis = [
+        max(a.lower[i, x] - b.upper[j, x], b.lower[j, x] - a.upper[i, x], 0.0) for x in range(3)
+    ]
+    return math.sqrt(sum(p * p for p in per_axis))
+
+
+def boxes(rng: np.random.Generator, count: int, scale: float) -> Boxes:
+    """Boxes of sizes from 1e-4 to 10, some of them points."""
+    centres = rng.uniform(-scale, scale, (count, 3))
+    sizes = 10.0 ** rng.uniform(-4.0, 1.0, (count, 3)) * (rng.random((count, 1)) > 0.3)
+    return Boxes(centres - sizes, centres + sizes)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), cutoff=st.floats(0.0, 3.0), one=st.booleans())
+def test_close_pairs_are_those_that_all_pairs_show(seed: int, cutoff: float, one: bool) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = boxes(rng, 30, 20.0), boxes(rng, 20, 20.0)
+    pairs = close_pairs(a, None if one else b, cutoff, FAR)
+    assert pairs is not None
+    found = list(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
+    if one:
+        both = itertools.combinations(range(30), 2)
+        expected = {(i, j) for i, j in both if gap(a, i, a, j) <= cutoff}
+    else:
+        expected = {(i, j) for i in range(30) for j in range(20) if gap(a, i, b, j) <= cutoff}
+    assert len(found) == len(set(found))
+    assert set(found) == expected
+
+
+def test_too_many_pairs_are_not_listed() -> None:
+    same = Boxes(np.zeros((50, 3)), np.ones((50, 3)))
+    assert close_pairs(same, None, 0.1, 100) is None
+    assert close_pairs(same, None, 0.1, FAR) is not None
+
+
+def test_all_pairs_counts() -> None:
+    assert len(all_pairs(7, None)) == 21
+    pairs = all_pairs(3, 4)
+    assert sorted(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)) == list(
+        itertools.product(range(3), range(4))
+    )
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), ends=st.sampled_from([1, 2]), speed=st.floats(0.0, 30.0))
+def test_with_and_without_the_index_the_distance_is_the_same(
+    seed: int, ends: int, speed: float
+) -> None:
+    """Bodies on curves of their own, all of them drifting along as well."""
+    rng = np.random.default_rng(seed)
+    breaks = np.array([0.0, 0.7, 2.0])
+    drift = rng.uniform(-100.0, 100.0, (1, 1, 1, 3, 4))
+    corners = rng.uniform(-30.0, 30.0, (1, 70, 1, 3, 1)) + rng.uniform(
+        -1.0, 1.0, (2, 70, ends, 3, 4)
+    )
+    first = Bodies(corners + drift + speed * rng.uniform(-0.1, 0.1, (2, 70, 1, 3, 4)))
+    other = rng.uniform(-30.0, 30.0, (1, 50, 1, 3, 1)) + rng.uniform(-2.0, 2.0, (2, 50, 2, 3, 4))
+    second = Bodies(other + drift)
+    for group in (None, second):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(proximity, "FEW", 0)
+            indexed = smallest_distance(breaks, first, group, every, 0.0)
+            patch.setattr(proximity, "FEW", FAR)
+            plain = smallest_distance(breaks, first, group, every, 0.0)
+        assert indexed.worst == pytest.approx(plain.worst, rel=2e-4, abs=1e-6)
+        assert indexed.item == plain.item or abs(indexed.value - plain.value) < 1e-3
+
+
+def test_pairs_that_do_not_count_are_left_out() -> None:
+    breaks = np.array([0.0, 1.0])
+    x = np.arange(100.0) ** 1.1
+    corners = np.zeros((1, 100, 1, 3, 1))
+    corners[0, :, 0, 0, 0] = x
+    found = smallest_distance(breaks, Bodies(corners), None, lambda i, j: np.abs(i - j) >= 3, 0.0)
+    assert found.worst == pytest.approx(x[3] - x[0], rel=1e-9)
+    assert divmod(found.item, 100) == (0, 3)
+
+
+def test_the_margin_is_taken_off_and_no_distance_is_negative() -> None:
+    breaks = np.array([0.0, 1.0])
+    corners = np.zeros((1, 2, 1, 3, 1))
+    corners[0, 1, 0, 1, 0] = 0.5
+    assert smallest_distance(breaks, Bodies(corners), None, every, 0.1).worst == pytest.approx(0.4)
+    assert smallest_distance(breaks, Bodies(corners), None, every, 0.7).worst == 0.0
+
+
+def test_bodies_that_fly_across_each_other_within_one_piece() -> None:
+    """Slow spacing against fast motion: 60 bodies of 1 m spacing crossing 60 others in 1 s."""
+    rng = np.random.default_rng(3)
+    breaks = np.array([0.0, 1.0])
+    grid = np.arange(60.0)
+    start, end = np.zeros((60, 3)), np.zeros((60, 3))
+    start[:, 0], end[:, 0] = grid, grid + 40.0
+    height = rng.uniform(0.2, 0.6, 60)
+    against = np.column_stack([grid[::-1], np.full(60, 0.05), height])
+    paths = np.concatenate(
+        [np.stack([start, end], axis=-1), np.stack([against, against - [40.0, 0.0, 0.0]], axis=-1)]
+    )
+    found = smallest_distance(breaks, Bodies(paths[None, :, None]), None, every, 0.0)
+    times = np.linspace(0.0, 1.0, 8001)[:, None, None]
+    a, b = paths[:60], paths[60:]
+    a = a[..., 0] + times * (a[..., 1] - a[..., 0])
+    b = b[..., 0] + times * (b[..., 1] - b[..., 0])
+    best = min(float(np.min(np.linalg.norm(a - b[:, k : k + 1], axis=-1))) for k in range(60))
+    assert found.worst <= best
+    assert found.worst == pytest.approx(best, rel=5e-3)  # samples are 1 cm apart
+
+
+def test_forty_unequal_robots_against_samples() -> None:
+    motion = random_motion(40, 21)
+    found = sampled(motion, np.linspace(0.0, 4.0, 201))
+    certificate = certify(motion)
+    for name in ("separation", "cable_clearance", "crossing"):
+        assert found[name] * 0.99 <= certificate[name].worst <= found[name], name
+
+
+def test_two_thousand_drones_at_rest_show_what_all_pairs_show() -> None:
+    n, rng = 1000, np.random.default_rng(5)
+    polygon = regular_polygon(n, 1.3, 0.3).translated([20.0, -10.0]).vertices
+    q_legs = rng.uniform(0.25, 0.45, n)
+    motion = still(Team(n, 2.0), polygon, q_legs, separation=Separation(cable=1e-3))
+    certificate = certify(motion)
+    x, p = motion.drones.at(0.0), motion.vertices.at(0.0)
+    separation = min(
+        float(np.min(np.linalg.norm((x[i] - x[i + 1 :]) / [0.24, 0.24, 0.6], axis=-1)))
+        for i in range(2 * n - 1)
+    )
+    assert certificate["separation"].worst == pytest.approx(separation, rel=1e-6)
+    following = np.roll(p, -1, axis=0)
+    edge = following - p
+    own = np.abs(np.cross(x[0::2] - p, edge)[:, 2]) / np.linalg.norm(edge, axis=1)
+    other = np.abs(np.cross(x[1::2] - p, edge)[:, 2]) / np.linalg.norm(edge, axis=1)
+    clearance = min(np.min(own), np.min(other))
+    assert certificate["cable_clearance"].worst == pytest.approx(clearance, rel=1e-6)
+    legs = segment_to_segment(p, x[0::2], following, x[1::2])
+    assert certificate["crossing"].worst == pytest.approx(float(np.min(legs)), rel=1e-6)
+    assert certificate.certified
+
+
+def test_cost_grows_about_in_step_with_the_drones() -> None:
+    def seconds(n: int) -> float:
+        base = regular_polygon(n, 1.3).vertices
+        motion = moving(
+            Team(n, 2.0),
+            lambda t: base + 0.2 * t[:, None, None] * np.array([1.0, 0.5]),
+            np.full(n, 0.3),
+            pieces=4,
+        )
+        best = math.inf
+        for _ in range(2):
+            start = time.process_time()
+            for name in ("separation", "cable_clearance", "crossing"):
+                CHECKS[name](motion)
+            best = min(best, time.process_time() - start)
+        return best
+
+    assert seconds(1600) < 16.0 * seconds(200)  # all pairs would take 64 times as long
+
+
+def test_a_curved_path_between_two_posts() -> None:
+    """A point on a circle of 1 m about a post, with another post outside: both distances known."""
+    breaks = np.linspace(0.0, 1.0, 5)
+    circle = fitted(
+        breaks,
+        lambda t: np.stack([np.cos(2 * math.pi * t), np.sin(2 * math.pi * t), 0 * t], axis=-1),
+        9,
+    )
+    corners = np.zeros((4, 3, 1, 3, 10))
+    corners[:, 0, 0] = circle.coefficients
+    corners[:, 2, 0, 0] = 1.9
+    found = smallest_distance(breaks, Bodies(corners), None, every, 0.0)
+    assert found.worst == pytest.approx(0.9, rel=2e-4)
+    near = smallest_distance(breaks, Bodies(corners[:, :2]), None, every, 0.0)
+    assert near.worst == pytest.approx(1.0, rel=2e-4)
