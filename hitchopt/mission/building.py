@@ -1,0 +1,159 @@
+"""The models of a problem file to the records that planners take, every fault of them named."""
+
+from __future__ import annotations
+
+import math
+
+from hitchopt.errors import InputError
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch.configuration import fitting_polygon
+from hitchopt.mission.faults import Collector
+from hitchopt.mission.problem import HitchStart, Hold, LegSharing, Morph, Problem, Step, leg_sharing
+from hitchopt.mission.schema import (
+    LimitsKeys,
+    QuadrotorKeys,
+    StartKeys,
+    TeamKeys,
+)
+from hitchopt.mission.steps import ProblemKeys, StepKeys
+
+
+def built_problem(keys: ProblemKeys) -> Problem:
+    """Return the problem that ``keys`` describe.
+
+    Raises
+    ------
+    InputError: what single values do not tell, such as counts and shapes; a joint error if several.
+    UnsupportedError: a well-formed problem that this version cannot plan.
+    """
+    faults = Collector()
+    attempt = faults.attempt
+    title = attempt("", lambda: _title(keys.title))
+    team = attempt("team", lambda: _team(keys.team))
+    limits = attempt("limits", lambda: _limits(keys.limits))
+    separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
+    box = keys.arena
+    arena = attempt("arena", lambda: Arena(box.lower, box.upper)) if box is not None else None
+    start = _start(keys.start, keys.team, team, faults)
+    steps = [_step(i, step, keys.team, team, faults) for i, step in enumerate(keys.mission)]
+    mission = tuple(step for step in steps if step is not None)
+    error = faults.error()
+    if error is not None:
+        raise error
+    if title is None or team is None or limits is None or separation is None or start is None:
+        raise RuntimeError("a part of the problem is missing although nothing was refused")
+    return Problem(team, start, mission, limits, separation, arena, title)
+
+
+def _title(title: str) -> str:
+    if not title.isprintable():  # a terminal would obey its control characters
+        raise InputError("title", title, "printable text on one line", "remove such characters")
+    return title
+
+
+def _team(keys: TeamKeys) -> Team:
+    kinds = keys.quadrotor
+    return Team(
+        keys.robots,
+        keys.cable_length,
+        topology=keys.topology,
+        cable_density=keys.cable_density,
+        cable_friction=keys.cable_friction,
+        tension=keys.tension,
+        quadrotor=[_kind(kind) for kind in kinds] if isinstance(kinds, list) else _kind(kinds),
+    )
+
+
+def _kind(keys: QuadrotorKeys) -> Quadrotor:
+    return Quadrotor(keys.mass, keys.max_thrust)
+
+
+def _limits(keys: LimitsKeys) -> Limits:
+    values = keys.model_dump()
+    return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
+
+
+def _start(
+    keys: StartKeys, team_keys: TeamKeys, team: Team | None, faults: Collector
+) -> HitchStart | None:
+    if keys.hitch is not None:
+        hitch = keys.hitch
+        outline = _outline("start.hitch", hitch.polygon, team_keys, team, faults)
+        legs = _legs("start.hitch", hitch.legs, team, faults)
+        if outline is None or legs is None:
+            return None
+        return HitchStart(outline, hitch.altitude, legs)
+    if keys.drones is not None:
+        for end, points in (("q", keys.drones.q), ("r", keys.drones.r)):
+            _check_count(f"start.drones.{end}", len(points), team_keys.robots, faults)
+    faults.unsupported.append(
+        "start.drones: hitches cannot be formed in this version; use start.hitch"
+    )
+    return None
+
+
+def _step(
+    i: int, keys: StepKeys, team_keys: TeamKeys, team: Team | None, faults: Collector
+) -> Step | None:
+    ((name, step),) = ((name, step) for name, step in keys if step is not None)
+    path = f"mission[{i}].{name}"
+    polygon = getattr(step, "polygon", None)
+    given = getattr(step, "legs", None)
+    outline = _outline(path, polygon, team_keys, team, faults) if polygon is not None else None
+    legs = _legs(path, given, team, faults) if given is not None else None
+    for key, count in (("vertex", _vertices(team_keys)), ("edge", team_keys.robots)):
+        index = getattr(step, key, None)
+        if index is not None and index >= count:
+            faults.inputs.append(
+                InputError(f"{path}.{key}", index, f"from 0 to {count - 1}", "indices start at 0")
+            )
+    if keys.hold is not None:
+        return Hold(keys.hold.seconds)
+    if keys.morph is not None:
+        return Morph(outline, legs, keys.morph.duration) if outline is not None else None
+    faults.unsupported.append(
+        f"{path}: this step cannot be planned in this version; use morph or hold"
+    )
+    return None
+
+
+def _outline(
+    path: str,
+    points: list[list[float]],
+    team_keys: TeamKeys,
+    team: Team | None,
+    faults: Collector,
+) -> ConvexPolygon | None:
+    if team_keys.topology == "open":  # a chain's arc has n+1 points; its shape is not judged yet
+        _check_count(f"{path}.polygon", len(points), _vertices(team_keys), faults)
+        return None
+    outline = faults.attempt(path, lambda: ConvexPolygon(points))
+    if outline is None or team is None:
+        return outline
+    return faults.attempt(path, lambda: fitting_polygon(team, outline))
+
+
+def _legs(
+    path: str, legs: str | list[float], team: Team | None, faults: Collector
+) -> LegSharing | None:
+    if team is None:
+        return None
+    if isinstance(legs, list) and len(legs) != team.robots:
+        _refuse_count(f"{path}.legs", legs, f"{team.robots} q-legs", faults)
+        return None
+    return faults.attempt(path, lambda: leg_sharing(legs, team))
+
+
+def _vertices(keys: TeamKeys) -> int:
+    return keys.robots + (keys.topology == "open")
+
+
+def _check_count(path: str, count: int, expected: int, faults: Collector) -> None:
+    if count != expected:
+        _refuse_count(path, f"{count} points", f"{expected} points", faults)
+
+
+def _refuse_count(path: str, value: object, expected: str, faults: Collector) -> None:
+    remedy = "add or remove entries, or change team.robots"
+    faults.inputs.append(InputError(path, value, f"a list of {expected}", remedy))

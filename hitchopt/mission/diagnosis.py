@@ -1,0 +1,64 @@
+"""From a certificate that does not hold to what binds, where and when, and what to change."""
+
+from __future__ import annotations
+
+from hitchopt.certificate import Certificate, Check
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.model.motion import Phase
+
+REMEDIES = {
+    "separation": "give the drones longer legs (a longer cable or a smaller polygon), "
+    "another sharing, or a smaller separation.radius",
+    "cable_clearance": "give the drones longer legs (a longer cable or a smaller polygon), "
+    "another sharing, or a smaller separation.cable",
+    "crossing": "shorten the legs that meet (a shorter cable or a larger polygon), "
+    "share them otherwise, or lower separation.crossing",
+    "speed": "raise limits.speed",
+    "acceleration": "raise limits.acceleration",
+    "jerk": "raise limits.jerk",
+    "vertex_speed": "raise limits.vertex_speed",
+    "thrust": "give the drone more thrust, or lower team.tension",
+    "tilt": "raise limits.tilt_deg, or lower team.tension",
+    "legs": "use a longer cable, a smaller polygon, or a smaller limits.leg",
+    "convexity": "go by a polygon in between, in two morphs",
+    "arena": "enlarge the arena, or keep the hitch farther from its walls",
+    "duration": "raise limits.duration, or the limits of motion",
+}
+"""Per check, what a user can change. Words of advice, not computed."""
+
+
+def infeasible(
+    certificate: Certificate, phases: tuple[Phase, ...] = (), when: str = ""
+) -> InfeasibleError:
+    """Return the error that tells what a certificate's broken checks say.
+
+    Parameters
+    ----------
+    certificate: one that does not hold.
+    phases: of the plan, to name the step in which it happens.
+    when: told instead, for a certificate of something at rest.
+    """
+    return InfeasibleError(
+        [
+            Violation(
+                check.name,
+                check.worst,
+                check.limit,
+                check.sense,
+                check.unit,
+                check.where,
+                when or _moment(check, phases),
+                REMEDIES.get(check.name, "this plan must not be flown; please report it"),
+            )
+            for check in certificate.violated
+        ]
+    )
+
+
+def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
+    if check.name == "duration":
+        return ""
+    for phase in phases:
+        if phase.start <= check.time <= phase.end:
+            return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
+    return f"at t = {check.time:.4g} s"

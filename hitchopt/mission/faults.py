@@ -1,0 +1,64 @@
+"""Several faults of one problem file, told at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+
+MAX_LISTED = 20
+"""Faults told of one file; whoever has more will have fewer after mending these."""
+
+T = TypeVar("T")
+
+
+class JointInputError(InputError):
+    """Several faults at once; ``key``, ``value``, ``bound`` and ``remedy`` are the first one's.
+
+    Attributes
+    ----------
+    errors: all of them, in the file's order.
+    """
+
+    def __init__(self, errors: Sequence[InputError]) -> None:
+        first = errors[0]
+        super().__init__(first.key, first.value, first.bound, first.remedy)
+        self.errors = tuple(errors)
+        lines = [str(error) for error in self.errors[:MAX_LISTED]]
+        if len(self.errors) > MAX_LISTED:
+            lines.append(f"and {len(self.errors) - MAX_LISTED} more")
+        self.args = ("\n".join(lines),)
+
+    def within(self, parent: str) -> JointInputError:
+        """Return the same errors with their keys seen from the enclosing mapping ``parent``."""
+        return JointInputError([error.within(parent) for error in self.errors])
+
+
+class Collector:
+    """Gathers faults, so that one run names them all."""
+
+    def __init__(self) -> None:
+        self.inputs: list[InputError] = []
+        self.unsupported: list[str] = []
+
+    def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
+        """Return ``make()``, or None where it raises; the error is kept as one of ``parent``."""
+        try:
+            return make()
+        except InputError as error:
+            self.inputs.append(error.within(parent) if parent else error)
+        except UnsupportedError as error:
+            self.unsupported.append(str(error))
+        return None
+
+    def error(self) -> HitchoptError | None:
+        """Return what was gathered as one error: faults before what cannot be planned yet."""
+        if self.inputs:
+            return one_or_all(self.inputs)
+        return UnsupportedError("\n".join(self.unsupported)) if self.unsupported else None
+
+
+def one_or_all(errors: Sequence[InputError]) -> InputError:
+    """Return the only error, or all as one."""
+    return errors[0] if len(errors) == 1 else JointInputError(errors)

@@ -1,0 +1,66 @@
+"""The JSON Schema of a problem file, for editors; made from the models that read the file.
+
+``python -m hitchopt.mission.json_schema`` writes it anew beside this module.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from hitchopt.mission.steps import ProblemKeys
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
+"""Where the package keeps it."""
+
+
+class _Untitled(GenerateJsonSchema):
+    """Without the titles that only repeat a key's or a model's name."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
+        return False
+
+
+def problem_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a problem file."""
+    schema = ProblemKeys.model_json_schema(schema_generator=_Untitled)
+    for definition in schema["$defs"].values():
+        del definition["title"]
+    return {"$schema": DIALECT, **schema, "title": "hitchopt problem file"}
+
+
+def schema_text() -> str:
+    """Return the JSON Schema as the package's file holds it."""
+    return json.dumps(problem_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def entries_at(schema: dict[str, Any], path: Sequence[str | int]) -> list[dict[str, Any]]:
+    """Return what the schema says of the value at ``path``, one entry per way to write it."""
+    found = _ways(schema, schema)
+    for part in path:
+        if isinstance(part, int):
+            inner = [way["items"] for way in found if "items" in way]
+        else:
+            inner = [way["properties"][part] for way in found if part in way.get("properties", {})]
+        found = [way for entry in inner for way in _ways(schema, entry)]
+    return found
+
+
+def _ways(schema: dict[str, Any], entry: dict[str, Any]) -> list[dict[str, Any]]:
+    if "$ref" in entry:
+        entry = {**schema["$defs"][entry["$ref"].rsplit("/", 1)[1]], **entry}
+        del entry["$ref"]
+    choices = [*entry.get("oneOf", ()), *entry.get("anyOf", ())]
+    if not choices:
+        return [entry]
+    return [way for choice in choices for way in _ways(schema, choice)]
+
+
+if __name__ == "__main__":
+    SCHEMA_FILE.write_text(schema_text(), encoding="utf-8")

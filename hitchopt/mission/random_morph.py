@@ -1,0 +1,55 @@
+"""Random convex morphs for any n, as problem files: for tests, benchmarks and trying things out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hitchopt.geometry import random_convex_polygon
+
+EDGE = 1.3
+"""[m] About."""
+
+JITTER = 0.18
+"""Keeps edges long enough for two legs and two drones beside each other."""
+
+SLACK = (0.32, 0.7)
+"""[m] Of a cable where its edge is longest, for both legs."""
+
+BETWEEN = 0.45
+"""[m] Along a nearly straight outline the two drones of a cable stand ``l - d - e`` apart."""
+
+
+def random_morph(n: int, seed: int) -> dict[str, Any]:
+    """Return a problem that turns, scales, shifts and reshapes a random convex n-gon a little.
+
+    Off the origin, with unequal cables; most can be solved along straight vertex paths. From
+    about n = 12 on the distance to cables is asked for as the geometry allows: a drone stands
+    ``e sin β`` from its neighbour's cable, and β nears 180°.
+    """
+    rng = np.random.default_rng([n, seed])
+    first = random_convex_polygon(n, EDGE, rng, JITTER)
+    first = first.translated(rng.uniform(-2.0, 2.0, 2))
+    centre = first.centroid
+    wobble = 1.0 + 0.04 / math.sqrt(n) * rng.uniform(-1.0, 1.0)
+    second = first.translated(-centre).scaled(wobble).rotated(rng.uniform(-0.5, 0.5) / n)
+    second = second.translated(centre + rng.uniform(-0.5, 0.5, 2))
+    longest = np.maximum(first.edge_lengths, second.edge_lengths)
+    shortest = np.minimum(first.edge_lengths, second.edge_lengths)
+    slack = np.clip(shortest - BETWEEN, *SLACK) * rng.uniform(0.97, 1.0, n)
+    lengths = longest + slack
+    bluntest = math.sin(float(np.min(first.exterior_angles)))
+    clearance = min(0.10, 0.2 * float(np.min(slack)) * bluntest)
+    return {
+        "title": f"Random morph, n = {n}, seed {seed}",
+        "team": {"robots": n, "cable_length": [round(float(x), 4) for x in lengths]},
+        "separation": {"cable": round(clearance, 6), "crossing": min(0.05, round(clearance, 6))},
+        "start": {"hitch": {"polygon": _points(first.vertices), "altitude": 1.0}},
+        "mission": [{"morph": {"polygon": _points(second.vertices)}}],
+    }
+
+
+def _points(vertices: np.ndarray) -> list[list[float]]:
+    return [[round(float(x), 6), round(float(y), 6)] for x, y in vertices]

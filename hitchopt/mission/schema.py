@@ -1,0 +1,220 @@
+"""The problem file key by key: types, counts, signs and defaults of single values.
+
+What one value alone cannot tell (a polygon's shape, one entry per robot) is checked by the records
+that ``loading`` makes of these models.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from hitchopt.hitch import Limits, Quadrotor, Separation
+from hitchopt.hitch.team import MAX_ROBOTS
+
+MIN_QUANTITY = 1e-9
+"""In SI units. Smaller lengths, masses, times, … are typing errors, and would only underflow."""
+
+MAX_QUANTITY = 1e9
+"""In SI units. Larger ones are typing errors, and would only overflow."""
+
+MAX_STEPS = 1000
+"""Steps of one mission."""
+
+MAX_TITLE = 200
+"""Characters of a title."""
+
+FAULT = "hitchopt"
+"""Type of the errors that carry their own ``bound`` and ``remedy``."""
+
+ONE, EACH = "<one>", "<each>"
+"""Tags of the two ways to write a value: once for all robots, or one per robot."""
+
+
+def _one_or_each(value: object) -> str:
+    return EACH if isinstance(value, list) else ONE
+
+
+def fault(bound: str, remedy: str) -> PydanticCustomError:
+    """Return an error that carries its own words."""
+    return PydanticCustomError(FAULT, "{bound}; {remedy}", {"bound": bound, "remedy": remedy})
+
+
+Number = Annotated[float, Field(ge=-MAX_QUANTITY, le=MAX_QUANTITY)]
+Positive = Annotated[float, Field(ge=MIN_QUANTITY, le=MAX_QUANTITY)]
+NotNegative = Annotated[float, Field(ge=0.0, le=MAX_QUANTITY)]
+Index = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Outline = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
+PerRobot = Annotated[
+    Annotated[Positive, Tag(ONE)]
+    | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+    Discriminator(_one_or_each),
+]
+Legs = Annotated[
+    Annotated[Literal["balanced", "spread"], Tag(ONE)]
+    | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+    Discriminator(_one_or_each),
+]
+
+OUTLINE_TEXT = "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot"
+LEGS_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
+DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
+
+
+class Keys(BaseModel):
+    """A mapping of known keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _without_null(schema: dict[str, Any]) -> None:
+    """Show in the JSON Schema that exactly one key is given, and not as null."""
+    schema["minProperties"] = schema["maxProperties"] = 1
+    for name, entry in schema["properties"].items():
+        choices = [choice for choice in entry.pop("anyOf") if choice.get("type") != "null"]
+        entry.pop("default", None)
+        schema["properties"][name] = {**choices[0], **entry}
+
+
+class OneKey(Keys):
+    """A mapping with exactly one of its keys."""
+
+    model_config = ConfigDict(json_schema_extra=_without_null)
+    example: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_one_key(cls, data: object) -> object:
+        if isinstance(data, dict):
+            if len(data) != 1:
+                raise fault(
+                    f"a mapping with exactly one of the keys {', '.join(cls.model_fields)}",
+                    f"write {cls.example}",
+                )
+            ((key, value),) = data.items()
+            if value is None and key in cls.model_fields:
+                raise fault(f"a mapping, also after {key}", f"write {key}: {{…}} with its keys")
+        return data
+
+
+class QuadrotorKeys(Keys):
+    """One kind of quadrotor."""
+
+    mass: Positive = Field(default=Quadrotor.mass, description="Mass [kg]")
+    max_thrust: Positive = Field(
+        default=Quadrotor.max_thrust, description="Largest collective thrust [N]"
+    )
+
+
+class TeamKeys(Keys):
+    """Who flies, on which cables, pulling how hard."""
+
+    robots: int = Field(
+        ge=2,
+        le=MAX_ROBOTS,
+        description="Number of catenary robots, that is of cables; each has two quadrotors",
+        examples=[3],
+    )
+    topology: Literal["closed", "open"] = Field(
+        default="closed", description="closed: a polygon; open: a chain (not in this version)"
+    )
+    cable_length: PerRobot = Field(
+        description="Length of the cables [m], one for all or one per robot", examples=[2.4]
+    )
+    cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
+    cable_friction: NotNegative = Field(
+        default=0.0, description="Coefficient of friction at the clasps"
+    )
+    tension: PerRobot = Field(
+        default=0.4, description="Tension of the cables [N], one for all or one per robot"
+    )
+    quadrotor: Annotated[
+        Annotated[QuadrotorKeys, Tag(ONE)]
+        | Annotated[list[QuadrotorKeys], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+        Discriminator(_one_or_each),
+    ] = Field(
+        default_factory=QuadrotorKeys,
+        description="Kind of quadrotor, one for all or a list of one per robot",
+    )
+
+
+class LimitsKeys(Keys):
+    """Limits of motion; all norms are Euclidean."""
+
+    speed: Positive = Field(default=Limits.speed, description="Of every drone [m/s]")
+    acceleration: Positive = Field(default=Limits.acceleration, description="Of every drone [m/s²]")
+    jerk: Positive = Field(default=Limits.jerk, description="Of every drone [m/s³]")
+    tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
+        default=45.0, description="Largest angle of the thrust from vertical [°]"
+    )
+    vertex_speed: Positive = Field(
+        default=Limits.vertex_speed, description="How fast a vertex of the hitch may go [m/s]"
+    )
+    leg: Positive = Field(
+        default=Limits.leg, description="Shortest leg, vertex to drone, while the hitch holds [m]"
+    )
+    duration: Positive | None = Field(
+        default=Limits.duration, description="Of the whole plan [s], or null for no limit"
+    )
+
+
+class SeparationKeys(Keys):
+    """Distances to keep."""
+
+    radius: Positive = Field(
+        default=Separation.radius, description="Horizontal semi-axis of a drone's ellipsoid [m]"
+    )
+    height: Positive = Field(
+        default=Separation.height, description="Vertical semi-axis of a drone's ellipsoid [m]"
+    )
+    cable: NotNegative = Field(
+        default=Separation.cable,
+        description="Drone to any cable but its own, and to its own edge [m]",
+    )
+    crossing: NotNegative = Field(
+        default=Separation.crossing,
+        description="Cable to cable where they share no clasp, taut parts [m]",
+    )
+
+
+class ArenaKeys(Keys):
+    """The box that the drones stay in."""
+
+    lower: Point3 = Field(description="Corner with the least x, y, z [m]", examples=[[-4, -4, 0]])
+    upper: Point3 = Field(description="Corner with the greatest x, y, z [m]", examples=[[4, 4, 3]])
+
+
+class HitchKeys(Keys):
+    """A formed hitch."""
+
+    polygon: Outline = Field(
+        description=OUTLINE_TEXT, examples=[[[0, -1], [-0.4, 0.5], [0.4, 0.5]]]
+    )
+    altitude: Number = Field(default=1.0, description="Height of the hitch's plane [m]")
+    legs: Legs = Field(default="spread", description=LEGS_TEXT)
+
+
+class DronesKeys(Keys):
+    """Where the drones of a hitch that is not formed yet are (not in this version)."""
+
+    q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = Field(
+        description="Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
+    )
+    r: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = Field(
+        description="Drones r, one [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]]
+    )
+
+
+class StartKeys(OneKey):
+    """Where the plan starts."""
+
+    example: ClassVar[str] = "hitch: {polygon: [[x, y], …], altitude: 1.0}"
+    hitch: HitchKeys | None = Field(default=None, description="A formed hitch, at rest")
+    drones: DronesKeys | None = Field(
+        default=None, description="Drones of a hitch to be formed (not in this version)"
+    )

@@ -1,0 +1,172 @@
+"""The steps of a problem file's mission, key by key, those included that are not planned yet."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from hitchopt.mission.schema import (
+    DURATION_TEXT,
+    LEGS_TEXT,
+    MAX_STEPS,
+    MAX_TITLE,
+    OUTLINE_TEXT,
+    ArenaKeys,
+    Index,
+    Keys,
+    Legs,
+    LimitsKeys,
+    Number,
+    OneKey,
+    Outline,
+    Point2,
+    Point3,
+    Positive,
+    SeparationKeys,
+    StartKeys,
+    TeamKeys,
+    TimedPoint,
+    fault,
+)
+
+LATER = " (not in this version)"
+"""Ends the description of what is well-formed but cannot be planned yet."""
+
+
+class MorphKeys(Keys):
+    """Every vertex goes to its place in a polygon."""
+
+    polygon: Outline = Field(
+        description=OUTLINE_TEXT, examples=[[[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]]
+    )
+    legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+
+class HoldKeys(Keys):
+    """Nothing moves."""
+
+    seconds: Positive = Field(description="How long [s]", examples=[1.0])
+
+
+class _Move(Keys):
+    """Something goes to a place, or by an offset."""
+
+    to: Point2 | None = Field(default=None, description="Where to, [x, y] [m]")
+    by: Point2 | None = Field(default=None, description="By how much, [dx, dy] [m]")
+    legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+    @model_validator(mode="after")
+    def _check_to_or_by(self) -> _Move:
+        if (self.to is None) == (self.by is None):
+            raise fault("a mapping with either to or by", "write to: [x, y] or by: [dx, dy]")
+        return self
+
+
+class MoveVertexKeys(_Move):
+    """One vertex goes elsewhere."""
+
+    vertex: Index = Field(description="Which, from 0", examples=[0])
+
+
+class MoveEdgeKeys(_Move):
+    """Both ends of one edge go elsewhere."""
+
+    edge: Index = Field(description="Which, from 0", examples=[0])
+
+
+class AdjustKeys(Keys):
+    """Cables slide through their clasps."""
+
+    legs: Legs = Field(description=LEGS_TEXT, examples=["balanced"])
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+
+class FollowVertexKeys(Keys):
+    """One vertex follows timed points."""
+
+    vertex: Index = Field(description="Which, from 0", examples=[0])
+    path: Annotated[list[TimedPoint], Field(min_length=1)] = Field(
+        description="Points [t, x, y] [s, m, m], t from the step's start, increasing",
+        examples=[[[1.0, 0.0, -0.9]]],
+    )
+    legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
+
+    @model_validator(mode="after")
+    def _check_times(self) -> FollowVertexKeys:
+        times = [point[0] for point in self.path]
+        if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
+            raise fault("a path whose times increase from 0 or later", "sort its points by time")
+        return self
+
+
+class TransportKeys(Keys):
+    """The whole hitch goes elsewhere and turns."""
+
+    to: Point3 = Field(description="Where its centroid goes, [x, y, z] [m]", examples=[[0, 0, 1]])
+    yaw_deg: Number = Field(default=0.0, description="By how much it turns [°]")
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+
+class FormKeys(Keys):
+    """Drones with hanging cables form a hitch."""
+
+    polygon: Outline = Field(
+        description=OUTLINE_TEXT, examples=[[[0, -1], [-0.4, 0.5], [0.4, 0.5]]]
+    )
+    altitude: Number = Field(default=1.0, description="Height of the hitch's plane [m]")
+    assign: Literal["auto", "fixed"] = Field(
+        default="auto", description="auto: which robot takes which edge is chosen; fixed: in order"
+    )
+    legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+
+class PlainKeys(Keys):
+    """A step that needs no words."""
+
+    duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+
+
+class StepKeys(OneKey):
+    """One step of the mission."""
+
+    example: ClassVar[str] = "one step per list entry, such as hold: {seconds: 1.0}"
+    morph: MorphKeys | None = Field(default=None, description="Polygon to polygon")
+    hold: HoldKeys | None = Field(default=None, description="Stay")
+    move_vertex: MoveVertexKeys | None = Field(default=None, description=f"Move one vertex{LATER}")
+    move_edge: MoveEdgeKeys | None = Field(default=None, description=f"Move one edge{LATER}")
+    adjust: AdjustKeys | None = Field(default=None, description=f"Change the legs{LATER}")
+    follow_vertex: FollowVertexKeys | None = Field(
+        default=None, description=f"Lead one vertex along timed points{LATER}"
+    )
+    transport: TransportKeys | None = Field(
+        default=None, description=f"Carry the whole hitch{LATER}"
+    )
+    form: FormKeys | None = Field(default=None, description=f"Form the hitch{LATER}")
+    release: PlainKeys | None = Field(default=None, description=f"The way back of form{LATER}")
+    land: PlainKeys | None = Field(default=None, description=f"Land all drones{LATER}")
+
+
+class ProblemKeys(Keys):
+    """Problem file of hitchopt: a team of quadrotors, a cable hitch, and what to do with it."""
+
+    title: str = Field(default="", max_length=MAX_TITLE, description="What to call the plan")
+    team: TeamKeys = Field(
+        description=str(TeamKeys.__doc__), examples=[{"robots": 3, "cable_length": 2.4}]
+    )
+    limits: LimitsKeys = Field(default_factory=LimitsKeys, description=str(LimitsKeys.__doc__))
+    separation: SeparationKeys = Field(
+        default_factory=SeparationKeys, description=str(SeparationKeys.__doc__)
+    )
+    arena: ArenaKeys | None = Field(default=None, description=str(ArenaKeys.__doc__))
+    start: StartKeys = Field(
+        description=str(StartKeys.__doc__),
+        examples=[{"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}}],
+    )
+    mission: Annotated[list[StepKeys], Field(min_length=1, max_length=MAX_STEPS)] = Field(
+        description="Steps, one after the other", examples=[[{"hold": {"seconds": 1.0}}]]
+    )

@@ -1,0 +1,170 @@
+"""What pydantic found wrong with a problem file, in words: path, value, bound and remedy."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from hitchopt.errors import InputError
+from hitchopt.mission.faults import one_or_all
+from hitchopt.mission.json_schema import entries_at, problem_schema
+from hitchopt.mission.plain import key_path
+from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE
+
+
+class _Words(NamedTuple):
+    """How a message ends."""
+
+    bound: str
+    remedy: str
+
+
+class _Missing:
+    """Stands for the value of a key that is not there."""
+
+    def __repr__(self) -> str:
+        return "(missing)"
+
+
+def translated(error: ValidationError) -> InputError:
+    """Return what pydantic found, in this package's words."""
+    return one_or_all([_translated(entry) for entry in error.errors(include_url=False)])
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return problem_schema()
+
+
+def _translated(entry: Any) -> InputError:
+    path = [part for part in entry["loc"] if part not in {ONE, EACH}]
+    value: object = entry["input"]
+    kind: str = entry["type"]
+    if kind == "missing":
+        value = _Missing()
+    words = _words(kind, entry.get("ctx", {}), path, value)
+    return InputError(key_path(path) or "problem", value, words.bound, words.remedy)
+
+
+def _words(kind: str, ctx: dict[str, Any], path: list[str | int], value: object) -> _Words:
+    """Return bound and remedy for pydantic's error of type ``kind``."""
+    not_finite = isinstance(value, float) and not math.isfinite(value)
+    if kind == "finite_number" or not_finite:
+        words = _Words("finite", "nan and inf are no quantities; give a plain number")
+    elif kind == FAULT:
+        words = _Words(ctx["bound"], ctx["remedy"])
+    elif kind == "extra_forbidden":
+        words = _Words("a known key", _nearest(str(path[-1]), _keys_at(path[:-1])))
+    elif kind == "missing":
+        words = _Words("given", f"add {path[-1]}: {_example(path)}")
+    elif kind in {"too_short", "too_long", "string_too_long"}:
+        words = _Words(_counted(path), "make it longer" if kind == "too_short" else "shorten it")
+    elif kind == "literal_error":
+        words = _Words(_type_at(path), _nearest(str(value), _options(path)))
+    elif kind.startswith(("greater_than", "less_than")):
+        words = _range(ctx, value)
+    else:
+        words = _Words(_type_at(path), _type_remedy(path, value))
+    return words
+
+
+def _range(ctx: dict[str, Any], value: object) -> _Words:
+    if "lt" in ctx or "le" in ctx:
+        bound = f"below {ctx['lt']:g}" if "lt" in ctx else f"at most {ctx['le']:g}"
+        return _Words(bound, "give a smaller number")
+    least = ctx["ge"]
+    if least == MIN_QUANTITY and isinstance(value, int | float) and value <= 0:
+        return _Words("greater than 0", "give a positive number")
+    return _Words(f"at least {least:g}", "give a larger number")
+
+
+def _keys_at(path: list[str | int]) -> list[str]:
+    return [key for way in entries_at(_schema(), path) for key in way.get("properties", {})]
+
+
+def _options(path: list[str | int]) -> list[str]:
+    return [str(option) for way in entries_at(_schema(), path) for option in way.get("enum", ())]
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
+
+
+def _example(path: list[str | int]) -> str:
+    inside = entries_at(_schema(), path[:-1])
+    for way in inside:
+        entry = way.get("properties", {}).get(path[-1], {})
+        for example in entry.get("examples", ()):
+            return json.dumps(example).replace('"', "")
+    return "…"
+
+
+def _counted(path: list[str | int]) -> str:
+    for way in entries_at(_schema(), path):
+        least, most = way.get("minItems", 0), way.get("maxItems", way.get("maxLength", math.inf))
+        if least == most:
+            return f"a list of {least} numbers"
+        if "maxLength" in way:
+            return f"at most {most} characters long"
+        if "minItems" in way:
+            return f"a list of at least {least}" + (
+                f" and at most {most} entries" if most < math.inf else " entries"
+            )
+    return "a list of another length"
+
+
+_TYPES = {
+    "number": "a number",
+    "integer": "a whole number",
+    "string": "text",
+    "array": "a list",
+    "object": "a mapping",
+    "null": "null",
+}
+
+
+def _type_at(path: list[str | int]) -> str:
+    names: list[str] = []
+    for way in entries_at(_schema(), path):
+        name = " or ".join(way["enum"]) if "enum" in way else _TYPES.get(way.get("type", ""), "")
+        if name == "a mapping":
+            name = f"a mapping with keys of {', '.join(way['properties'])}"
+        elif name == "a list" and "minItems" in way:
+            name = _counted(path) if way["minItems"] == way.get("maxItems") else "a list"
+        if name and name not in names:
+            names.append(name)
+    return ", or ".join(names) if names else "of another type"
+
+
+def _type_remedy(path: list[str | int], value: object) -> str:
+    types = {way.get("type") for way in entries_at(_schema(), path)}
+    if value is None:
+        remedy = "remove the key, or write its value after it"
+    elif isinstance(value, str) and types & {"number", "integer"}:
+        remedy = "remove the quotes" if _is_number(value) else "give a plain number in SI units"
+    elif "object" in types:
+        remedy = "write its keys indented below it, or in braces"
+    elif "integer" in types:
+        remedy = "write it without a fraction"
+    elif "number" in types:
+        remedy = "give a plain number in SI units"
+    elif "array" in types:
+        remedy = "write a list in brackets"
+    else:
+        remedy = "put it in quotes if it is meant as text"
+    return remedy
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

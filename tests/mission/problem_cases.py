@@ -1,0 +1,63 @@
+"""The problem files of this repository, and what their headers say of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+GOOD = sorted((ROOT / "problems").glob("*.yaml"))
+BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
+INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
+UNSUPPORTED = [path for path in INFEASIBLE if path.stem.startswith("unsupported")]
+TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"
+
+
+def header(path: Path, word: str) -> str:
+    """What the comment ``# word: …`` of a bad problem says."""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"# {word}: "):
+            return line.removeprefix(f"# {word}: ")
+    raise KeyError(f"{path} has no comment '# {word}: …'")
+
+
+def triangle() -> dict[str, object]:
+    """A problem with every section, nothing zero, one or at the origin that need not be."""
+    return {
+        "title": "Off the origin",
+        "team": {
+            "robots": 3,
+            "topology": "closed",
+            "cable_length": [2.4, 2.5, 2.6],
+            "cable_density": 0.003,
+            "cable_friction": 0.05,
+            "tension": [0.4, 0.45, 0.5],
+            "quadrotor": [
+                {"mass": 0.132, "max_thrust": 2.6},
+                {"mass": 0.14},
+                {"max_thrust": 2.8},
+            ],
+        },
+        "limits": {
+            "speed": 0.9,
+            "acceleration": 1.9,
+            "jerk": 19,
+            "tilt_deg": 40,
+            "vertex_speed": 0.4,
+            "leg": 0.16,
+            "duration": 60,
+        },
+        "separation": {"radius": 0.11, "height": 0.29, "cable": 0.09, "crossing": 0},
+        "arena": {"lower": [-1, -2, 0.1], "upper": [5, 4, 3.3]},
+        "start": {
+            "hitch": {
+                "polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]],
+                "altitude": 1.3,
+                "legs": [0.4, 0.7, 0.45],
+            }
+        },
+        "mission": [
+            {"morph": {"polygon": [[2, 0.7], [1.6, 1.7], [2.4, 1.7]], "legs": "balanced"}},
+            {"hold": {"seconds": 1.5}},
+            {"morph": {"polygon": [[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]], "duration": 7.5}},
+        ],
+    }

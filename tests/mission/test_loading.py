@@ -1,0 +1,360 @@
+from __future__ import annotations
+
+import copy
+import math
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, UNSUPPORTED, header, triangle
+
+from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
+from hitchopt.mission.faults import MAX_LISTED
+from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
+from hitchopt.mission.problem import Hold, Morph, Problem
+from hitchopt.mission.yaml_file import read_yaml
+
+MINIMAL: dict[str, Any] = {
+    "team": {"robots": 3, "cable_length": 2.4},
+    "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]]}},
+    "mission": [{"hold": {"seconds": 2}}],
+}
+
+
+def arrays_of(problem: Problem) -> list[np.ndarray[Any, Any]]:
+    team, start = problem.team, problem.start
+    parts = [team.cable_length, team.tension, team.mass, team.max_thrust, start.polygon.vertices]
+    parts += [s.polygon.vertices for s in problem.mission if isinstance(s, Morph)]
+    return [*parts, np.array([vars(problem.limits)[k] for k in ("speed", "jerk", "tilt", "leg")])]
+
+
+def changed(path: list[str | int], value: object) -> dict[str, Any]:
+    data: Any = triangle()
+    place = data
+    for part in path[:-1]:
+        place = place[part]
+    place[path[-1]] = value
+    return dict(data)
+
+
+def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
+    problem = problem_from_dict(triangle())
+    team = problem.team
+    assert problem.title == "Off the origin"
+    assert team.robots == 3
+    assert team.topology == "closed"
+    assert team.cable_length.tolist() == [2.4, 2.5, 2.6]
+    assert team.tension.tolist() == [0.4, 0.45, 0.5]
+    assert (team.cable_density, team.cable_friction) == (0.003, 0.05)
+    assert team.mass.tolist() == [0.132, 0.132, 0.14, 0.14, 0.132, 0.132]
+    assert team.max_thrust.tolist() == [2.6, 2.6, 2.6, 2.6, 2.8, 2.8]
+    limits = problem.limits
+    assert (limits.speed, limits.acceleration, limits.jerk) == (0.9, 1.9, 19.0)
+    assert (limits.vertex_speed, limits.leg, limits.duration) == (0.4, 0.16, 60.0)
+    assert limits.tilt == pytest.approx(40 * math.pi / 180, rel=1e-15)
+    separation = problem.separation
+    assert (separation.radius, separation.height) == (0.11, 0.29)
+    assert (separation.cable, separation.crossing) == (0.09, 0.0)
+    assert problem.arena is not None
+    assert problem.arena.lower.tolist() == [-1, -2, 0.1]
+    assert problem.arena.upper.tolist() == [5, 4, 3.3]
+    start = problem.start
+    assert start.polygon.vertices.tolist() == [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
+    assert start.altitude == 1.3
+    assert np.array_equal(start.legs, [0.4, 0.7, 0.45])
+    first, second, third = problem.mission
+    assert isinstance(first, Morph)
+    assert isinstance(third, Morph)
+    assert second == Hold(1.5)
+    assert first.polygon.vertices.tolist() == [[2, 0.7], [1.6, 1.7], [2.4, 1.7]]
+    assert (first.legs, first.duration) == ("balanced", None)
+    assert third.polygon.vertices.tolist() == [[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]
+    assert (third.legs, third.duration) == (None, 7.5)
+
+
+def test_defaults_are_those_of_the_interface() -> None:
+    problem = problem_from_dict(MINIMAL)
+    assert problem.title == ""
+    assert problem.team.cable_length.tolist() == [2.4, 2.4, 2.4]
+    assert problem.team.tension.tolist() == [0.4, 0.4, 0.4]
+    assert (problem.team.cable_density, problem.team.cable_friction) == (0.0, 0.0)
+    assert set(problem.team.mass.tolist()) == {0.132}
+    assert set(problem.team.max_thrust.tolist()) == {2.6}
+    assert problem.start.altitude == 1.0
+    assert problem.start.legs == "spread"
+    assert problem.arena is None
+    limits = dict(vars(problem.limits))
+    assert math.degrees(limits.pop("tilt")) == pytest.approx(45.0, rel=1e-15)
+    assert limits == {
+        "speed": 1.0,
+        "acceleration": 2.0,
+        "jerk": 20.0,
+        "vertex_speed": 0.5,
+        "leg": 0.15,
+        "duration": None,
+    }
+    assert vars(problem.separation) == {
+        "radius": 0.12,
+        "height": 0.30,
+        "cable": 0.10,
+        "crossing": 0.05,
+    }
+
+
+@pytest.mark.parametrize("path", [*GOOD, TEMPLATE], ids=lambda path: path.stem)
+def test_good_problems_load_the_same_from_file_and_mapping(path: Path) -> None:
+    data = read_yaml(path)
+    assert isinstance(data, dict)
+    from_file, from_mapping = load_problem(path), problem_from_dict(data)
+    for ours, theirs in zip(arrays_of(from_file), arrays_of(from_mapping), strict=True):
+        assert np.array_equal(ours, theirs)
+    assert from_file.title != ""
+
+
+def test_the_template_is_the_triangle_problem() -> None:
+    ours, theirs = load_problem(TEMPLATE), load_problem(ROOT / "problems" / "triangle.yaml")
+    for a, b in zip(arrays_of(ours), arrays_of(theirs), strict=True):
+        assert np.array_equal(a, b)
+    assert ours.mission[1] == theirs.mission[1]
+
+
+def test_the_templates_commented_values_are_the_defaults() -> None:
+    text = TEMPLATE.read_text(encoding="utf-8")
+    lines = []
+    for line in text.splitlines():
+        bare = line.replace("# ", "", 1)
+        section = line.startswith(("# limits:", "# separation:", "#   "))
+        lines.append(bare if section or (line.startswith("  # ") and ": " in bare[:18]) else line)
+    shown = read_yaml_text("\n".join(lines))
+    team = shown["team"]
+    assert set(team) >= {"topology", "cable_density", "cable_friction", "tension", "quadrotor"}
+    assert set(shown["limits"]) >= {"speed", "jerk", "tilt_deg", "duration"}
+    with_defaults = problem_from_dict(shown)
+    without = load_problem(TEMPLATE)
+    assert with_defaults.limits == without.limits
+    assert with_defaults.separation == without.separation
+    for a, b in zip(arrays_of(with_defaults), arrays_of(without), strict=True):
+        assert np.array_equal(a, b)
+
+
+def read_yaml_text(text: str) -> dict[str, Any]:
+    from hitchopt.mission.yaml_file import parse_yaml
+
+    data: Any = parse_yaml(text)
+    assert isinstance(data, dict)
+    return dict(data)
+
+
+def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> None:
+    data: Any = triangle()
+    expected = arrays_of(problem_from_dict(data))
+    data["team"]["cable_length"] = np.array(data["team"]["cable_length"])
+    data["team"]["robots"] = np.int64(3)
+    data["limits"]["speed"] = np.float64(0.9)
+    data["start"]["hitch"]["polygon"] = np.array(data["start"]["hitch"]["polygon"])
+    data["mission"] = tuple(data["mission"])
+    for ours, theirs in zip(arrays_of(problem_from_dict(data)), expected, strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+def test_the_given_mapping_is_left_alone() -> None:
+    data = triangle()
+    before = copy.deepcopy(data)
+    problem_from_dict(data)
+    assert data == before
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.stem)
+def test_bad_files_are_wrong_in_themselves_and_say_where(path: Path) -> None:
+    with pytest.raises((InputError, FileError)) as caught:
+        load_problem(path)
+    assert header(path, "Names") in str(caught.value)
+    if isinstance(caught.value, InputError):
+        assert caught.value.remedy
+        assert caught.value.bound
+        assert all("must be" in line and "; " in line for line in str(caught.value).splitlines())
+
+
+def test_there_are_many_bad_files() -> None:
+    assert len(BAD) >= 25
+    assert len({header(path, "Fault") for path in BAD}) == len(BAD)
+
+
+@pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
+def test_infeasible_files_are_well_formed(path: Path) -> None:
+    if path in UNSUPPORTED:
+        with pytest.raises(
+            UnsupportedError, match=r"^(mission\[\d\]\.|start\.drones|team\.topology)"
+        ):
+            load_problem(path)
+    else:
+        assert isinstance(load_problem(path), Problem)
+
+
+LATER_STEPS: list[tuple[str, object]] = [
+    ("move_vertex", {"vertex": 2, "by": [0.1, 0.0], "duration": 3}),
+    ("move_edge", {"edge": 1, "by": [0.0, 0.1]}),
+    ("adjust", {"legs": "balanced"}),
+    ("follow_vertex", {"vertex": 0, "path": [[0, 2, 0.2], [3.5, 2, 0.3]]}),
+    ("transport", {"to": [1, 2, 1.5], "yaw_deg": -30}),
+    ("form", {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}),
+    ("release", {}),
+    ("land", {}),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"), LATER_STEPS, ids=lambda x: x if isinstance(x, str) else ""
+)
+def test_known_steps_that_are_not_planned_yet_are_unsupported(name: str, keys: object) -> None:
+    with pytest.raises(UnsupportedError, match=rf"^mission\[1\]\.{name}: .*use morph or hold"):
+        problem_from_dict(changed(["mission", 1], {name: keys}))
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"), LATER_STEPS, ids=lambda x: x if isinstance(x, str) else ""
+)
+def test_their_keys_are_checked_all_the_same(name: str, keys: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=rf"mission\[1\]\.{name}\.wrong = 3: must be a known key"):
+        problem_from_dict(changed(["mission", 1], {name: {**keys, "wrong": 3}}))
+
+
+def test_a_wrong_file_is_wrong_even_where_it_asks_for_something_unsupported() -> None:
+    data = changed(["mission", 1], {"land": {}})
+    data["limits"]["speed"] = -1
+    with pytest.raises(InputError, match=r"limits\.speed = -1"):
+        problem_from_dict(data)
+    data = changed(["mission", 1], {"land": {}})
+    data["team"]["tension"] = [1.0]
+    with pytest.raises(InputError, match=r"team\.tension"):
+        problem_from_dict(data)
+
+
+def test_open_chains_are_unsupported_if_their_points_are_counted_right() -> None:
+    data = copy.deepcopy(MINIMAL)
+    data["team"]["topology"] = "open"
+    with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
+        problem_from_dict(data)
+    data["start"]["hitch"]["polygon"] = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
+    with pytest.raises(UnsupportedError, match=r"team\.topology"):
+        problem_from_dict(data)
+
+
+def test_drones_are_counted() -> None:
+    drones = {"q": [[0, 0, 1], [1, 0, 1], [2, 0, 1]], "r": [[0, 2, 1], [1, 2, 1]]}
+    with pytest.raises(InputError, match=r"start\.drones\.r = '2 points': must be a list of 3"):
+        problem_from_dict(changed(["start"], {"drones": drones}))
+
+
+FAULTS: list[tuple[list[str | int], object, str]] = [
+    (["limits", "speed"], -1, r"limits.speed = -1: must be greater than 0; give a positive number"),
+    (["limits", "leg"], 1e-300, r"limits.leg = 1e-300: must be at least 1e-09; "),
+    (["limits", "jerk"], 1e300, r"limits.jerk = 1e+300: must be at most 1e+09; "),
+    (["limits", "duration"], "long", r"limits.duration = 'long': must be a number, or null; "),
+    (["team", "robots"], 3.0, r"team.robots = 3.0: must be a whole number; write it without"),
+    (["team", "robots"], True, r"team.robots = True: must be a whole number; "),
+    (["team", "robots"], 10**5000, r"team.robots = inf: must be finite; "),
+    (["team", "robots"], 4, r"team.quadrotor = 3: must be one kind, or a list of 4; give one per"),
+    (["team", "tensio"], 1.0, r"team.tensio = 1.0: must be a known key; did you mean tension?"),
+    (["team", "xyz"], 1.0, r"use one of robots, topology, cable_length, cable_density, "),
+    (["team", "quadrotor", 1, "mas"], 1, r"team.quadrotor[1].mas = 1: must be a known key; did "),
+    (["team", "quadrotor"], {"mas": 1}, r"team.quadrotor.mas = 1: must be a known key; did you"),
+    (["team", "cable_density"], -1e-9, r"team.cable_density = -1e-09: must be at least 0; "),
+    (["team", "cable_friction"], "0.1", r"team.cable_friction = '0.1': must be a number; remove t"),
+    (["team", "tension"], [0.4, 0.5], r"team.tension = [0.4, 0.5]: must be one number, or a list"),
+    (["team", "tension", 2], math.nan, r"team.tension[2] = nan: must be finite; "),
+    (["start", "hitch", "polygon", 2, 1], math.inf, r"start.hitch.polygon[2][1] = inf: must be fi"),
+    (["start", "hitch", "polygon", 2], [3], r"start.hitch.polygon[2] = [3]: must be a list of 2"),
+    (["start", "hitch", "polygon", 1], [2.0, 0.2], r"start.hitch.polygon[0] = [2.0, 0.2]: must be"),
+    (["start", "hitch", "legs"], "even", r"start.hitch.legs = 'even': must be balanced or spread"),
+    (["start", "hitch", "legs"], 0.4, r"start.hitch.legs = 0.4: must be balanced or spread, or a"),
+    (["mission", 0, "morph", "legs"], [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be gre"),
+    (["mission", 2, "morph", "polygon"], None, r"mission[2].morph.polygon = None: must be a list"),
+    (["mission", 1, "hold", "duration"], 1, r"mission[1].hold.duration = 1: must be a known key"),
+    (["mission", 1], {"hodl": 1}, r"mission[1].hodl = 1: must be a known key; did you mean hold?"),
+    (["mission"], {"hold": {}}, r"mission = {'hold': {}}: must be a list; write a list in bracket"),
+    (["arena", "upper"], [5, 4, 0.1], r"arena.upper = [5.0, 4.0, 0.1]: must be greater than lower"),
+    (["title"], "a\nb", r"title = 'a\nb': must be printable text on one line; remove"),
+    (["title"], "x" * 201, r": must be at most 200 characters long; shorten it"),
+    (["title"], 2026, r"title = 2026: must be text; put it in quotes if it is meant as text"),
+    (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])
+def test_a_fault_is_told_with_path_value_bound_and_remedy(
+    path: list[str | int], value: object, message: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        problem_from_dict(changed(path, value))
+    assert message in str(caught.value)
+    assert not isinstance(caught.value, JointInputError)
+
+
+def test_all_faults_are_told_in_one_go() -> None:
+    data: Any = triangle()
+    data["limits"]["speed"] = "fast"
+    data["team"]["robot"] = 3
+    del data["mission"][1]["hold"]["seconds"]
+    with pytest.raises(JointInputError) as caught:
+        problem_from_dict(data)
+    lines = str(caught.value).splitlines()
+    assert [error.key for error in caught.value.errors] == [
+        "team.robot",
+        "limits.speed",
+        "mission[1].hold.seconds",
+    ]
+    assert lines == [str(error) for error in caught.value.errors]
+    assert caught.value.key == "team.robot"
+
+
+def test_shapes_of_several_polygons_are_told_in_one_go() -> None:
+    data: Any = triangle()
+    data["start"]["hitch"]["polygon"].reverse()
+    data["mission"][2]["morph"]["polygon"].pop()
+    data["mission"][2]["morph"]["polygon"] += [[0, 0], [9, 9]]
+    data["arena"]["upper"] = [-9, 9, 9]
+    with pytest.raises(JointInputError) as caught:
+        problem_from_dict(data)
+    keys = [error.key for error in caught.value.errors]
+    assert keys[:2] == ["arena.upper", "start.hitch.polygon"]
+    assert keys[2].startswith("mission[2].morph.polygon")
+
+
+def test_a_flood_of_faults_is_cut() -> None:
+    data = changed(["mission"], [{"hold": {"seconds": -k}} for k in range(1, 501)])
+    with pytest.raises(JointInputError) as caught:
+        problem_from_dict(data)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == MAX_LISTED + 1
+    assert lines[-1] == f"and {500 - MAX_LISTED} more"
+    assert caught.value.within("file").key == "file.mission[0].hold.seconds"
+
+
+def test_sizes_are_refused_before_memory_is_spent() -> None:
+    tracemalloc.start()
+    try:
+        for robots in (10_001, 10**9, 10**18):
+            with pytest.raises(InputError, match=r"team\.robots = 1\d+: must be at most 10000"):
+                problem_from_dict(changed(["team", "robots"], robots))
+        with pytest.raises(InputError, match="values in all"):
+            problem_from_dict(changed(["team", "tension"], np.broadcast_to(0.4, (10**9,))))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 20e6
+
+
+@pytest.mark.parametrize("data", [None, 3, [], "text", {1: 2}, {"team": object()}, {"title": b"x"}])
+def test_what_is_no_mapping_of_plain_data_is_an_input_error(data: Any) -> None:
+    with pytest.raises(InputError):
+        problem_from_dict(data)
+
+
+def test_a_mapping_that_holds_itself_is_refused() -> None:
+    data: Any = triangle()
+    data["limits"]["speed"] = data
+    with pytest.raises(HitchoptError, match="nested at most 20 levels deep"):
+        problem_from_dict(data)

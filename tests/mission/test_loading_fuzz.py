@@ -1,0 +1,139 @@
+"""Whatever is done to a good problem, the answer is a problem or a told error."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from problem_cases import TEMPLATE, triangle
+
+from hitchopt.errors import HitchoptError, InputError
+from hitchopt.mission.json_schema import problem_schema
+from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.mission.problem import Problem
+
+VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
+
+
+def answer_to(given: dict[str, Any] | Path) -> Problem | HitchoptError:
+    try:
+        return load_problem(given) if isinstance(given, Path) else problem_from_dict(given)
+    except HitchoptError as error:
+        return error
+
+
+def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+    entries = data.items() if isinstance(data, dict) else enumerate(data)
+    inner = [(*path, key) for key, _ in entries]
+    nested = [paths_of(data[p[-1]], p) for p in inner if isinstance(data[p[-1]], dict | list)]
+    return inner + [p for ps in nested for p in ps]
+
+
+PATHS = paths_of(triangle())
+
+values = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.integers(-3, 12),
+    st.integers(10**300, 10**310),
+    st.floats(),
+    st.floats(-3, 3),
+    st.sampled_from([0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x"]),
+    st.text(max_size=8),
+    st.lists(st.floats() | st.integers(-3, 3), max_size=4),
+    st.lists(st.lists(st.floats(-3, 3), min_size=2, max_size=2), min_size=3, max_size=5),
+    st.dictionaries(
+        st.sampled_from(["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]),
+        st.none() | st.floats() | st.just({}) | st.just({"seconds": 1}),
+        max_size=2,
+    ),
+    st.just(object()),
+    st.just(np.ones((3, 2))),
+)
+mutations = st.lists(
+    st.tuples(st.sampled_from(PATHS), st.sampled_from(["set", "drop", "add", "twice"]), values),
+    min_size=1,
+    max_size=3,
+)
+
+
+def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, Any]:
+    data: Any = copy.deepcopy(triangle())
+    for path, action, value in changes:
+        place = data
+        try:
+            for part in path[:-1]:
+                place = place[part]
+            if action == "set":
+                place[path[-1]] = value
+            elif action == "drop":
+                del place[path[-1]]
+            elif action == "add" and isinstance(place, dict):
+                place[f"{path[-1]}s"] = value
+            elif isinstance(place, list):
+                place.append(copy.deepcopy(place[-1]) if action == "twice" else value)
+        except (LookupError, TypeError, ValueError):
+            continue  # an earlier change has removed the place
+    return dict(data)
+
+
+@given(mutations)
+@settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_a_changed_problem_is_a_problem_or_a_told_error(changes: Any) -> None:
+    answer = answer_to(mutated(changes))
+    if isinstance(answer, Problem):
+        assert len(answer.start.polygon) == answer.team.robots
+        assert np.all(np.isfinite(answer.start.polygon.vertices))
+    if isinstance(answer, InputError):
+        assert answer.key
+        assert answer.remedy
+    assert len(str(answer)) < 20_000
+    str(answer).encode("utf-8")  # a terminal can show it
+
+
+@given(mutations)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_whatever_loads_is_valid_by_the_schema(changes: Any) -> None:
+    data = mutated(changes)
+    if isinstance(answer_to(data), Problem):
+        VALIDATOR.validate(_listed(data))
+
+
+def _listed(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _listed(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_listed(value) for value in data]
+    return data.tolist() if isinstance(data, np.ndarray) else data
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fuzz") / "problem.yaml"
+
+
+@given(st.integers(0, 10**6), st.binary(max_size=6), st.integers(0, 40))
+@settings(max_examples=300, deadline=None)
+def test_a_damaged_file_is_a_problem_or_a_told_error(
+    place: Path, at: int, inserted: bytes, removed: int
+) -> None:
+    data = TEMPLATE.read_bytes()
+    at %= len(data)
+    place.write_bytes(data[:at] + inserted + data[at + removed :])
+    assert str(answer_to(place))
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_any_bytes_are_a_told_error(place: Path, data: bytes) -> None:
+    place.write_bytes(data)
+    with pytest.raises(HitchoptError):
+        load_problem(place)

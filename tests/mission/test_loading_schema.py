@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from problem_cases import BAD, GOOD, INFEASIBLE, TEMPLATE, header, triangle
+
+from hitchopt.errors import HitchoptError
+from hitchopt.mission.json_schema import SCHEMA_FILE, entries_at, problem_schema, schema_text
+from hitchopt.mission.yaml_file import read_yaml
+
+VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
+
+
+def test_the_shipped_schema_is_current() -> None:
+    assert SCHEMA_FILE.name == "problem.schema.json"
+    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
+
+
+def test_the_schema_is_a_schema_of_draft_2020_12() -> None:
+    schema = json.loads(schema_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    assert schema["title"]
+
+
+def all_properties(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    models = [schema, *schema["$defs"].values()]
+    return [entry for model in models for entry in model["properties"].items()]
+
+
+def test_every_key_is_described_and_no_mapping_takes_others() -> None:
+    schema = problem_schema()
+    for name, entry in all_properties(schema):
+        assert "description" in entry or "$ref" in entry, name
+    for model in (schema, *schema["$defs"].values()):
+        assert model["additionalProperties"] is False
+        assert model["description"]
+
+
+@pytest.mark.parametrize("path", [*GOOD, *INFEASIBLE, TEMPLATE], ids=lambda path: path.stem)
+def test_well_formed_problems_are_valid(path: Path) -> None:
+    VALIDATOR.validate(read_yaml(path))
+
+
+def test_a_problem_with_every_section_is_valid() -> None:
+    VALIDATOR.validate(triangle())
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.stem)
+def test_the_schema_refuses_what_shape_alone_tells(path: Path) -> None:
+    expected = header(path, "Schema")
+    try:
+        data = read_yaml(path)
+    except HitchoptError:
+        assert expected == "unreadable"
+        return
+    if expected == "unjudged":  # JSON has no nan
+        return
+    assert VALIDATOR.is_valid(data) is (expected == "accepts")
+
+
+def test_defaults_are_shown_and_valid_themselves() -> None:
+    schema = problem_schema()
+    shown = {name: entry["default"] for name, entry in all_properties(schema) if "default" in entry}
+    for name, value in {"speed": 1.0, "tilt_deg": 45.0, "height": 0.3, "legs": None}.items():
+        assert shown[name] == value
+    limits = schema["$defs"]["LimitsKeys"]["properties"]
+    VALIDATOR.evolve(schema={**limits["speed"]}).validate(shown["speed"])
+
+
+@pytest.mark.parametrize(
+    ("path", "keys"),
+    [
+        (
+            ["limits"],
+            {"speed", "acceleration", "jerk", "tilt_deg", "vertex_speed", "leg", "duration"},
+        ),
+        (["team", "quadrotor"], {"mass", "max_thrust"}),
+        (["team", "quadrotor", 4], {"mass", "max_thrust"}),
+        (["mission", 7, "morph"], {"polygon", "legs", "duration"}),
+        (["mission", 7, "hold"], {"seconds"}),
+        (["start", "hitch", "polygon", 1, 0], set()),
+        (["nowhere"], set()),
+    ],
+)
+def test_a_path_leads_to_its_keys(path: list[str | int], keys: set[str]) -> None:
+    found = {key for way in entries_at(problem_schema(), path) for key in way.get("properties", ())}
+    assert found == keys

@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problem_cases import GOOD, TEMPLATE
+from ruamel.yaml import YAML
+
+from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.mission.loading import load_problem
+from hitchopt.mission.plain import MAX_NODES, key_path
+from hitchopt.mission.yaml_file import MAX_BYTES, parse_yaml, read_yaml
+
+printable = st.characters(
+    codec="utf-8", exclude_categories=("Cc", "Cn", "Cs", "Zl", "Zp"), exclude_characters="\ufeff"
+)
+json_data = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**200), 10**200)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(printable, max_size=20),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.text("abc_", min_size=1), inner, max_size=4)
+    ),
+    max_leaves=15,
+)
+
+
+@given(json_data)
+@settings(max_examples=150, deadline=None)
+def test_json_is_yaml(data: Any) -> None:
+    for ascii_only in (True, False):
+        assert parse_yaml(json.dumps({"data": data}, ensure_ascii=ascii_only)) == {"data": data}
+
+
+@pytest.mark.parametrize("path", [*GOOD, TEMPLATE], ids=lambda path: path.stem)
+def test_problem_files_are_read_as_the_yaml_library_reads_them(path: Path) -> None:
+    assert read_yaml(path) == YAML(typ="safe", pure=True).load(path)
+
+
+SCALARS: list[tuple[str, object]] = [
+    ("1e-3", 0.001),
+    ("-1.5E+2", -150.0),
+    (".5", 0.5),
+    ("5.", 5.0),
+    ("+7", 7),
+    ("007", 7),
+    ("0o17", 15),
+    ("0xff", 255),
+    ("1_000", "1_000"),
+    ("12:30", "12:30"),
+    ("2026-01-01", "2026-01-01"),
+    ("yes", "yes"),
+    ("off", "off"),
+    ("true", True),
+    ("FALSE", False),
+    ("~", None),
+    ("null", None),
+    ("", None),
+    ("'1'", "1"),
+    ('"true"', "true"),
+    ('"\\ud83d\\ude81"', "\U0001f681"),
+    ('"\\ud83d"', "\ufffd"),
+    ("nan", "nan"),
+    ("-.INF", -math.inf),
+    ("1e999", math.inf),
+    ("|\n  1\n", "1\n"),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), SCALARS, ids=[repr(text) for text, _ in SCALARS])
+def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) -> None:
+    data = parse_yaml(f"key: {text}\nnext: 1\n")
+    assert data == {"key": value, "next": 1}
+    assert isinstance(data, dict)
+    assert type(data["key"]) is type(value)
+
+
+def test_not_a_number_is_read_as_such() -> None:
+    data: Any = parse_yaml("[.nan, .NaN]")
+    assert all(math.isnan(value) for value in data)
+
+
+def test_a_number_of_many_digits_costs_nothing() -> None:
+    assert parse_yaml("n: " + "9" * 400_000) == {"n": math.inf}
+    data: Any = parse_yaml("n: " + "9" * 301)
+    assert data["n"] == pytest.approx(1e301)
+
+
+REFUSED: list[tuple[str, str]] = [
+    ("a: 1\nb: [1,\n", "text:3:1: is not YAML"),
+    ("a: b: c", "text:1:5: is not YAML"),
+    ("a:\n\t- 1", "text:2:1: is not YAML"),
+    ("x: 'open", "is not YAML"),
+    ('x: "\\U99999999"', "is not YAML"),
+    ('x: "\\ud800 \\xZZ"', "is not YAML"),
+    ("x: \x07", "is not YAML"),
+    ("%YAML 3.0\n---\na: 1", "is not YAML"),
+    ("x: !!python/none", "text:1:4: tags (!) are not allowed; remove it"),
+    ("x: !!str 1", "tags (!) are not allowed"),
+    ("x: ! 1", "tags (!) are not allowed"),
+    ("!!map {x: 1}", "text:1:1: tags (!) are not allowed"),
+    ("x: &a 1", "text:1:4: anchors (&) are not allowed"),
+    ("&a x: 1", "anchors (&) are not allowed"),
+    ("x: *a", "aliases (*) are not allowed; write the value out"),
+    ("<<: *a", "aliases (*) are not allowed"),
+    ("? [1, 2]\n: 3", "text:1:3: a key must be a word"),
+    ("a: 1\n---\nb: 2", "text:2:1: a second document begins here"),
+    ("", "text: is empty; `hitchopt init` writes"),
+    ("# only a comment", "text: is empty"),
+    ("--- ~", "text: is empty"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED, ids=[repr(text) for text, _ in REFUSED])
+def test_other_yaml_is_refused_with_line_and_column(text: str, message: str) -> None:
+    with pytest.raises(FileError) as caught:
+        parse_yaml(text)
+    assert message in str(caught.value)
+
+
+def test_keys_are_given_once_and_are_text() -> None:
+    text = "a:\n  - b: 1\n  - c: {d: 1, d: 2}\n"
+    with pytest.raises(InputError, match=r"^a\[1\]\.c\.d = .*given once; remove .* in line 3"):
+        parse_yaml(text)
+    with pytest.raises(InputError, match=r"^a\.b = 1.5: must be a mapping whose keys are text"):
+        parse_yaml("a: {b: {1.5: 2}}")
+    with pytest.raises(InputError, match=r"^problem = None"):
+        parse_yaml("? \n: 1")
+
+
+def test_depth_and_count_are_bounded() -> None:
+    assert parse_yaml("[" * 20 + "1" + "]" * 20) is not None
+    with pytest.raises(InputError, match="nested at most 20 levels deep"):
+        parse_yaml("[" * 21 + "1" + "]" * 21)
+    with pytest.raises(InputError, match="nested at most 20 levels deep"):
+        parse_yaml("[" * 100_000)
+
+
+def test_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert MAX_NODES > 8 * 3 * 10_000  # several polygons of the largest team
+    monkeypatch.setattr("hitchopt.mission.plain.MAX_NODES", 100)
+    assert parse_yaml(f"a: [{'1, ' * 98}]") is not None
+    with pytest.raises(InputError, match=r"a\[98\] = '101 values': must be within 100"):
+        parse_yaml(f"a: [{'1, ' * 120}]")
+
+
+def test_texts_are_bounded() -> None:
+    with pytest.raises(InputError, match=r"a\.b = 'xx.*at most 10000 characters"):
+        parse_yaml(f"a: {{b: {'x' * 10_001}}}")
+    with pytest.raises(FileError, match="a key must have at most 10000 characters"):
+        parse_yaml(f"? {'x' * 10_001}\n: 1")
+
+
+def write(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+GOOD_TEXT = "team: {robots: 3}\n"
+
+
+def test_files_that_are_no_utf_8_text_are_refused(tmp_path: Path) -> None:
+    for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-32"):
+        with pytest.raises(FileError, match=r"UTF-(16|8)|not YAML"):
+            read_yaml(write(tmp_path / "x.yaml", GOOD_TEXT.encode(encoding)))
+    with pytest.raises(FileError, match="UTF-16; save it as UTF-8"):
+        read_yaml(write(tmp_path / "x.yaml", GOOD_TEXT.encode("utf-16")))
+    with pytest.raises(FileError, match=r"not UTF-8 text \(byte 7\)"):
+        read_yaml(write(tmp_path / "x.yaml", b"title: \xfcber"))
+    for binary in (b"\x00" * 50, b"PK\x03\x04\x14\x00\x00\x00", bytes(range(256))):
+        with pytest.raises(FileError):
+            read_yaml(write(tmp_path / "x.yaml", binary))
+
+
+def test_a_byte_order_mark_and_dos_line_ends_are_fine(tmp_path: Path) -> None:
+    text = "a: 1\r\nb:\r\n  - ü\r\n"
+    data = read_yaml(write(tmp_path / "x.yaml", text.encode("utf-8-sig")))
+    assert data == {"a": 1, "b": ["ü"]}
+
+
+def test_large_files_are_refused_before_they_are_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    with path.open("wb") as file:
+        file.truncate(50 * 2**30)  # sparse
+    with pytest.raises(FileError, match=f"larger than the {MAX_BYTES} bytes"):
+        read_yaml(path)
+
+
+def test_paths_that_are_no_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no such file; check the path"):
+        load_problem(tmp_path / "missing.yaml")
+    with pytest.raises(FileError, match="is a directory; give"):
+        load_problem(tmp_path)
+    with pytest.raises(FileError, match=r"cannot be read \(embedded null byte\)"):
+        load_problem("a\0b")
+    with pytest.raises(FileError, match=r"cannot be read \(File name too long\)"):
+        load_problem(tmp_path / ("x" * 300))
+    with pytest.raises(FileError, match=r"cannot be read \(Not a directory\)"):
+        load_problem(write(tmp_path / "file", b"") / "x.yaml")
+
+
+def test_unreadable_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "secret.yaml", b"a: 1")
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, os.strerror(13), str(path))
+
+    monkeypatch.setattr("builtins.open", refuse)  # root may read whatever its mode
+    with pytest.raises(FileError, match=r"cannot be read \(Permission denied\)"):
+        read_yaml(path)
+
+
+@given(st.text(max_size=60) | st.text("-:{}[],&*!|>'\"#?%@ \n\tab1.~<\\", max_size=60))
+@settings(max_examples=400, deadline=None)
+def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> None:
+    try:
+        data = parse_yaml(text)
+    except HitchoptError as error:
+        data = str(error)
+    assert isinstance(data, dict | list | str | int | float)
+
+
+def test_paths_quote_what_is_no_name() -> None:
+    assert key_path(["mission", 0, "morph", "legs", 1]) == "mission[0].morph.legs[1]"
+    assert key_path(["a b", "x\x1by", "ü"]) == r"'a b'.'x\x1by'.'ü'"
+    assert len(key_path(["x" * 1000])) == 60

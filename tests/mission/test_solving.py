@@ -1,0 +1,232 @@
+"""Problems to plans: laws of symmetry, bounds against sampling, and what is said when it fails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.random_morph import random_morph
+
+TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
+
+
+def random_problem(n: int, seed: int) -> ho.Problem:
+    return problem_from_dict(random_morph(n, seed))
+
+
+def fractions_of_time(plan: ho.Plan, count: int = 41) -> np.ndarray:
+    return plan.duration * np.linspace(0.0, 1.0, count)
+
+
+def test_the_script_of_the_interface_works() -> None:
+    team = ho.Team(robots=3, cable_length=2.4)
+    start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
+    plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]], limits=ho.Limits(speed=0.8))
+    plan.certificate.raise_if_violated()
+    assert plan.certificate["speed"].limit == 0.8
+    np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-9)
+    np.testing.assert_allclose(plan.at(plan.duration).vertices[:, :2], PULLED_IN, atol=1e-9)
+
+
+def moved(problem: ho.Problem, change: object) -> ho.Problem:
+    """The problem with both polygons changed by ``change``."""
+    (step,) = problem.mission
+    assert isinstance(step, ho.Morph)
+    assert callable(change)
+    return replace(
+        problem,
+        start=replace(problem.start, polygon=change(problem.start.polygon)),
+        mission=(replace(step, polygon=change(step.polygon)),),
+    )
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 1), (5, 2), (8, 3)])
+def test_translating_and_turning_the_problem_moves_the_plan_with_it(n: int, seed: int) -> None:
+    problem = random_problem(n, seed)
+    plan = ho.solve(problem)
+    angle, offset = 0.7, np.array([3.0, -1.0])
+    other = ho.solve(moved(problem, lambda p: p.rotated(angle).translated(offset)))
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    assert other.duration == pytest.approx(plan.duration, rel=1e-3)
+    expected = plan.at(fractions_of_time(plan)).positions @ turn.T + [*offset, 0.0]
+    found = other.at(fractions_of_time(other)).positions
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 4), (6, 5)])
+def test_renumbering_the_robots_renumbers_the_plan(n: int, seed: int) -> None:
+    problem = random_problem(n, seed)
+    plan = ho.solve(problem)
+    shifted = replace(
+        moved(problem, lambda p: p.renumbered(2)),
+        team=ho.Team(n, np.roll(problem.team.cable_length, -2)),
+    )
+    other = ho.solve(shifted)
+    assert other.duration == pytest.approx(plan.duration, rel=1e-3)
+    expected = np.roll(plan.at(fractions_of_time(plan)).positions, -4, axis=1)
+    np.testing.assert_allclose(other.at(fractions_of_time(other)).positions, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 6), (5, 7)])
+def test_the_mirrored_problem_has_the_mirrored_plan(n: int, seed: int) -> None:
+    problem = random_problem(n, seed)
+    plan = ho.solve(problem)
+    # Edge k of the mirror image is edge n-2-k; q and r change places.
+    order = (n - 2 - np.arange(n)) % n
+    mirrored = replace(
+        moved(problem, ConvexPolygon.mirrored),
+        team=ho.Team(n, problem.team.cable_length[order]),
+    )
+    other = ho.solve(mirrored)
+    assert other.duration == pytest.approx(plan.duration, rel=1e-3)
+    positions = plan.at(fractions_of_time(plan)).positions.reshape(41, n, 2, 3)
+    expected = positions[:, order][:, :, ::-1] * [-1.0, 1.0, 1.0]
+    found = other.at(fractions_of_time(other)).positions.reshape(41, n, 2, 3)
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 8), (6, 9)])
+def test_reversing_start_and_end_reverses_the_path(n: int, seed: int) -> None:
+    problem = random_problem(n, seed)
+    plan = ho.solve(problem)
+    first, last = plan.at(0.0), plan.at(plan.duration)
+    (step,) = problem.mission
+    assert isinstance(step, ho.Morph)
+    start = ho.Hitch(problem.team, step.polygon, 1.0, last.legs[:, 0])
+    back = ho.morph(
+        start,
+        problem.start.polygon,
+        separation=problem.separation,
+        legs=first.legs[:, 0],
+    )
+    assert back.duration == pytest.approx(plan.duration, rel=5e-3)
+    there = plan.at(fractions_of_time(plan)).positions
+    again = back.at(fractions_of_time(back)).positions[::-1]
+    np.testing.assert_allclose(again, there, atol=5e-3)
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 10), (4, 11), (7, 12), (12, 13), (30, 14)])
+def test_sampling_a_plan_never_beats_its_certificate(n: int, seed: int) -> None:
+    plan = ho.solve(random_problem(n, seed))
+    team, certificate = plan.motion.team, plan.certificate
+    state = plan.at(np.linspace(0.0, plan.duration, 3001 if n < 20 else 301))
+    x = state.positions * plan.motion.separation.scale
+    i, j = np.triu_indices(2 * n, 1)
+    ratio = min(
+        float(np.min(np.linalg.norm(x[:, a] - x[:, b], axis=-1))) for a, b in zip(i, j, strict=True)
+    )
+    thrust = team.mass[:, None] * (state.accelerations + [0, 0, 9.81]) - state.cable_forces
+    vertices = state.vertices
+    ends = np.roll(vertices, -1, axis=1)
+    cable = (
+        np.linalg.norm(state.positions[:, 0::2] - vertices, axis=-1)
+        + np.linalg.norm(ends - vertices, axis=-1)
+        + np.linalg.norm(state.positions[:, 1::2] - ends, axis=-1)
+    )
+    edges = (ends - vertices)[..., :2]
+    before = np.roll(edges, 1, axis=1)
+    cross = before[..., 1] * edges[..., 0] - before[..., 0] * edges[..., 1]
+    angles = np.degrees(np.arctan2(cross, np.sum(before * edges, axis=-1)))
+    sampled = {
+        "separation": ratio,
+        "speed": np.max(np.linalg.norm(state.velocities, axis=-1)),
+        "acceleration": np.max(np.linalg.norm(state.accelerations, axis=-1)),
+        "jerk": np.max(np.linalg.norm(state.jerks, axis=-1)),
+        "thrust": np.max(np.linalg.norm(thrust, axis=-1)),
+        "tilt": np.degrees(
+            np.max(np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2]))
+        ),
+        "legs": np.min(state.legs),
+        "cable_length": np.max(np.abs(cable / team.cable_length - 1.0)),
+        "convexity": np.min(angles),
+    }
+    for name, value in sampled.items():
+        check = certificate[name]
+        sign = 1.0 if check.sense == "min" else -1.0
+        assert sign * (value - check.worst) >= -1e-12, name
+        coarse = 0.01 if n < 20 or name != "jerk" else 0.1
+        assert abs(value - check.worst) <= coarse * abs(check.worst) + 1e-6, name
+
+
+def test_steps_join_without_a_jump_and_come_back() -> None:
+    problem = ho.Problem(
+        team=ho.Team(3, 2.4),
+        start=ho.HitchStart(ConvexPolygon(TRIANGLE), 1.2, "spread"),
+        mission=(
+            ho.Morph(ConvexPolygon(PULLED_IN)),
+            ho.Hold(0.5),
+            ho.Morph(ConvexPolygon(TRIANGLE), duration=3.0),
+        ),
+    )
+    plan = ho.solve(problem)
+    assert [p.name for p in plan.phases] == ["morph", "hold", "morph"]
+    assert [p.step for p in plan.phases] == [0, 1, 2]
+    assert plan.phases[2].end - plan.phases[2].start == pytest.approx(3.0, abs=1e-12)
+    assert plan.phases[2].end == pytest.approx(plan.duration, abs=1e-12)
+    assert plan.certificate["continuity"].worst < 1e-9
+    np.testing.assert_allclose(plan.at(plan.duration).positions, plan.at(0.0).positions, atol=1e-9)
+
+
+def test_the_model_is_followed_within_what_is_promised() -> None:
+    plan = ho.solve(random_problem(6, 15))
+    assert plan.certificate["cable_length"].worst <= 1e-5
+    assert plan.certificate["equilibrium"].worst <= 1e-4
+
+
+def test_a_given_duration_is_met_exactly_and_a_short_one_refused() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    assert ho.morph(start, PULLED_IN, duration=4.125).duration == 4.125
+    with pytest.raises(ho.InfeasibleError, match=r"duration: 0\.5 s is below"):
+        ho.morph(start, PULLED_IN, duration=0.5)
+    with pytest.raises(ho.InfeasibleError, match="duration") as caught:
+        ho.morph(start, PULLED_IN, limits=ho.Limits(duration=1.0))
+    assert caught.value.violations[0].limit == 1.0
+
+
+def test_a_start_that_breaks_a_limit_is_told_before_anything_moves() -> None:
+    close = ho.Hitch.balanced(ho.Team(3, 2.0), [[0.0, -1.0], [-0.9, 0.4], [0.9, 0.4]])
+    with pytest.raises(ho.InfeasibleError, match="at the start") as caught:
+        ho.hold(close, 1.0)
+    separation = next(v for v in caught.value.violations if v.constraint == "separation")
+    drones = close.drones
+    apart = min(np.linalg.norm(drones[i] - drones[j]) for i in range(6) for j in range(i))
+    assert separation.value == pytest.approx(apart / 0.24, rel=1e-3)
+    assert 0.13 < apart < 0.15  # the paper's experiment 1
+
+
+def test_an_end_that_breaks_a_limit_names_its_step() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    arena = ho.Arena([-1.5, -1.7, 0.0], [1.5, 1.5, 2.0])
+    with pytest.raises(ho.InfeasibleError, match=r"arena.*end of step 0 \(morph\)"):
+        ho.morph(start, [[1.0, -1.0], [0.6, 0.5], [1.4, 0.5]], arena=arena)
+
+
+def test_a_hold_stays_and_an_idle_morph_takes_its_duration() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    held = ho.hold(start, 2.0)
+    np.testing.assert_array_equal(held.at([0.0, 1.3, 2.0]).velocities, 0.0)
+    idle = ho.morph(start, TRIANGLE, duration=1.5)
+    assert idle.duration == 1.5
+    np.testing.assert_allclose(idle.at(0.7).positions, start.drones, atol=1e-9)
+
+
+def test_unequal_tensions_cables_and_drones_off_the_origin() -> None:
+    team = ho.Team(
+        4,
+        [2.2, 2.3, 2.1, 2.25],
+        tension=[0.4, 0.45, 0.42, 0.38],
+        quadrotor=[ho.Quadrotor(0.03 * k, 1.0 + k) for k in (3, 4, 5, 6)],
+        cable_density=0.003,
+    )
+    square = np.array([[5.0, 3.0], [5.1, 4.2], [6.3, 4.1], [6.2, 3.0]])
+    start = ho.Hitch.spread(team, square)
+    plan = ho.morph(start, square * [1.02, 0.98] + [0.3, 0.2], legs="balanced")
+    state = plan.at(plan.duration)
+    np.testing.assert_allclose(state.legs[:, 0], state.legs[:, 1], atol=1e-9)
+    assert plan.certificate["equilibrium"].worst < 1e-4
+    np.testing.assert_allclose(state.tensions, team.tension)
