@@ -1,0 +1,106 @@
+"""DIR: the files of one solve, and never a mixture of two."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hitchopt.certificate.report import Certificate
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.export.atomic import Writer, replace_files
+from hitchopt.export.plan_file import write_plan
+from hitchopt.export.setpoints import Progress, write_setpoints
+from hitchopt.export.vertices import write_vertices
+from hitchopt.model.motion import Motion
+
+PLAN = "plan.npz"
+SETPOINTS = "setpoints.csv"
+VERTICES = "vertices.csv"
+CERTIFICATE = "certificate.json"
+SUMMARY = "summary.png"
+DIAGNOSIS = "diagnosis.json"
+
+OWNED = (PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS)
+"""The names in DIR that are ours: nothing else there is ever replaced or removed."""
+
+DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"
+
+
+def save_plan(
+    directory: Path | str,
+    motion: Motion,
+    certificate: Certificate,
+    title: str = "",
+    rate: float = 100.0,
+    pictures: Mapping[str, Writer] | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the files of a certified plan, whole or not at all; return the directory.
+
+    Parameters
+    ----------
+    directory: made if it is missing.
+    motion: the plan.
+    certificate: of that plan.
+    title: what the problem is called.
+    rate: samples a second in the tables [Hz].
+    pictures: for the name of a picture among OWNED (``summary.png``), what draws it at a path.
+    progress: called with the fraction of the setpoints written.
+
+    Raises
+    ------
+    CertificateError: the certificate does not hold; nothing is written.
+    InputError: a rate that is not positive.
+    FileError: the directory cannot be written to.
+    """
+    certificate.raise_if_violated()
+    writers: dict[str, Writer] = {
+        PLAN: lambda path: write_plan(path, motion, title),
+        SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
+        VERTICES: lambda path: write_vertices(path, motion, rate),
+        **(pictures or {}),
+        CERTIFICATE: lambda path: _write_json(path, certificate.to_dict()),
+    }
+    return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
+
+
+def save_diagnosis(directory: Path | str, reason: HitchoptError) -> Path:
+    """Write why there is no plan, and remove the files of an earlier one; return the directory.
+
+    Parameters
+    ----------
+    directory: made if it is missing.
+    reason: what the planner found: what binds, where it is an InfeasibleError, else its words.
+
+    Raises
+    ------
+    FileError: the directory cannot be written to.
+    """
+    violations = reason.violations if isinstance(reason, InfeasibleError) else ()
+    content = {
+        "format": DIAGNOSIS_FORMAT,
+        "feasible": False,
+        "message": str(reason),
+        "violations": [{**vars(v), "message": str(v)} for v in violations],
+    }
+    writers = {DIAGNOSIS: lambda path: _write_json(path, content)}
+    return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def _strict(value: Any) -> Any:
+    """Return ``value`` with null for every number that JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,160 @@
+"""plan.npz: a plan as piecewise polynomials, exact to the last bit."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.export.archive import read_arrays
+from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch.values import finite
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+FORMAT = "hitchopt-plan/1"
+
+POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
+"""Bernstein coefficients (pieces, *shape, degree + 1) under these names, common ``breaks``."""
+
+PER_ROBOT = ("cable_length", "tension", "mass", "max_thrust")
+"""(n,) each, of the team."""
+
+BROKEN = (
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    EOFError,
+    OverflowError,
+    RuntimeError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+    HitchoptError,
+)
+"""All that a file which is not a plan makes its readers raise."""
+
+
+def write_plan(path: Path, motion: Motion, title: str = "") -> None:
+    """Write the plan; the same plan gives the same bytes.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    team, arena = motion.team, motion.arena
+    settings = {
+        "title": title,
+        "team": {
+            "robots": team.robots,
+            "topology": team.topology,
+            "cable_density": team.cable_density,
+            "cable_friction": team.cable_friction,
+        },
+        "limits": vars(motion.limits),
+        "separation": vars(motion.separation),
+        "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
+        "phases": [vars(phase) for phase in motion.phases],
+    }
+    arrays: dict[str, NDArray[Any]] = {
+        "format": np.array(FORMAT),
+        "settings": np.array(json.dumps(settings, allow_nan=False)),
+        "cable_length": team.cable_length,
+        "tension": team.tension,
+        "mass": np.array([kind.mass for kind in team.quadrotors]),
+        "max_thrust": np.array([kind.max_thrust for kind in team.quadrotors]),
+        "breaks": motion.drones.breaks,
+    }
+    for name in POLYNOMIALS:
+        arrays[name] = getattr(motion, name).coefficients
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_plan(path: Path) -> Motion:
+    """Return the plan of a file that hitchopt wrote.
+
+    Raises
+    ------
+    FileError: it cannot be read, or does not hold a plan.
+    """
+    try:
+        return _motion(*_contents(path))
+    except BROKEN as error:
+        raise FileError(f"{path}: {_reason(error)}; solve the problem again") from error
+
+
+def read_title(path: Path) -> str:
+    """Return the title of the plan in a file that hitchopt wrote, or an empty one.
+
+    Raises
+    ------
+    FileError: it cannot be read, or does not hold a plan.
+    """
+    try:
+        return str(_contents(path)[0]["title"])
+    except BROKEN as error:
+        raise FileError(f"{path}: {_reason(error)}; solve the problem again") from error
+
+
+def _contents(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    arrays = read_arrays(path, ("format", "settings", "breaks", *PER_ROBOT, *POLYNOMIALS))
+    if str(arrays["format"]) != FORMAT:
+        raise InputError("format", str(arrays["format"]), FORMAT, "use a plan that hitchopt wrote")
+    for name in ("breaks", *PER_ROBOT, *POLYNOMIALS):
+        if arrays[name].dtype != np.float64:
+            raise InputError(name, arrays[name].dtype, "of double precision", "do not convert it")
+    settings = json.loads(str(arrays["settings"]))
+    if not isinstance(settings, dict):
+        raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
+    return settings, arrays
+
+
+def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion:
+    given = dict(settings["team"])
+    kinds = [
+        Quadrotor(float(mass), float(max_thrust))
+        for mass, max_thrust in zip(arrays["mass"], arrays["max_thrust"], strict=True)
+    ]
+    team = Team(
+        given.pop("robots"),
+        arrays["cable_length"],
+        tension=arrays["tension"],
+        quadrotor=kinds,
+        **given,
+    )
+    parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in POLYNOMIALS}
+    return Motion(
+        team,
+        Limits(**settings["limits"]),
+        Separation(**settings["separation"]),
+        None if settings["arena"] is None else Arena(**settings["arena"]),
+        phases=tuple(_phase(**entry) for entry in settings["phases"]),
+        **parts,
+    )
+
+
+def _phase(name: object, step: object, start: float, end: float) -> Phase:
+    if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
+        raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
+    return Phase(name, step, finite("phases.start", start), finite("phases.end", end))
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file"
+    if isinstance(error, KeyError):
+        return f"not a plan that hitchopt wrote: {error} is missing"
+    if isinstance(error, OSError) and error.strerror:
+        return f"cannot be read: {error.strerror}"
+    return f"not a plan that hitchopt wrote, or a damaged one: {error or type(error).__name__}"

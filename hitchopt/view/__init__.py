@@ -1,0 +1,1 @@
+"""Floor 8: pictures of a plan. Drawing libraries are imported by the modules that draw."""

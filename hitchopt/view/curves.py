@@ -1,0 +1,82 @@
+"""What the pictures of a plan show over time, sampled. Draws nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.export.sampling import States, states_at
+from hitchopt.model.motion import Motion
+
+Array = NDArray[np.float64]
+
+POINTS = 150_000
+"""Drone positions that a picture is made from: about a second of work, whatever the team."""
+
+FEWEST_SAMPLES = 60
+MOST_SAMPLES = 600
+"""More are finer than a picture's pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The team's worst values over time.
+
+    Attributes
+    ----------
+    states: all that they are computed from, at the same times (samples,).
+    separation: (samples,) smallest ratio over all pairs of drones.
+    speed: (samples,) [m/s], of the fastest drone.
+    thrust: (samples,) largest thrust as a share of the drone's largest.
+    """
+
+    states: States
+    separation: Array
+    speed: Array
+    thrust: Array
+
+    @property
+    def t(self) -> Array:
+        """(samples,) [s], from the plan's start."""
+        return self.states.t
+
+
+def sampled_curves(motion: Motion) -> Curves:
+    """Return the curves, at times that include the joints of the plan's pieces."""
+    drones = 2 * motion.team.robots
+    samples = int(np.clip(POINTS // drones, FEWEST_SAMPLES, MOST_SAMPLES))
+    even = np.linspace(0.0, motion.duration, samples)
+    joints = motion.drones.breaks - motion.drones.breaks[0]
+    few = joints if len(joints) < samples else joints[:0]
+    states = states_at(motion, np.unique(np.minimum(np.concatenate([even, few]), even[-1])))
+    thrusts = np.linalg.norm(states.thrusts(motion.team), axis=-1)
+    return Curves(
+        states,
+        smallest_separations(states.positions, motion.separation.scale),
+        np.max(np.linalg.norm(states.velocities, axis=-1), axis=-1),
+        np.max(thrusts / motion.team.max_thrust, axis=-1),
+    )
+
+
+def smallest_separations(positions: Array, scale: Array) -> Array:
+    """Return (samples,) the smallest distance of two drones after scaling.
+
+    One search over all times at once: time is a fourth coordinate, so far apart that nobody's
+    nearest neighbour is one of another time.
+
+    Parameters
+    ----------
+    positions: (samples, drones, 3) [m], at least two drones.
+    scale: (3,) [1/m]
+    """
+    scaled = positions * scale
+    samples, drones, _ = scaled.shape
+    apart = 1.0 + 2.0 * float(np.linalg.norm(np.ptp(scaled, axis=(0, 1))))
+    sheets = np.repeat(apart * np.arange(samples), drones)
+    points = np.column_stack([scaled.reshape(-1, 3), sheets])
+    distances = np.asarray(cKDTree(points).query(points, k=[2])[0])
+    smallest: Array = np.min(distances.reshape(samples, drones), axis=1)
+    return smallest

@@ -1,0 +1,80 @@
+"""summary.png: a plan at a glance."""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from hitchopt.certificate.report import Certificate
+from hitchopt.model.motion import Motion
+from hitchopt.view.curves import sampled_curves
+from hitchopt.view.plan_view import draw_plan_view
+from hitchopt.view.time_plots import draw_legend, draw_panel, draw_phases, panels
+
+SIZE = (13.0, 7.2)
+"""[inch]"""
+
+RESOLUTION = 120
+"""[dots per inch]"""
+
+
+def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
+    """Return the picture: both hitches and the paths from above; what is limited over time.
+
+    Parameters
+    ----------
+    motion: the plan.
+    certificate: of that plan; its worst values are marked.
+    title: what the problem is called.
+    """
+    figure = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(3, 2)
+    curves = sampled_curves(motion)
+    draw_plan_view(figure.add_subplot(grid[:, 0]), motion, curves)
+    axes = [figure.add_subplot(grid[row, 1]) for row in range(3)]
+    for each, panel in zip(axes, panels(motion, curves), strict=True):
+        draw_panel(each, curves.t, panel, certificate)
+    draw_phases(axes, motion.phases, motion.duration)
+    for each in axes[:-1]:
+        each.tick_params(labelbottom=False)
+    axes[-1].set_xlabel("t [s]")
+    draw_legend(axes[-1])
+    figure.align_ylabels(axes)
+    figure.suptitle(_headline(motion, certificate, title), fontsize="large", parse_math=False)
+    return figure
+
+
+def save_summary(path: Path, motion: Motion, certificate: Certificate, title: str = "") -> None:
+    """Draw the picture and write it as a PNG.
+
+    Parameters
+    ----------
+    path: of the file, replaced if there is one.
+    motion, certificate, title: as in ``draw_summary``.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    figure = draw_summary(motion, certificate, title)
+    with warnings.catch_warnings():
+        # A title in a script that the font lacks is drawn with boxes, which is no news to anyone.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+
+
+def _headline(motion: Motion, certificate: Certificate, title: str) -> str:
+    n = motion.team.robots
+    total = len(certificate.checks)
+    if certificate.certified:
+        verdict = f"certified for all t: {total} of {total} limits hold"
+    else:
+        verdict = "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
+    facts = f"{n} robots, {2 * n} drones, {motion.duration:.4g} s; {verdict}"
+    name = textwrap.shorten(title, 100, placeholder=" …")
+    return f"{name}\n{facts}" if name else facts

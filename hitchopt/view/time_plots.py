@@ -1,0 +1,209 @@
+"""Separation, speed and thrust over time, against their limits and the certificate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.transforms import blended_transform_factory
+from numpy.typing import NDArray
+
+from hitchopt.certificate.report import Certificate
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.view.curves import Curves
+
+Array = NDArray[np.float64]
+
+INK = "0.1"
+LIMIT_COLOUR = "#b3261e"
+FORBIDDEN = "0.8"
+HATCH = "////"
+
+CURVE = 1.4
+"""[points] Width of a curve."""
+
+DASHES = (0, (6, 2))
+"""How limits are drawn, so that they differ in grey as well."""
+
+ENDLESS = 1e9
+"""Beyond this, a worst value is that of nothing at all, or of a quantity without bound."""
+
+LINE = 11.0
+"""[points] What a line of small text takes."""
+
+HEIGHT = 110.0
+"""[points] About the height of a panel."""
+
+CHARACTER = 0.013
+"""Width of a character of a phase's name as a share of the axes' width."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One quantity over time.
+
+    Attributes
+    ----------
+    label: what it is, with its unit.
+    check: name of the certificate's check of it.
+    values: (samples,), in the label's unit.
+    limit: in the same unit.
+    sense: ``min`` if the limit is a lower one, ``max`` if an upper one.
+    factor: from the certificate's unit to the label's.
+    """
+
+    label: str
+    check: str
+    values: Array
+    limit: float
+    sense: str
+    factor: float = 1.0
+
+
+def panels(motion: Motion, curves: Curves) -> tuple[Panel, ...]:
+    """Return what is drawn, from top to bottom; thrust as a share where drones differ."""
+    kinds = np.unique(motion.team.max_thrust)
+    if len(kinds) == 1:
+        limit = float(kinds[0])
+        thrust = Panel("largest\nthrust [N]", "thrust", limit * curves.thrust, limit, "max")
+    else:
+        thrust = Panel("largest thrust\n/ its limit", "thrust", curves.thrust, 1.0, "max", math.nan)
+    return (
+        Panel("smallest\nseparation [–]", "separation", curves.separation, 1.0, "min"),
+        Panel("largest\nspeed [m/s]", "speed", curves.speed, motion.limits.speed, "max"),
+        thrust,
+    )
+
+
+def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
+    """Draw one quantity, its limit, the forbidden side and the certificate's worst.
+
+    Parameters
+    ----------
+    axes: to draw on.
+    t: (samples,) [s]
+    panel: the quantity.
+    certificate: of the plan.
+    """
+    axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
+    worst = _worst(panel, certificate)
+    top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
+    axes.set_ylim(0.0, top)
+    axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
+    forbidden = (0.0, panel.limit) if panel.sense == "min" else (panel.limit, top)
+    axes.axhspan(
+        *forbidden, facecolor="none", edgecolor=FORBIDDEN, hatch=HATCH, linewidth=0, zorder=0
+    )
+    _label(axes, f"limit {panel.limit:.4g}", panel.limit, LIMIT_COLOUR)
+    if worst is not None:
+        _mark(axes, *worst, float(t[-1]))
+        _label(axes, f"worst {worst[1]:.4g}", worst[1], INK, _shift(panel, worst[1], top))
+    axes.set_ylabel(panel.label)
+    axes.set_xlim(float(t[0]), float(t[-1]))
+    axes.grid(axis="y", color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
+    """Shade every other phase on all axes, and name on the first those that have room.
+
+    Parameters
+    ----------
+    axes: from top to bottom.
+    phases: of the plan.
+    duration: of the plan [s].
+    """
+    for i, phase in enumerate(phases):
+        for each in axes:
+            if i % 2:
+                each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
+            if i > 0:
+                each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
+        if (phase.end - phase.start) / duration > CHARACTER * (len(phase.name) + 1):
+            axes[0].annotate(
+                phase.name,
+                (0.5 * (phase.start + phase.end), 1.0),
+                (0, 4),
+                xycoords=axes[0].get_xaxis_transform(),
+                textcoords="offset points",
+                ha="center",
+                fontsize="small",
+                parse_math=False,
+            )
+
+
+def draw_legend(axes: Axes) -> None:
+    """Say below the lowest axes what the lines mean."""
+    handles = [
+        Line2D([], [], color=INK, linewidth=CURVE, label="worst drone or pair"),
+        Line2D([], [], color=LIMIT_COLOUR, linestyle=DASHES, label="limit"),
+        _worst_marker(),
+        Patch(facecolor="none", edgecolor=FORBIDDEN, hatch=HATCH, linewidth=0, label="forbidden"),
+    ]
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.32),
+        ncols=2,
+        frameon=False,
+        fontsize="small",
+    )
+
+
+def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None:
+    """Return time and value of the certificate's worst, in the panel's unit, if it has one."""
+    for check in certificate.checks:
+        if check.name == panel.check:
+            factor = panel.factor if math.isfinite(panel.factor) else 1.0 / check.limit
+            value = check.worst * factor
+            return (check.time, value) if abs(value) < ENDLESS else None
+    return None
+
+
+def _mark(axes: Axes, time: float, value: float, end: float) -> None:
+    axes.plot([time, end], [value, value], color=INK, linewidth=0.6, linestyle=":", zorder=2)
+    worst = _worst_marker()
+    worst.set(data=([time], [value]), clip_on=False, zorder=5)
+    axes.add_line(worst)
+
+
+def _worst_marker() -> Line2D:
+    return Line2D(
+        [],
+        [],
+        linestyle="none",
+        marker="D",
+        markersize=6.0,
+        markerfacecolor="white",
+        markeredgecolor=INK,
+        markeredgewidth=CURVE,
+        label="worst for all t, from the certificate",
+    )
+
+
+def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0) -> None:
+    """Write beside the axes, where no curve can be."""
+    axes.annotate(
+        text,
+        (1.0, value),
+        (5.0, shift),
+        xycoords=blended_transform_factory(axes.transAxes, axes.transData),
+        textcoords="offset points",
+        va="center",
+        fontsize="small",
+        color=colour,
+        annotation_clip=False,
+    )
+
+
+def _shift(panel: Panel, value: float, top: float) -> float:
+    """Return how far [points] to move the worst's label away from the limit's."""
+    gap = (value - panel.limit) / top * HEIGHT
+    upward = gap > 0.0 if gap != 0.0 else panel.sense == "min"
+    missing = max(LINE - abs(gap), 0.0)
+    return missing if upward else -missing
