@@ -1,0 +1,5 @@
+"""The command line; it imports what a command needs only when that command runs."""
+
+from hitchopt.cli.commands import main
+
+__all__ = ["main"]

@@ -1,0 +1,169 @@
+"""The commands: solve, check, init."""
+
+from __future__ import annotations
+
+import math
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
+from hitchopt.errors import FileError, HitchoptError, InputError
+
+if TYPE_CHECKING:
+    from hitchopt.certificate.report import Certificate
+    from hitchopt.mission.problem import Problem
+    from hitchopt.model.motion import Motion
+
+MAX_RATE = 10_000.0
+"""[Hz] No flight controller takes setpoints faster."""
+
+MAX_ROWS = 5e8
+"""Rows of setpoints.csv, about 100 GB; more is a typing error."""
+
+PLAN_FILE = "plan.npz"
+
+
+def _version() -> str:
+    try:
+        return metadata.version("hitchopt")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+@click.group(cls=SafeGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version=_version(), prog_name="hitchopt")
+def main() -> None:
+    r"""Plan how teams of quadrotors reshape polygonal cable hitches in midair.
+
+    Every plan comes with a certificate that holds for all of continuous time.
+
+    \b
+    Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
+    3 well-formed, but it cannot be met, or its certificate fails.
+    """
+
+
+@main.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "directory",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Where to write the plan; by default ./ and FILE's stem.",
+)
+@click.option(
+    "--rate",
+    metavar="HZ",
+    type=float,
+    default=100.0,
+    show_default=True,
+    help="Setpoints per second and drone.",
+)
+def solve(file: Path, directory: Path | None, rate: float) -> None:
+    """Plan the problem in FILE, certify the plan and write it to DIR."""
+    _check_rate(rate)
+    from hitchopt.mission.loading import load_problem
+
+    place = directory if directory is not None else Path(file.stem)
+    if place.exists() and not place.is_dir():
+        raise FileError(f"{place}: is not a directory; choose another one with -o")
+    try:
+        problem = load_problem(file)
+        _check_rows(rate, _least_duration(problem), problem.team.robots)
+        _solve(problem, place, rate)
+    except (InputError, FileError):
+        raise  # no solve: DIR keeps telling the last one
+    except HitchoptError as error:
+        _leave_diagnosis(place, error)
+
+
+def _solve(problem: Problem, place: Path, rate: float) -> None:
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.plan import solve as solved
+
+    with LateProgress(sys.stderr, "planning") as progress:
+        plan = solved(problem, progress=progress)
+    _show(plan.title, plan.motion, plan.certificate)
+    _check_rows(rate, plan.motion.duration, problem.team.robots)
+    with LateProgress(sys.stderr, "writing") as progress:
+        plan.save(place, rate=rate, progress=progress)
+    say(f"certified; the plan is in {place}")
+
+
+def _leave_diagnosis(place: Path, error: HitchoptError) -> NoReturn:
+    """Say and write why there is no plan, and end with the exit code that tells so."""
+    from hitchopt.export.directory import save_diagnosis
+
+    complain(error)  # first, in case that the diagnosis cannot be written
+    save_diagnosis(place, error)
+    say(f"no plan; the diagnosis is in {place / 'diagnosis.json'}", err=True)
+    click.get_current_context().exit(exit_code(error))
+
+
+@main.command()
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+def check(directory: Path) -> None:
+    """Certify the plan in DIR anew, from its polynomials only."""
+    from hitchopt.certificate import certify
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.export.plan_file import read_plan
+
+    path = directory / PLAN_FILE
+    motion = read_plan(path)
+    with LateProgress(sys.stderr, "certifying") as progress:
+        certificate = certify(motion, progress=progress)
+    _show("", motion, certificate)
+    certificate.raise_if_violated()
+    say(f"certified; recomputed from {path}")
+
+
+@main.command()
+@click.argument("name", default="problem.yaml")
+def init(name: str) -> None:
+    """Write a commented problem file to start from, NAME.yaml."""
+    from hitchopt.cli.template import write_template
+
+    path = write_template(name)
+    say(f"wrote {path}; try: hitchopt solve {path}")
+
+
+def _show(title: str, motion: Motion, certificate: Certificate) -> None:
+    from hitchopt.cli.tables import certificate_table, phase_table
+
+    if title:
+        say(title)
+    say(phase_table(motion.phases))
+    say("")
+    say(certificate_table(certificate))
+    say("")
+
+
+def _check_rate(rate: float) -> None:
+    if not math.isfinite(rate) or not 0.0 < rate <= MAX_RATE:
+        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
+
+
+def _least_duration(problem: Problem) -> float:
+    """Return what the steps' own durations sum to [s]; the plan takes at least that long."""
+    from hitchopt.mission.problem import Hold
+
+    given = (step.seconds if isinstance(step, Hold) else step.duration for step in problem.mission)
+    return sum(seconds for seconds in given if seconds is not None)
+
+
+def _check_rows(rate: float, duration: float, robots: int) -> None:
+    rows = rate * duration * 2 * robots
+    if rows > MAX_ROWS:
+        raise InputError(
+            "--rate",
+            rate,
+            f"at most {MAX_ROWS / (duration * 2 * robots):.3g} Hz for a plan of {duration:g} s "
+            f"and {2 * robots} drones (it would write {rows:.3g} rows)",
+            "lower it, or shorten the plan",
+        )

@@ -1,0 +1,62 @@
+"""Errors to exit codes and to lines on stderr; nothing that a user can cause is a traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import click
+
+from hitchopt.errors import FileError, HitchoptError, InputError
+
+WRONG = 2
+"""The file or the usage is wrong in itself."""
+
+UNMET = 3
+"""Well-formed, but it cannot be met, or its certificate fails."""
+
+INTERRUPTED = 130
+"""As shells tell a process that ended by Ctrl-C."""
+
+
+class SafeGroup(click.Group):
+    """A group of commands whose errors end in a message and the right exit code."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; errors that hitchopt means to raise become its exit code."""
+        try:
+            return super().invoke(ctx)
+        except HitchoptError as error:
+            complain(error)
+            ctx.exit(exit_code(error))
+        except KeyboardInterrupt:
+            ctx.exit(INTERRUPTED)
+        except OSError as error:  # a full disk, a directory that may not be written
+            place = f"{error.filename}: " if error.filename else ""
+            say(f"error: {place}{error.strerror or error}; check the path and its disk", err=True)
+            ctx.exit(WRONG)
+
+
+def exit_code(error: HitchoptError) -> int:
+    """Return the exit code that tells a wrong file from a request that cannot be met."""
+    return WRONG if isinstance(error, InputError | FileError) else UNMET
+
+
+def complain(error: HitchoptError) -> None:
+    """Write every line of the error's message to stderr."""
+    for line in str(error).splitlines() or [type(error).__name__]:
+        say(f"error: {line}", err=True)
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Write a line, whatever the stream's encoding, and whether or not anyone still reads it."""
+    stream = sys.stderr if err else sys.stdout
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    try:
+        click.echo(text.encode(encoding, "replace").decode(encoding), err=err)
+    except BrokenPipeError:
+        # The reader has left (`| head`): the work and its exit code stay what they are.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,83 @@
+"""What a plan does and what its certificate says, as tables to read on a terminal or in a file."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from hitchopt.certificate.report import Certificate
+    from hitchopt.model.motion import Phase
+
+LEAST_WIDTH = 100
+"""Columns that nothing is cut to where no terminal tells its own width."""
+
+MOST_NAMES = 4
+"""Drones, cables or vertices shown of one check."""
+
+
+def phase_table(phases: Iterable[Phase]) -> str:
+    """Return the table of a plan's phases."""
+    table = _table("Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"])
+    for phase in phases:
+        times = (phase.start, phase.end, phase.end - phase.start)
+        table.add_row(Text(phase.name), str(phase.step), *(f"{t:.3f} s" for t in times))
+    return _rendered(table)
+
+
+def certificate_table(certificate: Certificate) -> str:
+    """Return the table of a certificate's checks, each with its worst value over all of time."""
+    table = _table("Certificate", [("check", "left")], ["worst", "limit"])
+    for name in ("unit", "where", "when", "holds"):
+        table.add_column(name, overflow="fold")
+    for check in certificate.checks:
+        relation = "≥" if check.sense == "min" else "≤"
+        table.add_row(
+            Text(check.name),
+            number(check.worst),
+            f"{relation} {number(check.limit)}",
+            Text("" if check.unit == "1" else check.unit),
+            Text(_names(check.where)),
+            f"{check.time:.3f} s" if math.isfinite(check.time) else "",
+            Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
+        )
+    return _rendered(table)
+
+
+def number(value: float) -> str:
+    """Return ``value`` in six significant digits; beyond all numbers it is infinite."""
+    if abs(value) >= sys.float_info.max:
+        return "inf" if value > 0 else "-inf"
+    return f"{value:.6g}"
+
+
+def _names(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:MOST_NAMES])
+    return f"{shown}, and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+
+
+def _table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, side in words:
+        table.add_column(name, justify="left" if side == "left" else "right", overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", overflow="fold")
+    return table
+
+
+def _rendered(table: Table) -> str:
+    terminal = sys.stdout.isatty()
+    width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
+    text = StringIO()
+    console = Console(file=text, width=width, force_terminal=terminal)
+    console.print(table)
+    return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())

@@ -1,0 +1,176 @@
+"""The user's side: plan, look, save, load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from hitchopt.certificate import Certificate, certify
+from hitchopt.export.directory import PLAN, SUMMARY, save_plan
+from hitchopt.export.plan_file import read_plan, read_title
+from hitchopt.export.sampling import States, states_at
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import Arena, Hitch, Limits, Separation
+from hitchopt.hitch.configuration import fitting_polygon
+from hitchopt.mission.loading import load_problem
+from hitchopt.mission.problem import Hold, Morph, Problem, leg_sharing
+from hitchopt.mission.solving import Kept, solve_problem, solve_steps
+from hitchopt.model.motion import Motion, Phase
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A certified motion of a hitch.
+
+    Attributes
+    ----------
+    motion: the polynomials, and what they keep.
+    certificate: its checks, valid for all t.
+    title: what the problem is called.
+    """
+
+    motion: Motion
+    certificate: Certificate
+    title: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Of all steps together [s]."""
+        return self.motion.duration
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The steps' spans of time, in order."""
+        return self.motion.phases
+
+    def at(self, t: ArrayLike) -> States:
+        """Return what drones and vertices do at times t (…) [s]: arrays of leading shape (…).
+
+        After its end a plan stays at rest where it ended.
+
+        Raises
+        ------
+        InputError: a time before the start, or one that is not finite.
+        """
+        return states_at(self.motion, t)
+
+    def save(
+        self, directory: Path | str, rate: float = 100.0, progress: Progress | None = None
+    ) -> Path:
+        """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
+
+        All of them or none, also if the process is killed; only files of these names are replaced.
+
+        Raises
+        ------
+        CertificateError: the certificate does not hold.
+        InputError: a rate that is not positive.
+        FileError: the directory cannot be written to.
+        """
+        from hitchopt.view.summary import save_summary
+
+        def draw(path: Path) -> None:
+            save_summary(path, self.motion, self.certificate, self.title)
+
+        def share(fraction: float) -> None:
+            if progress is not None:
+                progress(f"writing setpoints, {fraction:.0%}")
+
+        return save_plan(
+            directory, self.motion, self.certificate, self.title, rate, {SUMMARY: draw}, share
+        )
+
+
+def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:
+    """Return the certified plan of a problem, or of the problem file at a path.
+
+    Parameters
+    ----------
+    problem: what is to be flown.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    found = solve_problem(task, progress)
+    return Plan(found.motion, found.certificate, task.title)
+
+
+def morph(
+    start: Hitch,
+    polygon: ConvexPolygon | ArrayLike,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    legs: str | Sequence[float] | ArrayLike | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan from one hitch to another.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    polygon: the outline at the end, (n, 2) [m], clockwise.
+    limits, separation, arena: what is kept; defaults as in a problem file.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for the sharing nearest to the start's
+        fractions.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InputError: arguments that are wrong in themselves.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    sharing = None if legs is None else leg_sharing(legs, start.team)
+    step = Morph(fitting_polygon(start.team, polygon), sharing, duration)
+    return _planned(start, (step,), limits, separation, arena)
+
+
+def hold(
+    start: Hitch,
+    seconds: float,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+) -> Plan:
+    """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    return _planned(start, (Hold(seconds),), limits, separation, arena)
+
+
+def load(directory: Path | str) -> Plan:
+    """Return the plan in a directory, its certificate computed anew from its polynomials.
+
+    Raises
+    ------
+    FileError: no plan there, or one that is broken.
+    """
+    path = Path(directory) / PLAN
+    motion = read_plan(path)
+    return Plan(motion, certify(motion), read_title(path))
+
+
+def _planned(
+    start: Hitch,
+    steps: tuple[Morph | Hold, ...],
+    limits: Limits | None,
+    separation: Separation | None,
+    arena: Arena | None,
+) -> Plan:
+    kept = Kept(limits or Limits(), separation or Separation(), arena)
+    found = solve_steps(start, steps, kept)
+    return Plan(found.motion, found.certificate)

@@ -1,0 +1,35 @@
+"""What the README shows is what happens."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_prints_what_is_shown(tmp_path: Path) -> None:
+    blocks = re.findall(r"```(python|)\n(.*?)```", README, flags=re.DOTALL)
+    at = next(i for i, (language, _) in enumerate(blocks) if language == "python")
+    code, shown = blocks[at][1], blocks[at + 1][1]
+    assert len(code.strip().splitlines()) <= 15
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert done.stdout == shown
+
+
+def test_links_lead_to_files() -> None:
+    root = Path(__file__).parents[1]
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", README) if "://" not in link]
+    assert links
+    assert [link for link in links if not (root / link).exists()] == []
+
+
+def test_the_certificates_table_names_every_check() -> None:
+    from hitchopt.certificate.certify import CHECKS
+
+    rows = [line.split("|")[1] for line in README.splitlines() if line.startswith("| `")]
+    named = {name for row in rows for name in re.findall(r"`([a-z_]+)`", row)}
+    assert set(CHECKS) <= named
