@@ -11,7 +11,6 @@ from hitchopt.mission.random_morph import random_morph
 
 if __name__ == "__main__":
     robots, seed = (int(word) for word in sys.argv[1:3])
-    yaml = YAML(typ="safe", pure=True)
+    yaml = YAML()  # keeps the keys in their order
     yaml.default_flow_style = None
-    yaml.sort_base_mapping_type_on_output = False
     yaml.dump(random_morph(robots, seed), sys.stdout)

@@ -98,13 +98,14 @@ class Demands:
         smallest: Array = np.min(factor, axis=1)
         return smallest
 
-    def stretch(self, jerk: float) -> float:
+    def stretch(self) -> float:
         """Return how many times slower a flight must be to keep its limits, the parameter its time.
 
         Below 1 where it could be faster. Slowed by κ, velocities fall with κ, accelerations with
-        κ² and jerks, of which the largest is given [m/s³], with κ³.
+        κ² and jerks with κ³.
         """
         still = np.zeros((len(self.drones), 1))
+        jerk = np.max(np.linalg.norm(self.drones[..., 3], axis=-1))
         return float(
             max(
                 1.0 / np.sqrt(np.min(self.speed_bound)),

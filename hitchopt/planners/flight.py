@@ -32,11 +32,11 @@ FINEST = 240
 """Pieces at which refining for the model's sake ends."""
 
 FINAL_SHARE = 0.9995
-"""Share of the limits that the polynomials may use where they are sampled; the certificate,
-which looks at all of the time, has the rest to itself."""
+"""Share of the limits that the polynomials' enclosures may use; the certificate, which bounds
+them by other means, has the rest to itself."""
 
-PROBES = 16
-"""Samples per piece."""
+SPANS = 8
+"""Of a piece, on which its rates are enclosed: within about 0.1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,37 +170,54 @@ def _cable_error(path: StraightPath, flight: Flight) -> float:
 
 
 def _needed_stretch(path: StraightPath, limits: Limits, flight: Flight) -> float:
-    """Return how many times slower the flight must be to keep its limits where it is sampled."""
-    t = _probes(flight.drones.breaks, PROBES)
-    team = path.team
+    """Return how many times slower the flight must be to keep its limits.
+
+    Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
+    coefficients, which lie close to it on a short span of time.
+    """
+    breaks = flight.drones.breaks
+    factors = []
+    for piece in range(flight.drones.pieces):  # one at a time: a thousand robots fill the memory
+        h = breaks[piece + 1] - breaks[piece]
+        drones = _rates(flight.drones.coefficients[piece], h)
+        vertices = _rates(flight.vertices.coefficients[piece], h)
+        at = breaks[piece] + h * np.linspace(0.0, 1.0, len(drones))
+        demands = Demands(
+            drones,
+            np.max(np.linalg.norm(vertices[..., 1], axis=-1), axis=1),
+            _loads(path, flight, at),
+            path.team.mass,
+            path.team.max_thrust,
+            limits,
+            FINAL_SHARE,
+        )
+        factors.append(demands.stretch())
+    return max(factors)
+
+
+def _rates(coefficients: Array, h: float) -> Array:
+    """Return (SPANS · 8, items, 3, 4): coefficients of value, velocity, acceleration and jerk.
+
+    Of one piece of h seconds, (items, 3, 8), on each of its SPANS spans in turn.
+    """
+    orders = [coefficients]
+    for _ in range(3):
+        orders.append(bernstein.differentiate(orders[-1]) / h)
+    same = np.stack([bernstein.elevate(c, 7) for c in orders])
+    starts = np.arange(SPANS).reshape(SPANS, 1, 1) / SPANS
+    spans = bernstein.restrict(same[:, None], starts, starts + 1.0 / SPANS)
+    return spans.transpose(1, 4, 2, 3, 0).reshape(-1, *coefficients.shape[:2], 4)
+
+
+def _loads(path: StraightPath, flight: Flight, t: Array) -> Array:
+    """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
     p, drones = flight.vertices.at(t), flight.drones.at(t)
     anchors = np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(drones.shape)
     legs = drones - anchors
     directions = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
     forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
-    forces[..., 2] -= team.cable_weight
-    demands = Demands(
-        np.stack([drones, *(flight.drones.at(t, order) for order in (1, 2, 3))], axis=-1),
-        np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1), axis=1),
-        loads_at_rest(team, forces),
-        team.mass,
-        team.max_thrust,
-        limits,
-        FINAL_SHARE,
-    )
-    return demands.stretch(_largest_jerk(flight))
-
-
-def _largest_jerk(flight: Flight) -> float:
-    """Return an upper bound of all drones' jerk [m/s³], tight to about 0.1 %.
-
-    Jerk changes fastest, so it is bounded rather than sampled: a vector polynomial's coefficients
-    enclose it, the closer the shorter the piece.
-    """
-    pieces = [flight.drones.differentiated(3).coefficients]
-    for _ in range(3):
-        pieces = [half for piece in pieces for half in bernstein.halve(piece)]
-    return max(float(np.max(np.linalg.norm(piece, axis=-2))) for piece in pieces)
+    forces[..., 2] -= path.team.cable_weight
+    return loads_at_rest(path.team, forces)
 
 
 def _probes(breaks: Array, count: int) -> Array:

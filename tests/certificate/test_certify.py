@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certificate_cases import moving, random_motion, still, with_drones, with_parts
+from certificate_cases import convex_polygon, moving, random_motion, still, with_drones, with_parts
 from certificate_sampling import sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -57,6 +57,39 @@ def assert_sound_and_tight(motion: Motion, samples: int, gap: float = 1e-2) -> N
 def test_no_sample_beats_a_bound_and_bounds_are_tight(n: int, seed: int) -> None:
     motion = random_motion(n, seed, arena=ARENA)
     assert_sound_and_tight(motion, 4001 if n < 8 else 401)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 100_000))
+def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, pieces, order = (int(rng.integers(*span)) for span in ((3, 7), (1, 4), (1, 9)))
+    breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2.0, pieces))])
+    wild = 10.0 ** rng.uniform(-3.0, 0.7)
+    vertices = np.column_stack([convex_polygon(n, rng, rng.uniform(-3.0, 3.0, 2)), np.ones(n)])
+    drones = np.repeat(vertices, 2, axis=0) + 0.5 * rng.normal(size=(2 * n, 3))
+
+    def around(places: np.ndarray) -> PiecewisePolynomial:
+        noise = wild * rng.normal(size=(pieces, *places.shape, order + 1))
+        return PiecewisePolynomial(breaks, places[..., None] + noise)
+
+    motion = Motion(
+        Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
+        Limits(),
+        Separation(),
+        ARENA,
+        around(drones),
+        around(vertices),
+        PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
+        PiecewisePolynomial(breaks, rng.uniform(0.2, 0.8, (pieces, n, 3))),
+        (),
+    )
+    found = sampled(motion, np.linspace(0.0, motion.duration, 2001))
+    for check in certify(motion).checks:
+        if check.name in found:
+            worst, value = measured(check), found[check.name]
+            outside = value - worst if check.sense == "min" else worst - value
+            assert outside >= 0.0, f"{check.name}: {worst} is beaten by a sample of {value}"
 
 
 def test_thousands_of_samples_with_tensions_weights_and_masses_that_differ() -> None:

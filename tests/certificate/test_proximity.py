@@ -2,17 +2,17 @@
 
 import itertools
 import math
-import time
+from typing import Any
 
 import numpy as np
 import pytest
-from certificate_cases import fitted, moving, random_motion, still
+from certificate_cases import fitted, moving, random_motion, smooth_step, still
 from certificate_sampling import sampled, segment_to_segment
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.certificate import certify, proximity
-from hitchopt.certificate.broadphase import Boxes, all_pairs, close_pairs
+from hitchopt.certificate.broadphase import Boxes, Pairs, all_pairs, close_pairs
 from hitchopt.certificate.certify import CHECKS
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.geometry import regular_polygon
@@ -167,24 +167,33 @@ def test_two_thousand_drones_at_rest_show_what_all_pairs_show() -> None:
     assert certificate.certified
 
 
-def test_cost_grows_about_in_step_with_the_drones() -> None:
-    def seconds(n: int) -> float:
-        base = regular_polygon(n, 1.3).vertices
+def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed: list[int] = []
+
+    def counted(*given: Any) -> Pairs | None:
+        pairs = close_pairs(*given)
+        listed.append(0 if pairs is None else len(pairs))
+        return pairs
+
+    monkeypatch.setattr(proximity, "close_pairs", counted)
+
+    def count(n: int) -> int:
+        base = regular_polygon(n, 1.3).vertices  # where all neighbours are equally near
+        across = np.array([3.0, 1.5])
         motion = moving(
             Team(n, 2.0),
-            lambda t: base + 0.2 * t[:, None, None] * np.array([1.0, 0.5]),
+            lambda t: base + smooth_step(t / 4.0)[:, None, None] * across,
             np.full(n, 0.3),
             pieces=4,
         )
-        best = math.inf
-        for _ in range(2):
-            start = time.process_time()
-            for name in ("separation", "cable_clearance", "crossing"):
-                CHECKS[name](motion)
-            best = min(best, time.process_time() - start)
-        return best
+        listed.clear()
+        for name in ("separation", "cable_clearance", "crossing"):
+            CHECKS[name](motion)
+        return sum(listed)
 
-    assert seconds(1600) < 16.0 * seconds(200)  # all pairs would take 64 times as long
+    few, many = count(100), count(800)
+    assert few >= 4 * 100  # at least one pair a robot and piece: else nothing was looked at
+    assert many < 10 * few  # all pairs would be 64 times as many
 
 
 def test_a_curved_path_between_two_posts() -> None:

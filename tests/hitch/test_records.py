@@ -18,7 +18,7 @@ from hitchopt import (
     UnsupportedError,
 )
 
-TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
+TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ def fractions_of_time(plan: ho.Plan, count: int = 41) -> np.ndarray:
 
 def test_the_script_of_the_interface_works() -> None:
     team = ho.Team(robots=3, cable_length=2.4)
-    start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
-    plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]], limits=ho.Limits(speed=0.8))
+    start = ho.Hitch.spread(team, TRIANGLE, altitude=1.0)
+    plan = ho.morph(start, PULLED_IN, limits=ho.Limits(speed=0.8))
     plan.certificate.raise_if_violated()
     assert plan.certificate["speed"].limit == 0.8
     np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-9)

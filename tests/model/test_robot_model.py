@@ -39,7 +39,8 @@ def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJet
         jet = np.zeros((len(t), *value.shape, 4))
         jet[..., 0] = value
         coefficients = size * rng.normal(size=(3, *value.shape))
-        return jet + np.einsum("c...,ctk->t...k", coefficients, powers)
+        jet += np.einsum("c...,ctk->t...k", coefficients, powers)
+        return jet
 
     tensions = moving(h.team.tension, 0.02 if tensions_move else 0.0)
     return FlatJets(moving(h.vertices, 0.1), moving(h.q_legs, 0.05), tensions)
@@ -80,10 +81,7 @@ def test_every_derivative_of_every_output_by_finite_differences(
     for rows, columns in shapes:
         parts.append(ca.reshape(symbol[first : first + rows * columns], rows, columns))
         first += rows * columns
-    outputs = function(*parts)
-    stacked = ca.vertcat(
-        *(ca.vec(o) for o in (outputs if isinstance(outputs, tuple) else [outputs]))
-    )
+    stacked = ca.vertcat(*(ca.vec(output) for output in function.call(parts)))
     value = ca.Function("value", [symbol], [stacked])
     exact = np.asarray(ca.Function("jacobian", [symbol], [ca.jacobian(stacked, symbol)])(flat))
     step = 1e-5

@@ -53,9 +53,9 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
     team = Team(4, 6.0)
     first = [[1.0, 1.0], [1.0, 2.0], [2.0, 0.0], [2.0, -1.0]]
     second = [[1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
-    hitches = [Hitch.balanced(team, p) for p in (first, second)]
+    start, end = (Hitch.balanced(team, p) for p in (first, second))
     with pytest.raises(InfeasibleError, match="convexity") as caught:
-        straight_morph(*hitches, Limits(), Separation())
+        straight_morph(start, end, Limits(), Separation())
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
     assert violation.where[0].startswith("p")
@@ -70,19 +70,19 @@ def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:
     lengths = [np.linalg.norm(np.diff(p, axis=0)[1]) for p in (first, middle, second)]
     short = Team(4, [2.2, float(max(lengths[0], lengths[2])) + 1e-4, 2.2, 2.2])
     assert lengths[1] < max(lengths[0], lengths[2])
-    hitches = [Hitch.balanced(short, p) for p in (first, second)]
+    start, end = (Hitch.balanced(short, p) for p in (first, second))
     with pytest.raises(InfeasibleError, match="cable 1 leaves"):
-        straight_morph(*hitches, Limits(), Separation())
+        straight_morph(start, end, Limits(), Separation())
 
 
 def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
     weak = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.35))  # hovering needs 1.356 N
-    hitches = [Hitch.spread(weak, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]])]
+    start, end = (Hitch.spread(weak, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
     with pytest.raises(InfeasibleError, match="thrust") as caught:
-        straight_morph(*hitches, Limits(), Separation())
+        straight_morph(start, end, Limits(), Separation())
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(np.hypot(0.132 * 9.81, 0.4), rel=1e-9)
     strong = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.37))
-    hitches = [Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]])]
-    flight = straight_morph(*hitches, Limits(), Separation())
+    start, end = (Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
+    flight = straight_morph(start, end, Limits(), Separation())
     assert flight is not None

@@ -1,0 +1,87 @@
+"""How long a straight morph of a regular n-gon takes to plan, certify and write, and where.
+
+Usage: python -m benchmarks.morph [ROBOTS …] [--profile]
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import platform
+import pstats
+import resource
+import tempfile
+import time
+from importlib import metadata
+
+import numpy as np
+
+import hitchopt as ho
+from hitchopt.planners.demands import Demands
+from hitchopt.planners.path import StraightPath
+from hitchopt.planners.timing import fastest_profile
+
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra")
+FINE = 1001
+
+
+def problem(n: int) -> tuple[ho.Hitch, ho.ConvexPolygon, ho.Separation]:
+    """Return a regular n-gon with edges of 1.3 m to be scaled to 1.35 m and shifted by 0.3 m.
+
+    Cables of 2 m. Clearances are asked for as the geometry allows: a drone stands about
+    ``e sin(2π/n)`` from its neighbour's cable.
+    """
+    clearance = min(0.10, 0.15 * float(np.sin(2.0 * np.pi / n)))
+    separation = ho.Separation(cable=clearance, crossing=min(0.05, clearance))
+    start = ho.Hitch.spread(ho.Team(n, 2.0), ho.regular_polygon(n, 1.3), separation=separation)
+    return start, ho.regular_polygon(n, 1.35).translated([0.3, 0.0]), separation
+
+
+def measure(n: int) -> str:
+    """Return a row of the table."""
+    start, goal, separation = problem(n)
+    began = time.perf_counter()
+    plan = ho.morph(start, goal, separation=separation)
+    planned = time.perf_counter()
+    ho.certify(plan.motion)
+    certified = time.perf_counter()
+    with tempfile.TemporaryDirectory() as place:
+        plan.save(place)
+        written = time.perf_counter()
+    end = ho.Hitch(start.team, goal, 1.0, plan.at(plan.duration).legs[:, 0])
+    path = StraightPath.between(start, end)
+    s = np.linspace(0.0, 1.0, FINE)
+    flat, drones = path.flat(s), path.drones(s)
+    optimum = fastest_profile(s, Demands.of(start.team, ho.Limits(), flat, drones)).duration
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return (
+        f"{n:6d} {plan.motion.drones.pieces:7d} {planned - began:10.2f} {certified - planned:12.2f}"
+        f" {written - certified:9.2f} {plan.duration:11.3f} {optimum:11.3f} {memory:10.0f}"
+    )
+
+
+def main() -> None:
+    """Print machine, versions, settings, then one row per n."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", type=int, nargs="*", default=[3, 10, 30, 100, 300])
+    parser.add_argument(
+        "--profile", action="store_true", help="show where the last one's time goes"
+    )
+    arguments = parser.parse_args()
+    print(f"{platform.machine()}, {platform.processor() or platform.system()}", end="; ")
+    print(", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES))
+    print("one run each, in one process; certificate within 1e-4; setpoints at 100 Hz")
+    print("toppra: its optimum on a grid of 1000 steps, without a jerk limit")
+    print("     n  pieces   plan [s]  certify [s]  write [s]  flight [s]  toppra [s]  peak [MB]")
+    ho.morph(*problem(3)[:2])  # what is imported and compiled once is not timed
+    for n in arguments.robots:
+        print(measure(n), flush=True)
+    if arguments.profile:
+        start, goal, separation = problem(arguments.robots[-1])
+        profile = cProfile.Profile()
+        profile.runcall(ho.morph, start, goal, separation=separation)
+        pstats.Stats(profile).sort_stats("tottime").print_stats(25)
+
+
+if __name__ == "__main__":
+    main()
