@@ -18,7 +18,7 @@ import numpy as np
 
 import hitchopt as ho
 from hitchopt.planners.demands import Demands
-from hitchopt.planners.path import StraightPath
+from hitchopt.planners.path import ShapePath, drones_along
 from hitchopt.planners.timing import fastest_profile
 
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra")
@@ -49,9 +49,9 @@ def measure(n: int) -> str:
         plan.save(place)
         written = time.perf_counter()
     end = ho.Hitch(start.team, goal, 1.0, plan.at(plan.duration).legs[:, 0])
-    path = StraightPath.between(start, end)
+    path = ShapePath.straight(start, end)
     s = np.linspace(0.0, 1.0, FINE)
-    flat, drones = path.flat(s), path.drones(s)
+    flat, drones = path.flat(s), drones_along(path, s)
     optimum = fastest_profile(s, Demands.of(start.team, ho.Limits(), flat, drones)).duration
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return (

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Limits
+from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands, loads_at_rest
 from hitchopt.planners.jets import chained
-from hitchopt.planners.path import StraightPath
+from hitchopt.planners.path import Path
 from hitchopt.planners.timing import SpeedProfile, fastest_profile
 from hitchopt.planners.warp import Clock, first_clock, jerk_limited
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -85,7 +86,7 @@ class Flight:
         )
 
 
-def fly(path: StraightPath, limits: Limits, duration: float | None = None) -> Flight:
+def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     """Return the flight along a path, from rest to rest.
 
     Parameters
@@ -101,7 +102,8 @@ def fly(path: StraightPath, limits: Limits, duration: float | None = None) -> Fl
     """
 
     def demands_at(s: Array) -> Demands:
-        return Demands.of(path.team, limits, path.flat(s), path.drones(s))
+        flat = path.flat(s)
+        return Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
 
     grid = np.linspace(0.0, 1.0, GRID + 1)
     profile = fastest_profile(grid, demands_at(grid))
@@ -138,12 +140,13 @@ def fly(path: StraightPath, limits: Limits, duration: float | None = None) -> Fl
     return flight.lasting(duration)
 
 
-def _polynomials(path: StraightPath, clock: Clock, profile: SpeedProfile) -> Flight:
+def _polynomials(path: Path, clock: Clock, profile: SpeedProfile) -> Flight:
     """Return polynomials that meet value, velocity, acceleration and jerk at every break."""
     breaks, progress = clock.breaks, clock.jets()
     s = np.clip(progress[:, 0], 0.0, 1.0)
     s[0], s[-1] = 0.0, 1.0
-    flat, drones = path.flat(s), path.drones(s)
+    flat = path.flat(s)
+    drones = drone_jets(path.team, flat)
     legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
 
     def timed(jets: Array) -> PiecewisePolynomial:
@@ -156,7 +159,7 @@ def _polynomials(path: StraightPath, clock: Clock, profile: SpeedProfile) -> Fli
     return Flight(timed(drones.positions), timed(flat.vertices), timed(legs), tensions, profile)
 
 
-def _cable_error(path: StraightPath, flight: Flight) -> float:
+def _cable_error(path: Path, flight: Flight) -> float:
     """Return the largest relative error of a cable's length at samples between the breaks."""
     t = _probes(flight.drones.breaks, 5)
     p, drones = flight.vertices.at(t), flight.drones.at(t)
@@ -169,7 +172,7 @@ def _cable_error(path: StraightPath, flight: Flight) -> float:
     return float(np.max(np.abs(length / path.team.cable_length - 1.0)))
 
 
-def _needed_stretch(path: StraightPath, limits: Limits, flight: Flight) -> float:
+def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
     """Return how many times slower the flight must be to keep its limits.
 
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
@@ -209,7 +212,7 @@ def _rates(coefficients: Array, h: float) -> Array:
     return spans.transpose(1, 4, 2, 3, 0).reshape(-1, *coefficients.shape[:2], 4)
 
 
-def _loads(path: StraightPath, flight: Flight, t: Array) -> Array:
+def _loads(path: Path, flight: Flight, t: Array) -> Array:
     """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
     p, drones = flight.vertices.at(t), flight.drones.at(t)
     anchors = np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(drones.shape)

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Arena, Limits, Separation
 from hitchopt.hitch.sharing import SharingTask, measured, share
-from hitchopt.planners.path import StraightPath
+from hitchopt.planners.path import LegLaw, ShapePath, legs_along, polygons_along
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -40,54 +40,49 @@ class KeptDistances:
     arena: Arena | None
 
 
-def with_legs_clear(path: StraightPath, kept: KeptDistances) -> StraightPath:
+def with_legs_clear(path: ShapePath, kept: KeptDistances) -> ShapePath:
     """Return the path with the legs shared so that distances hold on the way.
 
-    The fractions change linearly where that will do. Else they are chosen at knots, all at once,
-    nearest to linear; where none is found the linear law is returned, for the certificate to tell
+    The path's own law is kept where it will do. Else legs are chosen at knots, all at once, nearest
+    to that law's; where none is found the path is returned as it is, for the certificate to tell
     what it breaks.
     """
-    if _clear(path, kept):
+    if legs_clear(path, kept):
         return path
-    ends = path.fractions.at(np.array([0.0, 1.0]))
     for count in KNOTS:
         s = np.linspace(0.0, 1.0, count)
-        linear = ends[0] + s[:, None] * (ends[1] - ends[0])
-        task = _task(path, kept, s, linear, MARGIN)
+        task = sharing_task(path, kept, s, MARGIN)
         found = share(task)
         if found.margin < MARGIN * (1.0 - 1e-6):
             if found.margin < 1.0:
                 return path
             continue
-        fractions = found.q_legs / task.slack
-        law = StraightPath(path.team, path.start, path.end, _spline(s, fractions))
-        if _clear(law, kept):
-            return law
+        law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack))
+        changed = ShapePath(path.team, path.vertices, law)
+        if legs_clear(changed, kept):
+            return changed
     return path
 
 
-def _clear(path: StraightPath, kept: KeptDistances) -> bool:
+def legs_clear(path: ShapePath, kept: KeptDistances) -> bool:
+    """Return whether legs are long enough and distances kept at the probes."""
     s = np.linspace(0.0, 1.0, PROBES)
-    task = _task(path, kept, s, path.fractions.at(s), CLEAR)
-    legs = np.stack([task.reference, task.slack - task.reference])
+    legs = legs_along(path, s)
     # The ends are what was asked for; whether they hold is told apart from the way.
-    return float(np.min(legs[:, 1:-1])) >= kept.limits.leg and measured(task) >= CLEAR
+    long_enough = float(np.min(legs[1:-1])) >= kept.limits.leg
+    return long_enough and measured(sharing_task(path, kept, s, CLEAR)) >= CLEAR
 
 
-def _task(
-    path: StraightPath, kept: KeptDistances, s: Array, fractions: Array, margin: float
-) -> SharingTask:
-    polygons = path.polygons(s)
-    edges = np.roll(polygons, -1, axis=1) - polygons
-    slack = path.team.cable_length - np.linalg.norm(edges, axis=-1)
+def sharing_task(path: ShapePath, kept: KeptDistances, s: Array, margin: float) -> SharingTask:
+    """Return the task of sharing the legs at the points s (J,) of a path, the ends fixed."""
     fixed = np.zeros(len(s), dtype=np.bool_)
     fixed[[0, -1]] = True
     return SharingTask(
         path.team,
         kept.separation,
         kept.arena,
-        polygons,
-        fractions * slack,
+        polygons_along(path, s),
+        legs_along(path, s)[..., 0],
         kept.limits.leg,
         margin,
         ROUGHNESS,

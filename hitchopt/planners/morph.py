@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Arena, Hitch, Limits, Separation
-from hitchopt.planners.demands import Demands
+from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances, with_legs_clear
-from hitchopt.planners.path import StraightPath
-
-Array = NDArray[np.float64]
+from hitchopt.planners.path import ShapePath
 
 STILL = 1e-9
 """[m] A morph whose drones move by less is none."""
-
-FLATTEST = math.radians(0.01)
-"""[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
-
-SHORTEST_LEG = 1e-3
-"""[m] A shorter leg on the way has no direction to speak of."""
-
-PROBES = 401
-"""Points of the path at which it is looked at before it is timed."""
 
 
 def straight_morph(
@@ -50,87 +35,8 @@ def straight_morph(
     """
     if np.max(np.abs(end.drones - start.drones)) < STILL:
         return None
-    path = StraightPath.between(start, end)
-    _check_shapes(path)
+    path = ShapePath.straight(start, end)
+    check_shapes(path)
     path = with_legs_clear(path, KeptDistances(limits, separation, arena))
-    _check_loads(path, limits)
+    check_loads(path, limits)
     return fly(path, limits, duration)
-
-
-def _check_shapes(path: StraightPath) -> None:
-    """Raise InfeasibleError where the path has no hitch to fly."""
-    s = np.linspace(0.0, 1.0, PROBES)
-    polygons = path.polygons(s)
-    edges = np.roll(polygons, -1, axis=1) - polygons
-    behind = np.roll(edges, 1, axis=1)
-    right = behind[..., 1] * edges[..., 0] - behind[..., 0] * edges[..., 1]
-    angles = np.arctan2(right, np.sum(behind * edges, axis=-1))
-    if np.min(angles) < FLATTEST:
-        k = int(np.argmin(np.min(angles, axis=0)))
-        first = int(np.argmax(angles[:, k] < FLATTEST))
-        raise InfeasibleError(
-            [
-                Violation(
-                    "convexity",
-                    math.degrees(float(np.min(angles))),
-                    math.degrees(FLATTEST),
-                    "min",
-                    "deg",
-                    (f"p{k}",),
-                    f"from {s[first]:.0%} of the way on",
-                    "the straight way is shut: go by a polygon in between, in two morphs",
-                )
-            ]
-        )
-    slack = path.team.cable_length - np.linalg.norm(edges, axis=-1)
-    shares = path.fractions.at(s)
-    legs = np.stack([slack * shares, slack * (1.0 - shares)], axis=-1)
-    if np.min(legs) < SHORTEST_LEG:
-        j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
-        raise InfeasibleError(
-            [
-                Violation(
-                    "legs",
-                    float(legs[j, at, end]),
-                    SHORTEST_LEG,
-                    "min",
-                    "m",
-                    (f"{'qr'[end]}{at}",),
-                    f"at {s[j]:.0%} of the way",
-                    f"cable {at} leaves {slack[j, at]:.6g} m for both legs there: lengthen it",
-                )
-            ]
-        )
-
-
-def _check_loads(path: StraightPath, limits: Limits) -> None:
-    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
-    s = np.linspace(0.0, 1.0, PROBES)
-    demands = Demands.of(path.team, limits, path.flat(s), path.drones(s))
-    names = path.team.drone_names
-    for name, unit, ratios, scale, remedy in (
-        ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),
-        (
-            "tilt",
-            "deg",
-            demands.at_rest()[1],
-            np.full(len(names), math.degrees(limits.tilt)),
-            "allow more tilt, or use heavier drones",
-        ),
-    ):
-        j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
-        if ratios[j, i] >= demands.share:
-            raise InfeasibleError(
-                [
-                    Violation(
-                        name,
-                        float(ratios[j, i] * scale[i]),
-                        float(demands.share * scale[i]),
-                        "max",
-                        unit,
-                        (names[i],),
-                        f"at rest at {s[j]:.0%} of the way, with nothing left to move by",
-                        f"{remedy}, or lower team.tension",
-                    )
-                ]
-            )

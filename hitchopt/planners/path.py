@@ -1,8 +1,9 @@
-"""A geometric path of a hitch: flat outputs over a parameter s from 0 to 1, not yet timed."""
+"""Geometric paths of a hitch: flat outputs over a parameter s from 0 to 1, not yet timed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,49 +17,99 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 
+class Path(Protocol):
+    """What can be timed and flown."""
+
+    @property
+    def team(self) -> Team:
+        """Whose cables."""
+
+    def flat(self, s: Array) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,)."""
+
+
+def drones_along(path: Path, s: Array) -> DroneJets:
+    """Return the drones' jets by s at s (J,)."""
+    return drone_jets(path.team, path.flat(s))
+
+
 @dataclass(frozen=True, eq=False)
-class StraightPath:
-    """Every vertex goes straight to its place; legs follow a law of their fractions.
+class LegLaw:
+    """How q-legs follow from what the edges leave of their cables: ``d = length + share · slack``.
+
+    A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
+
+    Attributes
+    ----------
+    length: of shape (n,) over s [m].
+    share: of shape (n,) over s.
+    """
+
+    length: PiecewisePolynomial
+    share: PiecewisePolynomial
+
+    @classmethod
+    def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
+        """Return the law under which ``d_k / (d_k + e_k)`` is as given, (n,) over s."""
+        nothing = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
+        return cls(nothing, fractions)
+
+    def q_legs(self, s: Array, slack: Array) -> Array:
+        """Return the jets (J, n, 4) of ``d`` for those of the slack."""
+        length, share = (
+            np.stack([part.at(s, order) for order in range(JET)], axis=-1)
+            for part in (self.length, self.share)
+        )
+        return length + jets.product(share, slack)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePath:
+    """Vertices on polynomials of s, legs by a law.
 
     Attributes
     ----------
     team: whose cables.
-    start, end: (n, 3) [m], the vertices at s = 0 and s = 1.
-    fractions: of shape (n,) over s in [0, 1]: ``d_k / (d_k + e_k)``.
+    vertices: of shape (n, 3) over s in [0, 1] [m].
+    legs: the law of the q-legs.
     """
 
     team: Team
-    start: Array
-    end: Array
-    fractions: PiecewisePolynomial
+    vertices: PiecewisePolynomial
+    legs: LegLaw
 
     @classmethod
-    def between(cls, start: Hitch, end: Hitch) -> StraightPath:
-        """Return the path on which the fractions change linearly with s."""
-        line = np.stack([start.fractions, end.fractions], axis=-1)
-        fractions = PiecewisePolynomial(np.array([0.0, 1.0]), line[None])
-        return cls(start.team, start.vertices, end.vertices, fractions)
+    def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
+        """Return the path on which vertices go straight and fractions change linearly with s."""
+        whole = np.array([0.0, 1.0])
+        vertices = np.stack([start.vertices, end.vertices], axis=-1)
+        fractions = np.stack([start.fractions, end.fractions], axis=-1)
+        return cls(
+            start.team,
+            PiecewisePolynomial(whole, vertices[None]),
+            LegLaw.of_fractions(PiecewisePolynomial(whole, fractions[None])),
+        )
 
     def flat(self, s: Array) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,)."""
-        count, n = len(s), self.team.robots
-        vertices = np.zeros((count, n, 3, JET))
-        vertices[..., 0] = self.start + s[:, None, None] * (self.end - self.start)
-        vertices[..., 1] = self.end - self.start
+        vertices = np.stack([self.vertices.at(s, order) for order in range(JET)], axis=-1)
         edges = np.roll(vertices, -1, axis=1) - vertices
-        lengths = jets.square_root(np.sum(jets.product(edges, edges), axis=2))
-        slack = -lengths
+        slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += self.team.cable_length
-        fractions = np.stack([self.fractions.at(s, order) for order in range(JET)], axis=-1)
-        tensions = np.zeros((count, n, JET))
+        tensions = np.zeros((len(s), self.team.robots, JET))
         tensions[..., 0] = self.team.tension
-        return FlatJets(vertices, jets.product(fractions, slack), tensions)
+        return FlatJets(vertices, self.legs.q_legs(s, slack), tensions)
 
-    def drones(self, s: Array) -> DroneJets:
-        """Return the drones' jets by s at s (J,)."""
-        return drone_jets(self.team, self.flat(s))
 
-    def polygons(self, s: Array) -> Array:
-        """Return the vertices in plan view at s (J,), as (J, n, 2) [m]."""
-        line = self.start + s[:, None, None] * (self.end - self.start)
-        return line[..., :2]
+def legs_along(path: Path, s: Array) -> Array:
+    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m]; negative where a cable is too short."""
+    flat = path.flat(s)
+    vertices, q_legs = flat.vertices[..., 0], flat.q_legs[..., 0]
+    edges = np.linalg.norm(np.roll(vertices, -1, axis=1) - vertices, axis=-1)
+    return np.stack([q_legs, path.team.cable_length - edges - q_legs], axis=-1)
+
+
+def polygons_along(path: Path, s: Array) -> Array:
+    """Return the vertices in plan view at s (J,), as (J, n, 2) [m]."""
+    polygons: Array = path.flat(s).vertices[:, :, :2, 0]
+    return polygons

@@ -5,17 +5,17 @@ import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.sharing import measured
-from hitchopt.planners.leg_law import KeptDistances, _task, with_legs_clear
+from hitchopt.planners.leg_law import KeptDistances, sharing_task, with_legs_clear
 from hitchopt.planners.morph import straight_morph
-from hitchopt.planners.path import StraightPath
+from hitchopt.planners.path import ShapePath, legs_along
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 KEPT = KeptDistances(Limits(), Separation(), None)
 
 
-def distances_on_the_way(path: StraightPath) -> float:
+def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return measured(_task(path, KEPT, s, path.fractions.at(s), 1.0))
+    return measured(sharing_task(path, KEPT, s, 1.0))
 
 
 def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
@@ -23,12 +23,12 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     team = Team(3, 2.4)
     start = Hitch.spread(team, TRIANGLE)
     end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
-    linear = StraightPath.between(start, end)
+    linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
     clear = with_legs_clear(linear, KEPT)
     assert distances_on_the_way(clear) >= 1.0
-    np.testing.assert_allclose(clear.fractions.at(0.0), start.fractions, atol=1e-9)
-    np.testing.assert_allclose(clear.fractions.at(1.0), end.fractions, atol=1e-9)
+    legs = legs_along(clear, np.array([0.0, 1.0]))
+    np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
     flight = straight_morph(start, end, Limits(), Separation())
     assert flight is not None
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
@@ -39,7 +39,7 @@ def test_a_linear_law_is_kept_where_it_will_do() -> None:
     start = Hitch.spread(team, TRIANGLE)
     wide = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
     end = Hitch.nearest(team, wide, 1.0, start.fractions, limits=Limits(), separation=Separation())
-    path = StraightPath.between(start, end)
+    path = ShapePath.straight(start, end)
     assert with_legs_clear(path, KEPT) is path
 
 

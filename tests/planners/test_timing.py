@@ -12,7 +12,7 @@ from hitchopt.geometry import random_convex_polygon, regular_polygon
 from hitchopt.planners import jets
 from hitchopt.planners.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.path import StraightPath
+from hitchopt.planners.path import ShapePath, drones_along
 from hitchopt.planners.timing import acceleration_rows, fastest_profile
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
@@ -41,7 +41,7 @@ def test_jet_arithmetic_is_that_of_polynomials(seed: int, t: float) -> None:
 
 def straight(
     n: int, seed: int, limits: Limits, offset: tuple[float, float] | None = None
-) -> StraightPath:
+) -> ShapePath:
     """A random morph, or a rigid shift by ``offset``."""
     rng = np.random.default_rng(seed)
     first = random_convex_polygon(n, 1.0, rng)
@@ -53,12 +53,12 @@ def straight(
     team = Team(n, 2.2, tension=rng.uniform(0.38, 0.42, n))
     start = Hitch.balanced(team, first)
     end = Hitch.nearest(team, second, 1.0, start.fractions, limits=limits, separation=Separation())
-    return StraightPath.between(start, end)
+    return ShapePath.straight(start, end)
 
 
-def demands(path: StraightPath, limits: Limits, count: int = 201) -> Demands:
+def demands(path: ShapePath, limits: Limits, count: int = 201) -> Demands:
     s = np.linspace(0.0, 1.0, count)
-    return Demands.of(path.team, limits, path.flat(s), path.drones(s))
+    return Demands.of(path.team, limits, path.flat(s), drones_along(path, s))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
@@ -112,17 +112,18 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     assert optimum <= flight.duration <= 1.02 * optimum
 
 
-def worst_ratio(path: StraightPath, limits: Limits, flight: Flight) -> dict[str, float]:
+def worst_ratio(path: ShapePath, limits: Limits, flight: Flight) -> dict[str, float]:
     """Largest share of each limit in use, sampled, forces through the model."""
     t = np.linspace(0.0, flight.duration, 4001)
     v, a, j = (np.linalg.norm(flight.drones.at(t, k), axis=-1).max() for k in (1, 2, 3))
     vertex = np.linalg.norm(flight.vertices.at(t, 1), axis=-1).max()
-    along = path.end - path.start
+    first, last = path.vertices.at([0.0, 1.0])
+    along = last - first
     k = int(np.argmax(np.linalg.norm(along, axis=1)))
-    s = (flight.vertices.at(t)[:, k] - path.start[k]) @ along[k] / (along[k] @ along[k])
+    s = (flight.vertices.at(t)[:, k] - first[k]) @ along[k] / (along[k] @ along[k])
     force = (
         path.team.mass[:, None] * (flight.drones.at(t, 2) + [0.0, 0.0, 9.81])
-        - path.drones(np.clip(s, 0.0, 1.0)).cable_forces
+        - drones_along(path, np.clip(s, 0.0, 1.0)).cable_forces
     )
     tilt = np.arctan2(np.hypot(force[..., 0], force[..., 1]), force[..., 2]).max()
     thrust = (np.linalg.norm(force, axis=-1) / path.team.max_thrust).max()
@@ -156,7 +157,7 @@ def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
     assert max(ratios.values()) <= 1.0
     assert ratios[binding] >= 0.985
     fine = np.linspace(0.0, 1.0, 1001)
-    exact = Demands.of(path.team, limits, path.flat(fine), path.drones(fine))
+    exact = Demands.of(path.team, limits, path.flat(fine), drones_along(path, fine))
     optimum = fastest_profile(fine, exact).duration
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
@@ -185,11 +186,12 @@ def test_the_flight_is_smooth_at_rest_at_its_ends_and_follows_the_model() -> Non
             np.testing.assert_allclose(part.at([0.0, flight.duration], order), 0.0, atol=1e-9)
     t = np.linspace(0.0, flight.duration, 501)
     p = flight.vertices.at(t)
-    along = path.end - path.start
-    s = np.einsum("tkc,kc->tk", p - path.start, along) / np.sum(along**2, axis=1)
+    first, last = path.vertices.at([0.0, 1.0])
+    along = last - first
+    s = np.einsum("tkc,kc->tk", p - first, along) / np.sum(along**2, axis=1)
     np.testing.assert_allclose(s, s[:, :1] * np.ones(5), atol=1e-9)  # all at one pace, straight
-    np.testing.assert_allclose(p, path.start + s[..., None] * along, atol=1e-9)
-    exact = path.drones(np.clip(s[:, 0], 0.0, 1.0))
+    np.testing.assert_allclose(p, first + s[..., None] * along, atol=1e-9)
+    exact = drones_along(path, np.clip(s[:, 0], 0.0, 1.0))
     np.testing.assert_allclose(flight.drones.at(t), exact.positions[..., 0], atol=2e-6)
     np.testing.assert_allclose(flight.legs.at(t)[..., 1], exact.r_legs[..., 0], atol=2e-6)
 
@@ -222,5 +224,5 @@ def test_timing_does_not_care_where_or_how_turned() -> None:
     times = []
     for angle, offset in ((0.0, (0.0, 0.0)), (1.1, (3.0, -2.0))):
         pair = [Hitch.balanced(team, p.rotated(angle).translated(offset)) for p in (first, second)]
-        times.append(fly(StraightPath.between(*pair), limits).duration)
+        times.append(fly(ShapePath.straight(*pair), limits).duration)
     assert times[1] == pytest.approx(times[0], rel=1e-4)
