@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import argparse
 import cProfile
-import platform
 import pstats
 import resource
 import tempfile
 import time
-from importlib import metadata
 
 import numpy as np
 
 import hitchopt as ho
+from benchmarks.environment import print_environment
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.path import ShapePath, drones_along
 from hitchopt.planners.timing import fastest_profile
 
-LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra")
 FINE = 1001
 
 
@@ -68,9 +66,7 @@ def main() -> None:
         "--profile", action="store_true", help="show where the last one's time goes"
     )
     arguments = parser.parse_args()
-    print(f"{platform.machine()}, {platform.processor() or platform.system()}", end="; ")
-    print(", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES))
-    print("one run each, in one process; certificate within 1e-4; setpoints at 100 Hz")
+    print_environment("one run each, in one process; certificate within 1e-4; setpoints at 100 Hz")
     print("toppra: its optimum on a grid of 1000 steps, without a jerk limit")
     print("     n  pieces   plan [s]  certify [s]  write [s]  flight [s]  toppra [s]  peak [MB]")
     ho.morph(*problem(3)[:2])  # what is imported and compiled once is not timed

@@ -9,6 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from hitchopt.actions import (
+        adjust,
+        follow_vertex,
+        hold,
+        morph,
+        move_edge,
+        move_vertex,
+        transport,
+    )
     from hitchopt.certificate import Certificate, CertificateError, Check, certify
     from hitchopt.errors import (
         FileError,
@@ -19,21 +28,34 @@ if TYPE_CHECKING:
         Violation,
     )
     from hitchopt.export.sampling import States
-    from hitchopt.geometry import ConvexPolygon, regular_polygon
+    from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
     from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Team
     from hitchopt.mission.loading import load_problem
-    from hitchopt.mission.problem import HitchStart, Hold, Morph, Problem
+    from hitchopt.mission.problem import (
+        Adjust,
+        FollowVertex,
+        HitchStart,
+        Hold,
+        Morph,
+        MoveEdge,
+        MoveVertex,
+        Problem,
+        Transport,
+    )
     from hitchopt.model.motion import Motion, Phase
-    from hitchopt.plan import Plan, hold, load, morph, solve
+    from hitchopt.plan import Plan, load, solve
     from hitchopt.trajectory import PiecewisePolynomial
 
 _HOMES = {
+    "Adjust": "mission.problem",
     "Arena": "hitch",
     "Certificate": "certificate",
     "CertificateError": "certificate",
     "Check": "certificate",
+    "ConvexArc": "geometry",
     "ConvexPolygon": "geometry",
     "FileError": "errors",
+    "FollowVertex": "mission.problem",
     "Hitch": "hitch",
     "HitchStart": "mission.problem",
     "HitchoptError": "errors",
@@ -43,6 +65,8 @@ _HOMES = {
     "Limits": "hitch",
     "Morph": "mission.problem",
     "Motion": "model.motion",
+    "MoveEdge": "mission.problem",
+    "MoveVertex": "mission.problem",
     "Phase": "model.motion",
     "PiecewisePolynomial": "trajectory",
     "Plan": "plan",
@@ -51,24 +75,33 @@ _HOMES = {
     "Separation": "hitch",
     "States": "export.sampling",
     "Team": "hitch",
+    "Transport": "mission.problem",
     "UnsupportedError": "errors",
     "Violation": "errors",
+    "adjust": "actions",
     "certify": "certificate",
-    "hold": "plan",
+    "follow_vertex": "actions",
+    "hold": "actions",
     "load": "plan",
     "load_problem": "mission.loading",
-    "morph": "plan",
+    "morph": "actions",
+    "move_edge": "actions",
+    "move_vertex": "actions",
     "regular_polygon": "geometry",
     "solve": "plan",
+    "transport": "actions",
 }
 
 __all__ = [
+    "Adjust",
     "Arena",
     "Certificate",
     "CertificateError",
     "Check",
+    "ConvexArc",
     "ConvexPolygon",
     "FileError",
+    "FollowVertex",
     "Hitch",
     "HitchStart",
     "HitchoptError",
@@ -78,6 +111,8 @@ __all__ = [
     "Limits",
     "Morph",
     "Motion",
+    "MoveEdge",
+    "MoveVertex",
     "Phase",
     "PiecewisePolynomial",
     "Plan",
@@ -86,15 +121,21 @@ __all__ = [
     "Separation",
     "States",
     "Team",
+    "Transport",
     "UnsupportedError",
     "Violation",
+    "adjust",
     "certify",
+    "follow_vertex",
     "hold",
     "load",
     "load_problem",
     "morph",
+    "move_edge",
+    "move_vertex",
     "regular_polygon",
     "solve",
+    "transport",
 ]
 
 

@@ -86,11 +86,14 @@ class InfeasibleError(HitchoptError):
     Attributes
     ----------
     violations: what binds, the worst first.
+    note: what else was tried, or nothing.
     """
 
-    def __init__(self, violations: Sequence[Violation]) -> None:
+    def __init__(self, violations: Sequence[Violation], note: str = "") -> None:
         self.violations = tuple(violations)
-        super().__init__("\n".join(str(v) for v in self.violations))
+        self.note = note
+        lines = [str(v) for v in self.violations] + ([note] if note else [])
+        super().__init__("\n".join(lines))
 
 
 def broken_limit(

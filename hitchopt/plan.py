@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +12,9 @@ from hitchopt.certificate import Certificate, certify
 from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
-from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Arena, Hitch, Limits, Separation
-from hitchopt.hitch.configuration import fitting_polygon
 from hitchopt.mission.loading import load_problem
-from hitchopt.mission.problem import Hold, Morph, Problem, leg_sharing
-from hitchopt.mission.solving import Kept, solve_problem, solve_steps
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.solving import solve_problem
 from hitchopt.model.motion import Motion, Phase
 
 Progress = Callable[[str], None]
@@ -104,54 +101,6 @@ def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Pl
     return Plan(found.motion, found.certificate, task.title)
 
 
-def morph(
-    start: Hitch,
-    polygon: ConvexPolygon | ArrayLike,
-    *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
-    legs: str | Sequence[float] | ArrayLike | None = None,
-    duration: float | None = None,
-) -> Plan:
-    """Return the certified plan from one hitch to another.
-
-    Parameters
-    ----------
-    start: the hitch at t = 0.
-    polygon: the outline at the end, (n, 2) [m], clockwise.
-    limits, separation, arena: what is kept; defaults as in a problem file.
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for the sharing nearest to the start's
-        fractions.
-    duration: exactly that long [s]; None for as fast as the limits allow.
-
-    Raises
-    ------
-    InputError: arguments that are wrong in themselves.
-    InfeasibleError: it cannot be met; says what binds, where and when.
-    """
-    sharing = None if legs is None else leg_sharing(legs, start.team)
-    step = Morph(fitting_polygon(start.team, polygon), sharing, duration)
-    return _planned(start, (step,), limits, separation, arena)
-
-
-def hold(
-    start: Hitch,
-    seconds: float,
-    *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
-) -> Plan:
-    """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
-
-    Raises
-    ------
-    InputError, InfeasibleError: as morph.
-    """
-    return _planned(start, (Hold(seconds),), limits, separation, arena)
-
-
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory, its certificate computed anew from its polynomials.
 
@@ -162,15 +111,3 @@ def load(directory: Path | str) -> Plan:
     path = Path(directory) / PLAN
     motion = read_plan(path)
     return Plan(motion, certify(motion), read_title(path))
-
-
-def _planned(
-    start: Hitch,
-    steps: tuple[Morph | Hold, ...],
-    limits: Limits | None,
-    separation: Separation | None,
-    arena: Arena | None,
-) -> Plan:
-    kept = Kept(limits or Limits(), separation or Separation(), arena)
-    found = solve_steps(start, steps, kept)
-    return Plan(found.motion, found.certificate)

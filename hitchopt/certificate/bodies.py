@@ -1,7 +1,8 @@
 """Drones and taut cable parts as moving points and segments, with their names.
 
 Cable k has three parts: the q-leg from ``p_k`` to ``q_k``, edge k, and the r-leg from ``p_{k+1}``
-to ``r_k``. Part ``3 k + type`` is cable k's, with types in that order.
+to ``r_k``. Part ``3 k + type`` is cable k's, with types in that order; bodies are those that
+``Layout.parts`` lists, as the drones at the ends of a chain have no leg.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.broadphase import Indices
 from hitchopt.certificate.proximity import Bodies
+from hitchopt.geometry.broadphase import Indices
+from hitchopt.hitch.layout import Layout
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 
@@ -20,7 +22,7 @@ PART_NAMES = ("q-leg", "edge", "r-leg")
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
-    """Return the drones' (pieces, 2n, 3, N+1) and vertices' (pieces, n, 3, N+1) polynomials [m].
+    """Return the polynomials of the drones (pieces, 2n, 3, N+1) and points (pieces, P, 3, N+1) [m].
 
     Both in the larger of their degrees.
     """
@@ -34,19 +36,19 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 def leg_vectors(motion: Motion) -> Array:
     """(pieces, 2n, 3, N+1) [m]: from its vertex to each drone, in the order q0, r0, q1, …."""
     drones, vertices = positions(motion)
-    return drones - anchors(vertices)
+    return drones - vertices[:, motion.team.layout.anchors]
+
+
+def pull_vectors(motion: Motion) -> Array:
+    """(pieces, 2n, 3, N+1) [m]: to each drone, along the straight piece of cable that it ends."""
+    drones, vertices = positions(motion)
+    return drones - vertices[:, motion.team.layout.pulled_to]
 
 
 def edge_vectors(motion: Motion) -> Array:
     """(pieces, n, 3, N+1) [m]: ``p_{k+1} - p_k``."""
     _, vertices = positions(motion)
-    return np.roll(vertices, -1, axis=1) - vertices
-
-
-def anchors(vertices: Array) -> Array:
-    """(pieces, 2n, …): each drone's own vertex, ``p_k`` for q_k and ``p_{k+1}`` for r_k."""
-    both = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2)
-    return both.reshape(len(vertices), -1, *vertices.shape[2:])
+    return motion.team.layout.edges(vertices, axis=1)
 
 
 def drone_points(motion: Motion) -> Bodies:
@@ -56,19 +58,20 @@ def drone_points(motion: Motion) -> Bodies:
 
 
 def cable_parts(motion: Motion) -> Bodies:
-    """Return the 3n cable parts as segments."""
+    """Return the cable parts as segments, in the order of ``Layout.parts``."""
     drones, vertices = positions(motion)
-    following = np.roll(vertices, -1, axis=1)
-    ends = [(vertices, drones[:, 0::2]), (vertices, following), (following, drones[:, 1::2])]
+    layout = motion.team.layout
+    before, following = vertices[:, layout.starts], vertices[:, layout.ends]
+    ends = [(before, drones[:, 0::2]), (before, following), (following, drones[:, 1::2])]
     parts = np.stack([np.stack(pair, axis=2) for pair in ends], axis=2)  # (pieces, n, 3, 2, 3, N+1)
-    return Bodies(parts.reshape(len(parts), -1, *parts.shape[3:]))
+    return Bodies(parts.reshape(len(parts), -1, *parts.shape[3:])[:, layout.parts])
 
 
-def part_clasps(parts: Indices, robots: int) -> tuple[Indices, Indices]:
-    """Return the first and last clasp that each part touches; the same one for a leg."""
+def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
+    """Return the first and last point that each part touches; the same one for a leg."""
     k, kind = np.divmod(parts, 3)
-    following = (k + 1) % robots
-    return np.where(kind == 2, following, k), np.where(kind == 0, k, following)
+    before, following = layout.starts[k], layout.ends[k]
+    return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
 
 
 def part_name(part: int) -> str:

@@ -27,7 +27,7 @@ def check(motion: Motion) -> Check:
     leg_names = tuple(f"{name} {k}" for k in range(n) for name in PART_NAMES[0::2])
     parts = (
         (motion.drones, motion.team.drone_names),
-        (motion.vertices, tuple(f"p{k}" for k in range(n))),
+        (motion.vertices, motion.team.point_names),
         (legs, leg_names),
     )
     worst, time = 0.0, float(motion.drones.breaks[0])

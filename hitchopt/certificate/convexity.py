@@ -1,4 +1,7 @@
-"""Check ``convexity``: the polygon turns right at every vertex, once around in all."""
+"""Check ``convexity``: the outline turns right at every vertex, and not too far in all.
+
+A closed hitch turns once around, an open chain less than that.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +30,30 @@ def check(motion: Motion) -> Check:
     A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
     less. The number at the start is that of all times unless an angle passes -180° in between,
     which is worse already.
+
+    A chain has 360° less all of its turning reported if that is less; ``where`` names both ends.
     """
-    edges = edge_vectors(motion)[:, :, :2]
-    rows = np.concatenate([np.roll(edges, 1, axis=1), edges], axis=2)
+    edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
+    rows = np.concatenate([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
+    start = _angles_at(rows[0, :, :, 0])
+    places: list[tuple[str, ...]] = [(motion.team.point_names[k],) for k in layout.clasps]
+    offsets = np.zeros(len(places))
+    if layout.closed:
+        room = 360.0 * (1 - round(float(np.sum(start)) / 360.0))
+    else:
+        # What is left of once around is 180° and the turn from the last edge to the first one
+        # reversed, an angle that jumps from -180° to 180° only where nothing is left.
+        room = 360.0 - float(np.sum(start))
+        ends = np.concatenate([edges[:, -1:], -edges[:, :1]], axis=2)
+        rows, offsets = np.concatenate([rows, ends], axis=1), np.append(offsets, 180.0)
+        places.append((motion.team.point_names[0], motion.team.point_names[-1]))
+    added = np.broadcast_to(offsets[:, None, None], (*rows.shape[:2], 1, 1))
     bound = partial(_bound, noise=position_margin(motion))
-    found = smallest(Cells.over(motion.vertices.breaks, [rows]), bound)
-    worst, time = max(found.worst, BACKWARD), found.time
-    where: tuple[str, ...] = (f"p{found.item}",)
-    start = rows[0, :, :, 0]
-    turns = round(float(np.sum(_angles_at(start))) / 360.0)
-    if turns != 1 and worst > BACKWARD and 360.0 * (1 - turns) < worst:
-        worst, time, where = 360.0 * (1 - turns), float(motion.vertices.breaks[0]), ()
+    found = smallest(Cells.over(motion.vertices.breaks, [rows, added]), bound)
+    worst, time, where = max(found.worst, BACKWARD), found.time, places[found.item]
+    if worst > BACKWARD and room < min(worst, 0.0):
+        worst, time = room, float(motion.vertices.breaks[0])
+        where = () if layout.closed else places[-1]
     return Check.of("convexity", worst, 0.0, "min", "deg", time, where)
 
 
@@ -47,7 +63,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     Seen from its direction at mid time, a curve whose coefficients all lie ahead stays within the
     wedge that they span. Past 180° angles start again at -180°.
     """
-    (rows,) = blocks
+    rows, added = blocks[0], blocks[1][:, 0, 0]
     along, right = _products(rows)
     degree = bernstein.degree(along)
     middle = np.full(len(rows), 0.5)
@@ -65,9 +81,9 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     wedge = (least > 0.0) & (spread < 1.0) & (highest < -BACKWARD)
     angles = np.where(wedge[:, None], relative, np.arctan2(right, along))
     x = np.argmin(angles, axis=-1) / max(1, degree)
-    value = _angles_at(bernstein.evaluate(rows, x[:, None]))
+    value = added + _angles_at(bernstein.evaluate(rows, x[:, None]))
     # Where the middle is a point without direction nothing above is a number; nor is it needed.
-    return Estimate(np.where(wedge, np.maximum(bound, BACKWARD), BACKWARD), value, x)
+    return Estimate(np.where(wedge & (bound > BACKWARD), added + bound, BACKWARD), value, x)
 
 
 def _products(rows: Array) -> tuple[Array, Array]:

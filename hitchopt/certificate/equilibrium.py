@@ -31,14 +31,16 @@ def check(motion: Motion) -> Check:
     A tension that is not positive holds nothing: the ratio is infinite there.
     """
     legs, edges = leg_vectors(motion), edge_vectors(motion)
-    behind = np.roll(edges, 1, axis=1)
-    vectors = np.stack([legs[:, 0::2], edges, np.roll(legs[:, 1::2], 1, axis=1), behind], axis=2)
+    layout = motion.team.layout
+    ahead, behind = layout.ahead, layout.behind
+    meeting = [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
+    vectors = np.stack(meeting, axis=2)
     tension = lowered(motion.tensions.coefficients)
-    both = np.stack([tension, np.roll(tension, 1, axis=1)], axis=2)
+    both = np.stack([tension[:, ahead], tension[:, behind]], axis=2)
     rows = vectors.reshape(*vectors.shape[:2], 12, -1)
     bound = partial(_bound, noise=position_margin(motion))
     found = largest(Cells.over(motion.drones.breaks, [rows, both]), bound)
-    where = (f"p{found.item}",)
+    where = (f"p{layout.clasps[found.item]}",)
     return Check.of("equilibrium", found.worst, LIMIT, "max", "1", found.time, where)
 
 

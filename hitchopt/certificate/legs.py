@@ -12,8 +12,12 @@ from hitchopt.trajectory.extremum import Cells, smallest
 
 def check(motion: Motion) -> Check:
     """Return the shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
-    cells = Cells.over(motion.drones.breaks, [leg_vectors(motion)], position_margin(motion))
-    found = smallest(cells, distance_bound)
-    where = (f"{PART_NAMES[2 * (found.item % 2)]} {found.item // 2}",)
+    drones = motion.team.layout.drones_with_legs
+    legs = leg_vectors(motion)[:, drones]
+    found = smallest(
+        Cells.over(motion.drones.breaks, [legs], position_margin(motion)), distance_bound
+    )
+    cable, end = divmod(int(drones[found.item]), 2)
+    where = (f"{PART_NAMES[2 * end]} {cable}",)
     worst = max(found.worst, 0.0)
     return Check.of("legs", worst, motion.limits.leg, "min", "m", found.time, where)

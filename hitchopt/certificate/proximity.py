@@ -7,6 +7,7 @@ farther apart for certain. Spans in which much moves are halved before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -14,9 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.certificate.broadphase import Boxes, Indices, Pairs, all_pairs, close_pairs
+from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.broadphase import (
+    Boxes,
+    Indices,
+    Pairs,
+    all_pairs,
+    close_pairs,
+    few_close_pairs,
+)
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.distance import distance_bound, shortest_offset
+from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, Extremum, Search
 
 Array = NDArray[np.float64]
@@ -128,8 +137,11 @@ def _spans(
             others = None if b is None else Boxes.around(b - drift)
             moving = np.median(0.5 * np.max(np.ptp(a - drift, axis=-1), axis=(1, 2)))
             hopeful = depth < MAX_DEPTH and moving > 0.25 * cutoff
-            most = CROWD * bodies if hopeful else np.iinfo(np.int64).max
-            pairs = close_pairs(boxes, others, cutoff, int(most))
+            pairs = (
+                few_close_pairs(boxes, others, cutoff, CROWD * bodies)
+                if hopeful
+                else close_pairs(boxes, others, cutoff)
+            )
             if pairs is None:
                 middle = 0.5 * (times[0] + times[1])
                 a_halves, b_halves = _halves(a), (None, None) if b is None else _halves(b)
@@ -144,8 +156,8 @@ def _cells(times: Array, a: Array, b: Array, pairs: Pairs, count: int, margin: f
     """Return one cell per piece and pair, holding the differences of their ends."""
     ends_a = a[:, pairs.first][:, :, :, None]
     ends_b = b[:, pairs.second][:, :, None]
-    differences = ends_a - ends_b
-    rows = differences.reshape(*differences.shape[:2], -1, differences.shape[-1])
+    each = ends_a - ends_b  # (pieces, pairs, ends, ends, 3, degree + 1), of no pairs perhaps
+    rows = each.reshape(*each.shape[:2], math.prod(each.shape[2:5]), each.shape[-1])
     cells = Cells.over(times, [rows], margin)
     item = np.tile(pairs.first * count + pairs.second, len(times) - 1)
     return Cells(cells.blocks, item, cells.start, cells.end, cells.margin)

@@ -1,7 +1,8 @@
 """The thrust that every drone needs, enclosed: what the checks thrust and tilt have in common.
 
-It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg and down by half of the
-cable's weight. The leg's direction is no polynomial; it is enclosed by one.
+It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg (at a chain's end, along
+the edge) and down by half of the cable's weight. That direction is no polynomial; it is enclosed by
+one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.bodies import leg_vectors
+from hitchopt.certificate.bodies import pull_vectors
 from hitchopt.certificate.rounding import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.model.motion import Motion
@@ -35,7 +36,7 @@ def thrust_cells(motion: Motion, unit: Array) -> Cells:
     mass = (team.mass / unit)[:, None]
     free = motion.drones.differentiated(2).coefficients * mass[..., None]
     free[:, :, 2] += mass * GRAVITY + (team.cable_weight / unit)[:, None]
-    legs = leg_vectors(motion)
+    legs = pull_vectors(motion)
     tension = lowered(np.repeat(motion.tensions.coefficients, 2, axis=1) / unit[:, None])
     pull = np.max(np.abs(tension), axis=-1)
     slop = derivative_margin(motion.drones, 2) * mass[:, 0]

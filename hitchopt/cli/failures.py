@@ -52,6 +52,8 @@ def complain(error: HitchoptError) -> None:
 def say(text: str, *, err: bool = False) -> None:
     """Write a line, whatever the stream's encoding, and whether or not anyone still reads it."""
     stream = sys.stderr if err else sys.stdout
+    if stream is None:  # closed by `>&-`: nobody is to hear it
+        return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     try:
         click.echo(text.encode(encoding, "replace").decode(encoding), err=err)

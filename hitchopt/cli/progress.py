@@ -23,7 +23,7 @@ class LateProgress:
     delay: how long to stay silent [s].
     """
 
-    def __init__(self, stream: TextIO, message: str, delay: float = DELAY) -> None:
+    def __init__(self, stream: TextIO | None, message: str, delay: float = DELAY) -> None:
         self._stream = stream
         self._message = message
         self._bar: Progress | None = None
@@ -32,7 +32,7 @@ class LateProgress:
         self._timer.daemon = True
 
     def __enter__(self) -> LateProgress:
-        if self._stream.isatty():
+        if self._stream is not None and self._stream.isatty():
             self._timer.start()
         return self
 

@@ -26,11 +26,15 @@ MOST_NAMES = 4
 
 
 def phase_table(phases: Iterable[Phase]) -> str:
-    """Return the table of a plan's phases."""
+    """Return the table of a plan's phases, with a column for remarks where there are any."""
+    rows = tuple(phases)
     table = _table("Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"])
-    for phase in phases:
+    if any(phase.remark for phase in rows):
+        table.add_column("remark", overflow="fold")
+    for phase in rows:
         times = (phase.start, phase.end, phase.end - phase.start)
-        table.add_row(Text(phase.name), str(phase.step), *(f"{t:.3f} s" for t in times))
+        remark = (Text(phase.remark),) if phase.remark else ()
+        table.add_row(Text(phase.name), str(phase.step), *(f"{t:.3f} s" for t in times), *remark)
     return _rendered(table)
 
 
@@ -75,7 +79,7 @@ def _table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str])
 
 
 def _rendered(table: Table) -> str:
-    terminal = sys.stdout.isatty()
+    terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
     text = StringIO()
     console = Console(file=text, width=width, force_terminal=terminal)

@@ -144,10 +144,12 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion
     )
 
 
-def _phase(name: object, step: object, start: float, end: float) -> Phase:
+def _phase(name: object, step: object, start: float, end: float, remark: object = "") -> Phase:
     if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
         raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
-    return Phase(name, step, finite("phases.start", start), finite("phases.end", end))
+    if not isinstance(remark, str):
+        raise InputError("phases", remark, "a remark in words", "do not edit them")
+    return Phase(name, step, finite("phases.start", start), finite("phases.end", end), remark)
 
 
 def _reason(error: BaseException) -> str:

@@ -36,9 +36,10 @@ class States:
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m].
     velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
         pieces join, those of the later piece.
-    cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: ``-T_k`` along its leg, and
-        down by half of the cable's weight.
-    vertices, vertex_velocities: (…, n, 3) [m], [m/s].
+    cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: ``-T_k`` along its leg (its
+        edge, at a chain's end), and down by half of the cable's weight.
+    vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
+        chain.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
     """
@@ -163,11 +164,12 @@ def _values(coefficients: Array, x: Array) -> Array:
 
 
 def _cable_forces(team: Team, drones: Array, vertices: Array, tensions: Array) -> Array:
-    ends = np.stack([vertices, np.roll(vertices, -1, axis=-2)], axis=-2).reshape(drones.shape)
-    legs = drones - ends
-    lengths = np.linalg.norm(legs, axis=-1, keepdims=True)
+    outward = drones - vertices[..., team.layout.pulled_to, :]
+    lengths = np.linalg.norm(outward, axis=-1, keepdims=True)
     pull = np.repeat(tensions, 2, axis=-1)[..., None]
     # A leg without length has no direction: no force rather than nan (certified plans have none).
-    forces: Array = -pull * np.divide(legs, lengths, out=np.zeros_like(legs), where=lengths > 0.0)
+    forces: Array = -pull * np.divide(
+        outward, lengths, out=np.zeros_like(outward), where=lengths > 0.0
+    )
     forces[..., 2] -= team.cable_weight
     return forces

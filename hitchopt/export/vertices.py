@@ -16,6 +16,8 @@ HEADER = "t,vertex,x,y,z,tension"
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex; row k carries the tension of cable k.
 
+    The last row of an open chain, which has one point more than cables, leaves it empty.
+
     Parameters
     ----------
     path: of the file, replaced if there is one.
@@ -27,16 +29,18 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     InputError: a rate that is not positive, or more samples than anyone can use.
     OSError: the file cannot be written.
     """
-    n = motion.team.robots
-    rows = "".join(f"{NUMBER},{k},{NUMBER},{NUMBER},{NUMBER},{NUMBER}\n" for k in range(n))
+    n, points = motion.team.robots, motion.team.layout.points
+    place = f"{NUMBER},{NUMBER},{NUMBER}"
+    rows = "".join(f"{NUMBER},{k},{place},{NUMBER if k < n else ''}\n" for k in range(points))
+    # Of each row all but the vertex's number: time, place, tension.
+    filled = np.arange(5 * points)[: 5 * points - (points - n)]
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
         times = sample_times(motion.duration, rate)
-        for states in iterate_states(motion, times, max(1, ROWS // n)):
-            parts = (
-                np.broadcast_to(states.t[:, None, None], (len(states.t), n, 1)),
-                states.vertices,
-                states.tensions[..., None],
-            )
-            values = np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
-            file.write(rows * len(values) % tuple(values.ravel().tolist()))
+        for states in iterate_states(motion, times, max(1, ROWS // points)):
+            values = np.zeros((len(states.t), points, 5))
+            values[..., 0] = states.t[:, None]
+            values[..., 1:4] = states.vertices
+            values[:, :n, 4] = states.tensions
+            given = values.reshape(len(values), -1)[:, filled] + 0.0  # no negative zeros
+            file.write(rows * len(given) % tuple(given.ravel().tolist()))

@@ -1,14 +1,17 @@
-"""Floor 1: convex polygons, segments, boxes. Knows no cable."""
+"""Floor 1: convex polygons and arcs, segments, boxes. Knows no cable."""
 
-from hitchopt.geometry.nearby import nearby_boxes
+from hitchopt.geometry.arc import ConvexArc
+from hitchopt.geometry.outline import Outline
 from hitchopt.geometry.polygon import ConvexPolygon, regular_polygon
 from hitchopt.geometry.random_polygon import random_convex_polygon
-from hitchopt.geometry.segments import closest_offsets
+from hitchopt.geometry.segments import differences, shortest_offset
 
 __all__ = [
+    "ConvexArc",
     "ConvexPolygon",
-    "closest_offsets",
-    "nearby_boxes",
+    "Outline",
+    "differences",
     "random_convex_polygon",
     "regular_polygon",
+    "shortest_offset",
 ]

@@ -1,4 +1,10 @@
-"""Closest points of segments, many pairs at once; a point is a segment of no length."""
+"""Shortest connections of points and segments, many pairs at once.
+
+Two bodies are given by the *differences* of their ends, in one of three forms: point and point
+``[a - b]``; point and segment ``[a - b0, a - b1]``; segments ``[a0 - b0, a0 - b1, a1 - b0,
+a1 - b1]``. All vectors from one body to the other make the hull of these, so the shortest is the
+hull's point nearest to the origin.
+"""
 
 from __future__ import annotations
 
@@ -8,48 +14,70 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def closest_offsets(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Return the shortest vectors from segments b to segments a.
-
-    The closest points of two segments are either both inside, or one is an end: of the five
-    candidates the nearest is taken, which needs no case for parallel or zero-length segments.
-    After C. Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+def shortest_offset(differences: Array) -> Array:
+    """Return the shortest of all vectors from the second body to the first.
 
     Parameters
     ----------
-    a0, a1, b0, b1: (…, d) [m], the segments' ends; d = 2 or 3.
+    differences: (…, 1, 2 or 4, d) [m], as the module says; d = 2 or 3. Bodies may touch, cross, be
+        parallel or shrink to points.
 
     Returns
     -------
     (…, d) [m]; zero where they meet.
     """
-    candidates = [
-        a0 - _nearest(a0, b0, b1),
-        a1 - _nearest(a1, b0, b1),
-        _nearest(b0, a0, a1) - b0,
-        _nearest(b1, a0, a1) - b1,
-        _inner_offsets(a0, a1, b0, b1),
-    ]
-    offsets = np.stack(np.broadcast_arrays(*candidates))
+    count = differences.shape[-2]
+    if count == 1:
+        return differences[..., 0, :]
+    if count == 2:
+        return _nearest(differences[..., 0, :], differences[..., 1, :])
+    return _of_segments(*(differences[..., i, :] for i in range(4)))
+
+
+def differences(a: Array, b: Array) -> Array:
+    """Return the differences (…, k · m, d) of ends (…, k, d) and (…, m, d)."""
+    each = a[..., :, None, :] - b[..., None, :, :]
+    count = a.shape[-2] * b.shape[-2]
+    return each.reshape(*each.shape[:-3], count, each.shape[-1])
+
+
+def _of_segments(d00: Array, d01: Array, d10: Array, d11: Array) -> Array:
+    """Return the shortest vector between segments.
+
+    Their closest points are either both inside, or one is an end: of the five candidates the
+    nearest is taken, which needs no case for parallel or zero-length segments. After C. Ericson,
+    Real-Time Collision Detection (2005), section 5.1.9.
+    """
+    offsets = np.stack(
+        [
+            _nearest(d00, d01),
+            _nearest(d10, d11),
+            _nearest(d00, d10),
+            _nearest(d01, d11),
+            _inner(d00, d10 - d00, d00 - d01),
+        ]
+    )
     squared = np.sum(offsets * offsets, axis=-1)
     best = np.argmin(squared, axis=0)
     chosen: Array = np.take_along_axis(offsets, best[None, ..., None], axis=0)[0]
     return chosen
 
 
-def _nearest(point: Array, b0: Array, b1: Array) -> Array:
-    """Return the points of segments b nearest to ``point``."""
-    along = b1 - b0
+def _nearest(first: Array, second: Array) -> Array:
+    """Return the point nearest to the origin of the segment from ``first`` to ``second``."""
+    along = first - second
     squared = np.sum(along * along, axis=-1)
-    share = np.sum((point - b0) * along, axis=-1)
-    share = np.divide(share, squared, out=np.zeros(np.shape(share)), where=squared > 0.0)
-    nearest: Array = b0 + np.clip(share, 0.0, 1.0)[..., None] * along
+    share = np.sum(first * along, axis=-1)
+    share = np.divide(share, squared, out=np.zeros_like(share), where=squared > 0.0)
+    nearest: Array = first - np.clip(share, 0.0, 1.0)[..., None] * along
     return nearest
 
 
-def _inner_offsets(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Return the offset between the lines' closest points where both lie inside; else infinity."""
-    u, v, w = a1 - a0, b1 - b0, a0 - b0
+def _inner(w: Array, u: Array, v: Array) -> Array:
+    """Return the offset ``w + s u - t v`` of two lines' closest points where both lie inside.
+
+    Elsewhere infinity. ``w`` joins the segments' first ends, u and v lead from first to last.
+    """
     uu, uv, vv = (np.sum(x * y, axis=-1) for x, y in ((u, u), (u, v), (v, v)))
     uw, vw = np.sum(u * w, axis=-1), np.sum(v * w, axis=-1)
     det = uu * vv - uv * uv

@@ -1,4 +1,4 @@
-"""A hitch at rest: polygon, legs and tensions give every drone its place and its pull."""
+"""A hitch at rest: outline, legs and tensions give every drone its place and its pull."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.errors import InputError
+from hitchopt.geometry import Outline
 from hitchopt.hitch.equilibrium import leg_directions
+from hitchopt.hitch.fitting import balanced_legs, cable_slack, checked_legs, fitting_polygon
 from hitchopt.hitch.limits import Arena, Limits, Separation
 from hitchopt.hitch.sharing import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask, share
 from hitchopt.hitch.team import Team
@@ -20,29 +21,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Hitch:
-    """A closed hitch in a horizontal plane, in balance.
+    """A hitch in a horizontal plane, in balance: closed, or an open chain.
 
     Parameters
     ----------
     team: whose cables it is tied of.
-    polygon: its outline, ``p_0 … p_{n-1}``, or the points (n, 2) [m].
+    polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
+        points (n, 2) or (n + 1, 2) [m].
     altitude: height of its plane [m].
     q_legs: (n,) [m], ``d_k``: from vertex k to drone q_k. The rest of cable k's slack is
-        ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k.
+        ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice at its
+        ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of the cable.
 
     Raises
     ------
     InputError: a count that does not fit the team, or numbers that are not finite.
-    InfeasibleError: an edge as long as its cable, or a leg that is not positive.
+    InfeasibleError: an edge as long as its cable, a leg that is not positive, or one at a chain's
+        end that is not the only one there is.
     """
 
     team: Team
-    polygon: ConvexPolygon
+    polygon: Outline
     altitude: float
     q_legs: Array
 
     def __init__(
-        self, team: Team, polygon: ConvexPolygon | ArrayLike, altitude: float, q_legs: ArrayLike
+        self, team: Team, polygon: Outline | ArrayLike, altitude: float, q_legs: ArrayLike
     ) -> None:
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
@@ -51,23 +55,7 @@ class Hitch:
             raise InputError(
                 "legs", q_legs, f"a list of {team.robots} finite lengths d_k", "give one per robot"
             )
-        legs = np.column_stack([d, slack - d])
-        k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
-        if legs[k, end] <= 0.0:
-            raise InfeasibleError(
-                [
-                    Violation(
-                        "legs",
-                        float(legs[k, end]),
-                        0.0,
-                        "min",
-                        "m",
-                        (f"{'qr'[end]}{k}",),
-                        "",
-                        f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it",
-                    )
-                ]
-            )
+        d = checked_legs(team, d, slack)
         d.setflags(write=False)
         object.__setattr__(self, "team", team)
         object.__setattr__(self, "polygon", outline)
@@ -75,23 +63,23 @@ class Hitch:
         object.__setattr__(self, "q_legs", d)
 
     @classmethod
-    def balanced(
-        cls, team: Team, polygon: ConvexPolygon | ArrayLike, altitude: float = 1.0
-    ) -> Hitch:
+    def balanced(cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
+
+        At the ends of a chain, the cable's one leg takes all of its slack.
 
         Raises
         ------
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        return cls(team, outline, altitude, 0.5 * cable_slack(team, outline))
+        return cls(team, outline, altitude, balanced_legs(team, outline))
 
     @classmethod
     def spread(
         cls,
         team: Team,
-        polygon: ConvexPolygon | ArrayLike,
+        polygon: Outline | ArrayLike,
         altitude: float = 1.0,
         *,
         limits: Limits | None = None,
@@ -111,7 +99,7 @@ class Hitch:
         d = _nearest_legs(
             team,
             outline,
-            0.5 * cable_slack(team, outline),
+            balanced_legs(team, outline),
             SPREAD_MARGIN,
             limits or Limits(),
             separation or Separation(),
@@ -123,7 +111,7 @@ class Hitch:
     def nearest(
         cls,
         team: Team,
-        polygon: ConvexPolygon | ArrayLike,
+        polygon: Outline | ArrayLike,
         altitude: float,
         fractions: ArrayLike,
         *,
@@ -140,7 +128,9 @@ class Hitch:
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        wanted = np.asarray(fractions, dtype=np.float64) * cable_slack(team, outline)
+        slack = cable_slack(team, outline)
+        wanted = np.asarray(fractions, dtype=np.float64) * slack
+        wanted = team.layout.q_legs_of(wanted, slack)
         d = _nearest_legs(team, outline, wanted, LIMIT_MARGIN, limits, separation, arena)
         return cls(team, outline, altitude, d)
 
@@ -151,8 +141,8 @@ class Hitch:
 
     @property
     def legs(self) -> Array:
-        """(n, 2) [m]: ``d_k`` and ``e_k``."""
-        return np.column_stack([self.q_legs, self.slack - self.q_legs])
+        """(n, 2) [m]: ``d_k`` and ``e_k``; zero where a chain's end has no leg."""
+        return self.team.layout.legs_of(self.q_legs, self.slack)
 
     @property
     def fractions(self) -> Array:
@@ -161,21 +151,24 @@ class Hitch:
 
     @property
     def vertices(self) -> Array:
-        """(n, 3) [m]."""
+        """(points, 3) [m]: n of a closed hitch, n + 1 of a chain."""
         return np.column_stack([self.polygon.vertices, np.full(len(self.polygon), self.altitude)])
 
     @property
     def leg_directions(self) -> Array:
-        """(2n, 3): unit vectors from the vertex to the drone, in the order q0, r0, q1, …."""
-        q, r = leg_directions(self.polygon.edge_directions, self.team.tension)
+        """(2n, 3): unit vectors from the vertex to the drone, in the order q0, r0, q1, ….
+
+        Where a chain's end has no leg: along its edge, outward.
+        """
+        team = self.team
+        q, r = leg_directions(self.polygon.edge_directions, team.tension, team.topology)
         level = np.stack([q, r], axis=1).reshape(-1, 2)
         return np.column_stack([level, np.zeros(len(level))])
 
     @property
     def drones(self) -> Array:
         """(2n, 3) [m]: ``q_k = p_k + d_k q̂_k`` and ``r_k = p_{k+1} + e_k r̂_k``."""
-        p = self.vertices
-        anchors: Array = np.stack([p, np.roll(p, -1, axis=0)], axis=1).reshape(-1, 3)
+        anchors = self.vertices[self.team.layout.anchors]
         drones: Array = anchors + self.legs.reshape(-1, 1) * self.leg_directions
         return drones
 
@@ -192,7 +185,7 @@ class Hitch:
 
 def _nearest_legs(
     team: Team,
-    polygon: ConvexPolygon,
+    polygon: Outline,
     reference: Array,
     margin: float,
     limits: Limits,
@@ -210,40 +203,3 @@ def _nearest_legs(
     )
     q_legs: Array = share(task).q_legs[0]
     return q_legs
-
-
-def fitting_polygon(team: Team, polygon: ConvexPolygon | ArrayLike) -> ConvexPolygon:
-    """Return ``polygon`` as one of team.robots vertices, or raise InputError."""
-    outline = polygon if isinstance(polygon, ConvexPolygon) else ConvexPolygon(polygon)
-    if len(outline) != team.robots:
-        raise InputError(
-            "polygon",
-            f"{len(outline)} points",
-            f"a list of {team.robots} points, one per robot",
-            "add or remove points, or change team.robots",
-        )
-    return outline
-
-
-def cable_slack(team: Team, polygon: ConvexPolygon) -> Array:
-    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError where an edge uses up its cable."""
-    lengths = polygon.edge_lengths
-    slack: Array = team.cable_length - lengths
-    if np.min(slack) <= 0.0:
-        worst = int(np.argmin(slack))
-        raise InfeasibleError(
-            [
-                Violation(
-                    "legs",
-                    float(slack[worst]),
-                    0.0,
-                    "min",
-                    "m",
-                    (f"cable {worst}",),
-                    "",
-                    f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
-                    f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable",
-                )
-            ]
-        )
-    return slack

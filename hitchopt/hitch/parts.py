@@ -1,8 +1,8 @@
 """A hitch as nodes and parts: which parts of cables and which drones must keep apart.
 
-Nodes are the n vertices, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the 2n
-drones (both nodes the same), then three taut parts of each cable k: its q-leg ``p_k q_k``, its
-edge ``p_k p_{k+1}``, its r-leg ``p_{k+1} r_k``.
+Nodes are the points, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the 2n
+drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p_k q_k``, its edge
+``p_k p_{k+1}``, its r-leg ``p_{k+1} r_k``; a leg that does not exist is no body.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch.layout import CLOSED, Layout, layout_of
+
 Index = NDArray[np.intp]
 
 SEPARATION, CABLE, CROSSING = 0, 1, 2
@@ -20,45 +22,42 @@ SEPARATION, CABLE, CROSSING = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The bodies of a closed hitch of n cables.
+    """The bodies of a hitch of n cables.
 
     Attributes
     ----------
-    robots: n
-    nodes: (5n, 2), the two nodes of each body.
-    cable: (5n,), the cable that each belongs to.
+    layout: which points, cables and drones hang together.
+    nodes: (bodies, 2), the two nodes of each body.
+    cable: (bodies,), the cable that each belongs to.
     """
 
-    robots: int
+    layout: Layout
     nodes: Index
     cable: Index
 
     @classmethod
-    def of(cls, robots: int) -> Parts:
-        """Return the bodies of a closed hitch of that many cables."""
-        k = np.arange(robots)
-        drones = robots + np.arange(2 * robots)
-        q, r, following = robots + 2 * k, robots + 2 * k + 1, (k + 1) % robots
-        parts = np.stack(
-            [
-                np.column_stack([k, q]),
-                np.column_stack([k, following]),
-                np.column_stack([following, r]),
-            ],
-            axis=1,
-        ).reshape(-1, 2)
-        nodes = np.concatenate([np.column_stack([drones, drones]), parts])
-        return cls(robots, nodes, np.concatenate([np.repeat(k, 2), np.repeat(k, 3)]))
+    def of(cls, robots: int, topology: str = CLOSED) -> Parts:
+        """Return the bodies of a hitch of that many cables."""
+        layout = layout_of(robots, topology)
+        k, starts, ends = np.arange(layout.robots), layout.starts, layout.ends
+        drones = layout.points + np.arange(2 * layout.robots)
+        q, r = drones[0::2], drones[1::2]
+        parts = np.stack([starts, q, starts, ends, ends, r], axis=1).reshape(-1, 2)
+        nodes = np.concatenate([np.column_stack([drones, drones]), parts[layout.parts]])
+        return cls(layout, nodes, np.concatenate([np.repeat(k, 2), layout.parts // 3]))
 
     def kind(self, i: Index, j: Index) -> Index:
         """Return the kind of each pair of bodies (i below j), or -1 where they are free to touch.
 
-        Free are a drone and its own legs, and parts that meet at a clasp.
+        Free are a drone and its own legs, or its edge if it stands at its end, and parts that meet
+        at a clasp.
         """
-        drones = 2 * self.robots
+        drones = 2 * self.layout.robots
         i_drone, j_drone = i < drones, j < drones
         same = self.cable[i] == self.cable[j]
-        j_edge = ~j_drone & ((j - drones) % 3 == 1)
+        edges = np.concatenate([np.zeros(drones, np.bool_), self.layout.parts % 3 == 1])
+        on_leg = self.layout.has_leg.ravel()[np.minimum(i, drones - 1)]
+        j_edge = edges[j] & on_leg
         drone_cable = i_drone & ~j_drone & (~same | j_edge)
         apart = ~i_drone & ~j_drone & ~self._share_clasp(i, j)
         kind = np.full(i.shape, -1)
@@ -69,7 +68,7 @@ class Parts:
 
     def _share_clasp(self, i: Index, j: Index) -> NDArray[np.bool_]:
         a, b = self.nodes[i], self.nodes[j]
-        a = np.where(a < self.robots, a, -1)  # only vertices are clasps
-        b = np.where(b < self.robots, b, -2)
+        a = np.where(a < self.layout.points, a, -1)  # only vertices are clasps
+        b = np.where(b < self.layout.points, b, -2)
         shared: NDArray[np.bool_] = np.any(a[:, :, None] == b[:, None, :], axis=(1, 2))
         return shared

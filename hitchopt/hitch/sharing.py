@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hitchopt.geometry import closest_offsets, nearby_boxes
+from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
 from hitchopt.hitch.equilibrium import leg_directions
 from hitchopt.hitch.limits import Arena, Separation
@@ -50,10 +51,10 @@ class SharingTask:
     Attributes
     ----------
     team, separation, arena: whose cables, and which distances to keep.
-    polygons: (J, n, 2) [m]
+    polygons: (J, points, 2) [m]
     reference: (J, n) [m], the ``d`` to stay near to.
     shortest_leg: [m], for both legs of every cable.
-    margin: each distance is to be at least this many times its limit.
+    margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
     fixed: (J,), knots that keep their reference.
     """
@@ -64,19 +65,29 @@ class SharingTask:
     polygons: Array
     reference: Array
     shortest_leg: float
-    margin: float
+    margin: float | Array
     roughness: float = 0.0
     fixed: NDArray[np.bool_] | None = None
 
     @property
-    def crossing_margin(self) -> float:
-        """How many times its limit the distance of two cables is kept at."""
-        return min(self.margin, CROSSING_MARGIN)
+    def margins(self) -> Array:
+        """(J,): the margin of every knot."""
+        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
+
+    @property
+    def crossing_margins(self) -> Array:
+        """(J,): how many times its limit the distance of two cables is kept at."""
+        return np.minimum(self.margins, CROSSING_MARGIN)
+
+    @property
+    def wanted(self) -> float:
+        """The largest of the margins, which a sharing that keeps them all is said to have."""
+        return float(np.max(self.margins))
 
     @property
     def slack(self) -> Array:
         """(J, n) [m]: what each cable has left for its two legs."""
-        edges = np.roll(self.polygons, -1, axis=1) - self.polygons
+        edges = self.team.layout.edges(self.polygons)
         slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
         return slack
 
@@ -88,7 +99,8 @@ class Sharing:
     Attributes
     ----------
     q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on the sharing itself.
+    margin: the smallest distance over its limit, measured on the sharing itself; where margins
+        differ from knot to knot, in proportion to the largest of them.
     deviation: sum of ``(d - reference)²`` [m²].
     """
 
@@ -101,19 +113,41 @@ def share(task: SharingTask) -> Sharing:
     """Return the sharing nearest to the reference that keeps the margin, else the best found.
 
     A local search: it starts from the reference and, where that fails on a single polygon, from
-    four uneven sharings as well (along a path the fixed ends leave them little to find); cost
+    a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
     linear in J·n.
     """
-    slack = task.slack
-    best = _refined(task, np.clip(task.reference, *_bounds(task)))
+    slack, bodies = task.slack, _Bodies(task)
+    start = np.clip(task.reference, *_bounds(task))
+    if task.roughness == 0.0 and np.array_equal(start, task.reference):
+        # To the last bit, where a solver would come within its tolerance.
+        margin = bodies.margin(task, start)
+        if margin >= task.wanted and bodies.inside(task.arena, start):
+            return Sharing(start, margin, 0.0)
+    best = _refined(task, bodies, start)
     single = len(task.reference) == 1
-    if not single or (best.margin >= task.margin * (1.0 - 1e-9) and best.deviation <= 1e-12):
+    if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
         return best
-    even = np.arange(task.team.robots) % 2 == 0
-    for pattern in (0.3, 0.7, np.where(even, 0.3, 0.7), np.where(even, 0.7, 0.3)):
+    for pattern in _uneven_fractions(task):
         start = np.clip(pattern * slack, *_bounds(task))
-        best = min(best, _refined(task, start), key=lambda s: _merit(task, s))
+        best = min(best, _refined(task, bodies, start), key=lambda s: _merit(task, s))
     return best
+
+
+def _uneven_fractions(task: SharingTask) -> Array:
+    """Return (4 or 6, n) fractions: all alike, or in turns from the sharpest clasp either way.
+
+    Counted from there, a hitch that is renumbered or mirrored finds the same ones.
+    """
+    layout = task.team.layout
+    edges = layout.edges(task.polygons[0])
+    ahead, behind = edges[layout.ahead], edges[layout.behind]
+    lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
+    sharpest = layout.clasps[int(np.argmin(np.sum(ahead * behind, axis=1) / lengths))]
+    k = np.arange(layout.robots)
+    onward = (k - sharpest) % layout.robots % 2 == 0
+    back = (sharpest - 1 - k) % layout.robots % 2 == 1
+    alike = np.ones_like(onward)
+    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
 
 
 def measured(task: SharingTask) -> float:
@@ -122,13 +156,12 @@ def measured(task: SharingTask) -> float:
 
 
 def _merit(task: SharingTask, sharing: Sharing) -> float:
-    short = max(0.0, task.margin - sharing.margin)
+    short = max(0.0, task.wanted - sharing.margin)
     return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * sharing.deviation
 
 
-def _refined(task: SharingTask, start: Array) -> Sharing:
+def _refined(task: SharingTask, bodies: _Bodies, start: Array) -> Sharing:
     """Return the sharing that repeated convex approximation reaches from ``start``."""
-    bodies = _Bodies(task)
     d = start
     for _ in range(ROUNDS):
         x = solve_qp(_program(task, bodies, d))
@@ -148,67 +181,84 @@ class _Bodies:
     def __init__(self, task: SharingTask) -> None:
         J, n = task.reference.shape
         p = task.polygons
-        edges = np.roll(p, -1, axis=1) - p
+        layout = task.team.layout
+        edges = layout.edges(p)
         u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-        q, r = leg_directions(u, task.team.tension)
-        ends = np.stack([p, np.roll(p, -1, axis=1) + task.slack[..., None] * r], axis=2)
+        q, r = leg_directions(u, task.team.tension, task.team.topology)
+        following = p[:, layout.ends] + task.slack[..., None] * r
+        ends = np.stack([p[:, layout.starts], following], axis=2)
         slopes = np.stack([q, -r], axis=2).reshape(J, 2 * n, 2)
         self.base = np.concatenate([p, ends.reshape(J, 2 * n, 2)], axis=1).reshape(-1, 2)
         self.slope = np.concatenate([np.zeros_like(p), slopes], axis=1).reshape(-1, 2)
-        cable = np.concatenate([np.arange(n), np.repeat(np.arange(n), 2)])
+        cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
         self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
-        self.drones = (3 * n * np.arange(J)[:, None] + n + np.arange(2 * n)).reshape(-1)
+        self.count = layout.points + 2 * n
+        drones = layout.points + np.arange(2 * n)
+        self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
         keep = task.separation
         self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
-        self._find_pairs(task, Parts.of(n))
+        self._find_pairs(task, Parts.of(n, task.team.topology))
 
     def nodes(self, d: Array) -> Array:
-        """Return the nodes' positions (J·3n, 2) [m]."""
+        """Return the nodes' positions (J·count, 2) [m]."""
         nodes: Array = self.base + self.slope * d.reshape(-1)[self.variable][:, None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
         """Return the shortest vector of each pair, second body to first, (pairs, 2) [m]."""
-        a, b = self.first, self.second
-        return closest_offsets(nodes[a[:, 0]], nodes[a[:, 1]], nodes[b[:, 0]], nodes[b[:, 1]])
+        return shortest_offset(differences(nodes[self.first], nodes[self.second]))
 
     def margin(self, task: SharingTask, d: Array) -> float:
         """Return the smallest distance over its limit; crossings count up to their margin only."""
         distance = np.linalg.norm(self.offsets(self.nodes(d)), axis=1)
         ratios = distance / self.limits[self.kind]
-        enough = task.crossing_margin * (1.0 - 1e-9)
+        enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
-        return float(np.min(apart, initial=np.inf))
+        shares = apart / task.margins[self.frame]
+        return task.wanted * float(np.min(shares, initial=np.inf))
+
+    def inside(self, arena: Arena | None, d: Array) -> bool:
+        """Return whether every drone is between the arena's upright walls."""
+        if arena is None:
+            return True
+        drones = self.nodes(d)[self.drones]
+        return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
     def _find_pairs(self, task: SharingTask, parts: Parts) -> None:
         """Keep the pairs whose sweeps over all sharings come within reach of their limits."""
-        J, n = task.reference.shape
+        J = len(task.reference)
         lower, upper = _bounds(task)
-        swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, 3 * n, 2)
+        swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, -1, 2)
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
-        cutoff = max(task.margin, 1.0) * float(np.max(self.limits))
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits))
         # A third coordinate keeps the polygons apart, so that one tree serves them all.
         size = cutoff + float(np.max(highest) - np.min(lowest))
         level = np.repeat(np.arange(J) * 4.0 * size, len(parts.nodes))
-        pairs = nearby_boxes(
-            np.column_stack([lowest, level]), np.column_stack([highest, level]), cutoff
-        )
-        frame, i = np.divmod(pairs[:, 0], len(parts.nodes))
-        j = pairs[:, 1] % len(parts.nodes)
+        boxes = Boxes(np.column_stack([lowest, level]), np.column_stack([highest, level]))
+        pairs = close_pairs(boxes, None, cutoff * (1.0 + 1e-9))
+        frame, i = np.divmod(pairs.first, len(parts.nodes))
+        j = pairs.second % len(parts.nodes)
         kind = parts.kind(i, j)
         wanted = (kind >= 0) & (self.limits[kind] > 0.0)
-        offset = (3 * n * frame[wanted])[:, None]
+        if task.fixed is not None:  # what cannot change is no matter of the sharing
+            wanted &= ~task.fixed[frame]
+        offset = (self.count * frame[wanted])[:, None]
+        self.frame: Index = frame[wanted]
         self.kind: Index = kind[wanted]
         self.first: Index = parts.nodes[i[wanted]] + offset
         self.second: Index = parts.nodes[j[wanted]] + offset
 
 
 def _bounds(task: SharingTask) -> tuple[Array, Array]:
-    """Return the smallest and largest ``d`` (J, n) that leave both legs long enough."""
-    slack = task.slack
-    lower = np.minimum(task.shortest_leg, 0.5 * slack)
-    upper = slack - lower
+    """Return the smallest and largest ``d`` (J, n) that leave both legs long enough.
+
+    The same one at the ends of a chain, where a cable has one leg only.
+    """
+    slack, layout = task.slack, task.team.layout
+    shortest = np.minimum(task.shortest_leg, 0.5 * slack)
+    lower = layout.q_legs_of(shortest, slack)
+    upper = layout.q_legs_of(slack - shortest, slack)
     if task.fixed is not None:
         lower[task.fixed] = upper[task.fixed] = task.reference[task.fixed]
     return lower, upper
@@ -242,7 +292,9 @@ def _program(task: SharingTask, bodies: _Bodies, d: Array) -> QuadraticProgram:
         [bodies.variable[a], bodies.variable[b], np.where(crossing, size - 1, size - 2)]
     )
     # A hair more than asked for, so that rounding does not leave it a hair short.
-    wanted = np.where(crossing, task.crossing_margin, task.margin) * (1.0 + 1e-7) * limit
+    frame = bodies.frame[pair]
+    margins = np.where(crossing, task.crossing_margins[frame], task.margins[frame])
+    wanted = margins * (1.0 + 1e-7) * limit
     least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
     rows = sparse.csc_matrix((entries, (np.tile(row, 3), columns)), shape=(len(row), size))
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.errors import InputError
+from hitchopt.hitch.layout import CLOSED, OPEN, Layout, layout_of
 from hitchopt.hitch.values import not_negative, per_robot, positive
 
 GRAVITY = 9.81
@@ -17,7 +18,7 @@ GRAVITY = 9.81
 MAX_ROBOTS = 10_000
 """More are refused before any memory is spent on them."""
 
-TOPOLOGIES = ("closed", "open")
+TOPOLOGIES = (CLOSED, OPEN)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Team:
     ----------
     robots: number n of catenary robots.
     cable_length: one, or one per robot (n,) [m].
-    topology: ``closed`` (a polygon) or ``open`` (a chain).
+    topology: ``closed`` (a polygon of n points) or ``open`` (a chain along an arc of n + 1).
     cable_density: [kg/m]
     cable_friction: coefficient at the clasps.
     tension: one, or one per robot (n,) [N].
@@ -55,7 +56,6 @@ class Team:
     Raises
     ------
     InputError: a count, sign or number that is wrong in itself.
-    UnsupportedError: topology ``open``, which this version cannot plan yet.
     """
 
     robots: int
@@ -71,7 +71,7 @@ class Team:
         robots: int,
         cable_length: float | Sequence[float] | ArrayLike,
         *,
-        topology: str = "closed",
+        topology: str = CLOSED,
         cable_density: float = 0.0,
         cable_friction: float = 0.0,
         tension: float | Sequence[float] | ArrayLike = 0.4,
@@ -79,7 +79,7 @@ class Team:
     ) -> None:
         if topology not in TOPOLOGIES:
             raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
-        least = 3 if topology == "closed" else 2
+        least = 3 if topology == CLOSED else 2
         if isinstance(robots, bool) or not isinstance(robots, int | np.integer):
             raise InputError("robots", robots, "a whole number", "count the catenary robots")
         if not least <= robots <= MAX_ROBOTS:
@@ -109,10 +109,11 @@ class Team:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        if topology == "open":
-            raise UnsupportedError(
-                "team.topology = 'open': open chains cannot be planned in this version; use closed"
-            )
+
+    @property
+    def layout(self) -> Layout:
+        """Which points, cables and drones hang together."""
+        return layout_of(self.robots, self.topology)
 
     @property
     def mass(self) -> NDArray[np.float64]:
@@ -123,6 +124,11 @@ class Team:
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: of each drone, in the order q0, r0, q1, r1, …."""
         return np.repeat([kind.max_thrust for kind in self.quadrotors], 2)
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """(points,): p0, p1, …, those of the vertices or of a chain's points."""
+        return tuple(f"p{k}" for k in range(self.layout.points))
 
     @property
     def drone_names(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,16 +41,20 @@ def finite(key: str, value: object) -> float:
 
 
 def per_robot(
-    key: str, value: float | Sequence[float] | ArrayLike, robots: int
+    key: str,
+    value: float | Sequence[float] | ArrayLike,
+    robots: int,
+    checked: Callable[[str, object], float] = positive,
 ) -> NDArray[np.float64]:
     """Return ``value`` as (robots,), one number having been meant for all of them.
 
     Raises
     ------
-    InputError: not one number or one per robot, or any of them not finite or not positive.
+    InputError: not one number or one per robot, or any of them not finite or not positive; what
+        ``checked`` raises, if another check of the single numbers is given.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        array = np.full(robots, positive(key, float(value)))
+        array = np.full(robots, checked(key, float(value)))
     else:
         try:
             given = list(value)  # type: ignore[arg-type]
@@ -63,6 +67,6 @@ def per_robot(
                 f"one number, or a list of {robots} (one per robot)",
                 f"{len(given)} were given; add or remove entries, or change team.robots",
             )
-        array = np.array([positive(f"{key}[{k}]", x) for k, x in enumerate(given)])
+        array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])
     array.setflags(write=False)
     return array

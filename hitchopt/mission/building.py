@@ -4,19 +4,59 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from hitchopt.errors import InputError
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
-from hitchopt.hitch.configuration import fitting_polygon
+from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.faults import Collector
-from hitchopt.mission.problem import HitchStart, Hold, LegSharing, Morph, Problem, Step, leg_sharing
+from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.mission.schema import (
     LimitsKeys,
     QuadrotorKeys,
     StartKeys,
     TeamKeys,
 )
-from hitchopt.mission.steps import ProblemKeys, StepKeys
+from hitchopt.mission.step_records import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    LegSharing,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Step,
+    Transport,
+    leg_sharing,
+)
+from hitchopt.mission.steps import (
+    AdjustKeys,
+    FollowVertexKeys,
+    FormKeys,
+    HoldKeys,
+    MorphKeys,
+    MoveEdgeKeys,
+    MoveVertexKeys,
+    PlainKeys,
+    ProblemKeys,
+    StepKeys,
+    TransportKeys,
+)
+
+PLANNED = ("morph", "move_vertex", "move_edge", "adjust", "follow_vertex", "transport", "hold")
+"""Steps of this version."""
+
+StepOfKeys = (
+    MorphKeys
+    | MoveVertexKeys
+    | MoveEdgeKeys
+    | AdjustKeys
+    | FollowVertexKeys
+    | TransportKeys
+    | HoldKeys
+)
+"""Their models."""
 
 
 def built_problem(keys: ProblemKeys) -> Problem:
@@ -108,14 +148,39 @@ def _step(
             faults.inputs.append(
                 InputError(f"{path}.{key}", index, f"from 0 to {count - 1}", "indices start at 0")
             )
-    if keys.hold is not None:
-        return Hold(keys.hold.seconds)
-    if keys.morph is not None:
-        return Morph(outline, legs, keys.morph.duration) if outline is not None else None
-    faults.unsupported.append(
-        f"{path}: this step cannot be planned in this version; use morph or hold"
-    )
-    return None
+    if isinstance(step, FormKeys | PlainKeys):
+        faults.unsupported.append(
+            f"{path}: this step cannot be planned in this version; use {', '.join(PLANNED)}"
+        )
+        return None
+    if (given is not None and legs is None) or (polygon is not None and outline is None):
+        return None
+    return faults.attempt(path, lambda: _record(step, outline, legs))
+
+
+def _record(step: StepOfKeys, outline: Outline | None, legs: LegSharing | None) -> Step | None:
+    """Return the record of a step; None where a part of it has been refused already."""
+    if isinstance(step, HoldKeys):
+        return Hold(step.seconds)
+    if isinstance(step, MorphKeys):
+        if outline is None:
+            return None
+        tension = None if step.tension is None else (step.tension.min, step.tension.max)
+        return Morph(outline, legs, step.duration, step.blend, step.optimize, tension)
+    if isinstance(step, AdjustKeys):
+        return Adjust(legs, step.duration, step.blend) if legs is not None else None
+    if isinstance(step, TransportKeys):
+        return Transport(np.array(step.to), math.radians(step.yaw_deg), step.duration)
+    return _move(step, legs)
+
+
+def _move(step: MoveVertexKeys | MoveEdgeKeys | FollowVertexKeys, legs: LegSharing | None) -> Step:
+    if isinstance(step, FollowVertexKeys):
+        return FollowVertex(step.vertex, np.array(step.path), legs)
+    to, by = (None if value is None else np.array(value) for value in (step.to, step.by))
+    if isinstance(step, MoveEdgeKeys):
+        return MoveEdge(step.edge, to, by, legs, step.duration, step.blend)
+    return MoveVertex(step.vertex, to, by, legs, step.duration, step.blend)
 
 
 def _outline(
@@ -124,11 +189,9 @@ def _outline(
     team_keys: TeamKeys,
     team: Team | None,
     faults: Collector,
-) -> ConvexPolygon | None:
-    if team_keys.topology == "open":  # a chain's arc has n+1 points; its shape is not judged yet
-        _check_count(f"{path}.polygon", len(points), _vertices(team_keys), faults)
-        return None
-    outline = faults.attempt(path, lambda: ConvexPolygon(points))
+) -> Outline | None:
+    kind: type[Outline] = ConvexArc if team_keys.topology == "open" else ConvexPolygon
+    outline = faults.attempt(path, lambda: kind(points))
     if outline is None or team is None:
         return outline
     return faults.attempt(path, lambda: fitting_polygon(team, outline))

@@ -22,12 +22,14 @@ BETWEEN = 0.45
 """[m] Along a nearly straight outline the two drones of a cable stand ``l - d - e`` apart."""
 
 
-def random_morph(n: int, seed: int) -> dict[str, Any]:
+def random_morph(n: int, seed: int, *, hard: bool = False) -> dict[str, Any]:
     """Return a problem that turns, scales, shifts and reshapes a random convex n-gon a little.
 
-    Off the origin, with unequal cables; most can be solved along straight vertex paths. From
-    about n = 12 on the distance to cables is asked for as the geometry allows: a drone stands
-    ``e sin β`` from its neighbour's cable, and β nears 180°.
+    Off the origin, with unequal cables; most can be solved along straight vertex paths. A ``hard``
+    one goes to a polygon of its own: turned by any angle, shifted by up to a metre either way,
+    scaled by up to a tenth, of other proportions. From about n = 12 on the distance to cables is
+    asked for as the geometry allows: a drone stands ``e sin β`` from its neighbour's cable, and β
+    nears 180°.
     """
     rng = np.random.default_rng([n, seed])
     first = random_convex_polygon(n, EDGE, rng, JITTER)
@@ -36,6 +38,9 @@ def random_morph(n: int, seed: int) -> dict[str, Any]:
     wobble = 1.0 + 0.04 / math.sqrt(n) * rng.uniform(-1.0, 1.0)
     second = first.translated(-centre).scaled(wobble).rotated(rng.uniform(-0.5, 0.5) / n)
     second = second.translated(centre + rng.uniform(-0.5, 0.5, 2))
+    if hard:
+        other = random_convex_polygon(n, EDGE * rng.uniform(0.9, 1.1), rng, JITTER)
+        second = other.translated(centre + rng.uniform(-1.0, 1.0, 2))
     longest = np.maximum(first.edge_lengths, second.edge_lengths)
     shortest = np.minimum(first.edge_lengths, second.edge_lengths)
     slack = np.clip(shortest - BETWEEN, *SLACK) * rng.uniform(0.97, 1.0, n)
@@ -43,7 +48,7 @@ def random_morph(n: int, seed: int) -> dict[str, Any]:
     bluntest = math.sin(float(np.min(first.exterior_angles)))
     clearance = min(0.10, 0.2 * float(np.min(slack)) * bluntest)
     return {
-        "title": f"Random morph, n = {n}, seed {seed}",
+        "title": f"Random {'hard ' if hard else ''}morph, n = {n}, seed {seed}",
         "team": {"robots": n, "cable_length": [round(float(x), 4) for x in lengths]},
         "separation": {"cable": round(clearance, 6), "crossing": min(0.05, round(clearance, 6))},
         "start": {"hitch": {"polygon": _points(first.vertices), "altitude": 1.0}},

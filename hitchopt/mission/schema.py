@@ -57,11 +57,14 @@ PerRobot = Annotated[
 ]
 Legs = Annotated[
     Annotated[Literal["balanced", "spread"], Tag(ONE)]
-    | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+    | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
     Discriminator(_one_or_each),
 ]
 
-OUTLINE_TEXT = "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot"
+OUTLINE_TEXT = (
+    "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
+    "of the convex arc of an open chain"
+)
 LEGS_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
 DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
 
@@ -121,7 +124,7 @@ class TeamKeys(Keys):
         examples=[3],
     )
     topology: Literal["closed", "open"] = Field(
-        default="closed", description="closed: a polygon; open: a chain (not in this version)"
+        default="closed", description="closed: a polygon; open: a chain along a convex arc"
     )
     cable_length: PerRobot = Field(
         description="Length of the cables [m], one for all or one per robot", examples=[2.4]

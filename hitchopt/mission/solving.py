@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from hitchopt.certificate import Certificate, certify
-from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Arena, Hitch, Limits, Separation, Team
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.problem import Hold, LegSharing, Morph, Problem
-from hitchopt.model.motion import Motion, Phase, joined_motions
-from hitchopt.planners.flight import Flight
-from hitchopt.planners.morph import straight_morph
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.mission.ends import shared_hitch
+from hitchopt.mission.motions import Kept, check_at_rest
+from hitchopt.mission.planning import Planned, plan_blended, plan_step
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.step_records import FollowVertex, ShapeStep, Step
+from hitchopt.model.motion import Motion, joined_motions
+
+__all__ = ["Certified", "Kept", "Progress", "solve_problem", "solve_steps"]
 
 Progress = Callable[[str], None]
 
-IDLE = 0.01
-"""[s] What a morph takes that moves nothing and was given no duration."""
+RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
+"""Checks that hold more easily where everything goes slower."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +30,6 @@ class Certified:
 
     motion: Motion
     certificate: Certificate
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """What every step of a mission has to keep."""
-
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
 
 
 def solve_problem(problem: Problem, progress: Progress | None = None) -> Certified:
@@ -58,125 +48,98 @@ def solve_problem(problem: Problem, progress: Progress | None = None) -> Certifi
     kept = Kept(problem.limits, problem.separation, problem.arena)
     start = problem.start
     _tell(progress, "sharing the start's legs")
-    hitch = start_hitch(problem.team, start.polygon, start.altitude, start.legs, kept)
+    hitch = shared_hitch(problem.team, start.polygon, start.altitude, start.legs, kept)
     return solve_steps(hitch, problem.mission, kept, progress)
 
 
 def solve_steps(
     start: Hitch,
-    steps: tuple[Morph | Hold, ...],
+    steps: tuple[Step, ...],
     kept: Kept,
     progress: Progress | None = None,
 ) -> Certified:
     """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    _check_at_rest(start, kept, "at the start (t = 0)")
+    check_at_rest(start, kept, "at the start (t = 0)")
     hitch = start
     motions: list[Motion] = []
-    for i, step in enumerate(steps):
-        if isinstance(step, Hold):
-            motions.append(_resting(hitch, kept, step.seconds, i, "hold"))
-            continue
-        _tell(progress, f"planning step {i} (morph)")
+    for first, group in _groups(steps):
+        _tell(progress, f"planning step {first} ({group[0].name})")
         try:
-            end = _end_hitch(hitch, step, kept)
-            _check_at_rest(end, kept, f"at the end of step {i} (morph)")
-            flight = straight_morph(
-                hitch, end, kept.limits, kept.separation, kept.arena, step.duration
-            )
+            planned = _planned(hitch, group, first, kept)
         except InfeasibleError as error:
-            raise _in_step(error, i) from None
-        motions.append(
-            _resting(end, kept, step.duration or IDLE, i, "morph")
-            if flight is None
-            else _flying(flight, hitch.team, kept, i)
-        )
-        hitch = end
+            raise _in_step(error, first, group) from None
+        motions.append(planned.motion)
+        hitch = planned.end
     motion = joined_motions(motions)
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise infeasible(certificate, motion.phases)
+        raise _advised(infeasible(certificate, motion.phases), certificate, motion, steps)
     return Certified(motion, certificate)
 
 
-def start_hitch(
-    team: Team,
-    polygon: ConvexPolygon | ArrayLike,
-    altitude: float,
-    legs: LegSharing,
-    kept: Kept,
-) -> Hitch:
-    """Return the hitch with its legs shared as asked."""
-    if isinstance(legs, np.ndarray):
-        return Hitch(team, polygon, altitude, legs)
-    if legs == "balanced":
-        return Hitch.balanced(team, polygon, altitude)
-    return Hitch.spread(team, polygon, altitude, limits=kept.limits, separation=kept.separation)
+def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, list[Step]]]:
+    """Yield the steps that follow one another without a stop, with the first one's index."""
+    group: list[Step] = []
+    for i, step in enumerate(steps):
+        group.append(step)
+        if not getattr(step, "blend", False):
+            yield i + 1 - len(group), group
+            group = []
+    if group:
+        raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
 
 
-def _end_hitch(hitch: Hitch, step: Morph, kept: Kept) -> Hitch:
-    if step.legs is not None:
-        return start_hitch(hitch.team, step.polygon, hitch.altitude, step.legs, kept)
-    return Hitch.nearest(
-        hitch.team,
-        step.polygon,
-        hitch.altitude,
-        hitch.fractions,
-        limits=kept.limits,
-        separation=kept.separation,
-        arena=kept.arena,
-    )
+def _planned(start: Hitch, group: list[Step], first: int, kept: Kept) -> Planned:
+    if len(group) == 1:
+        return plan_step(start, group[0], first, kept)
+    shapes = [step for step in group if isinstance(step, ShapeStep)]
+    return plan_blended(start, shapes, first, kept)
 
 
-def _check_at_rest(hitch: Hitch, kept: Kept, when: str) -> None:
-    """Raise InfeasibleError where the hitch breaks a limit without moving."""
-    timeless = replace(kept, limits=replace(kept.limits, duration=None))
-    certificate = certify(_resting(hitch, timeless, 1.0, 0, "hold"))
-    if not certificate.certified:
-        raise infeasible(certificate, when=when)
-
-
-def _resting(hitch: Hitch, kept: Kept, seconds: float, step: int, name: str) -> Motion:
-    breaks = np.array([0.0, seconds])
-    values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
-    drones, vertices, legs, tensions = (
-        PiecewisePolynomial.constant(breaks, value) for value in values
-    )
-    return Motion(
-        hitch.team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
-        drones,
-        vertices,
-        legs,
-        tensions,
-        (Phase(name, step, 0.0, seconds),),
-    )
-
-
-def _flying(flight: Flight, team: Team, kept: Kept, step: int) -> Motion:
-    return Motion(
-        team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
-        flight.drones,
-        flight.vertices,
-        flight.legs,
-        flight.tensions,
-        (Phase("morph", step, 0.0, flight.duration),),
-    )
-
-
-def _in_step(error: InfeasibleError, step: int) -> HitchoptError:
+def _in_step(error: InfeasibleError, first: int, group: list[Step]) -> InfeasibleError:
     """Return the error with the step named wherever its words do not name it yet."""
-    suffix = f"of step {step} (morph)"
+    names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
+    suffix = f"of step {names}"
     return InfeasibleError(
         [
-            v if f"step {step}" in v.when else replace(v, when=f"{v.when} {suffix}".strip())
+            _with_remedy(
+                v
+                if f"step {first}" in v.when or "end of step" in v.when
+                else replace(v, when=f"{v.when} {suffix}".strip()),
+                "leave out blend" if len(group) > 1 else "",
+            )
             for v in error.violations
-        ]
+        ],
+        error.note,
     )
+
+
+def _advised(
+    error: InfeasibleError, certificate: Certificate, motion: Motion, steps: Sequence[Step]
+) -> InfeasibleError:
+    """Return the error with what can be changed in the steps in which limits are broken."""
+    advised = []
+    for violation, check in zip(error.violations, certificate.violated, strict=True):
+        found = {
+            _advice(steps, phase.step, check.name)
+            for phase in motion.phases
+            if phase.start <= check.time <= phase.end
+        }
+        advised.append(_with_remedy(violation, max(found, default="")))
+    return InfeasibleError(advised, error.note)
+
+
+def _advice(steps: Sequence[Step], i: int, check: str) -> str:
+    if check == "duration":
+        return ""
+    if isinstance(steps[i], FollowVertex) and check in RATES:
+        return "give the points more time"
+    blends = any(getattr(step, "blend", False) for step in steps[max(0, i - 1) : i + 1])
+    return "leave out blend" if blends else ""
+
+
+def _with_remedy(violation: Violation, advice: str) -> Violation:
+    return replace(violation, remedy=f"{violation.remedy}, or {advice}") if advice else violation
 
 
 def _tell(progress: Progress | None, message: str) -> None:

@@ -30,9 +30,19 @@ from hitchopt.mission.schema import (
     TimedPoint,
     fault,
 )
+from hitchopt.mission.step_records import MAX_TURNS
+
+BLEND_TEXT = "Go on into the next step without a stop"
 
 LATER = " (not in this version)"
 """Ends the description of what is well-formed but cannot be planned yet."""
+
+
+class TensionKeys(Keys):
+    """A range of tensions."""
+
+    min: Positive = Field(description="Smallest [N]", examples=[0.3])
+    max: Positive = Field(description="Largest [N]", examples=[0.6])
 
 
 class MorphKeys(Keys):
@@ -43,6 +53,13 @@ class MorphKeys(Keys):
     )
     legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+    blend: bool = Field(default=False, description=BLEND_TEXT)
+    optimize: bool = Field(
+        default=False, description="Look for a faster way even where the straight one will do"
+    )
+    tension: TensionKeys | None = Field(
+        default=None, description="Within what tensions may change on the way"
+    )
 
 
 class HoldKeys(Keys):
@@ -54,28 +71,40 @@ class HoldKeys(Keys):
 class _Move(Keys):
     """Something goes to a place, or by an offset."""
 
-    to: Point2 | None = Field(default=None, description="Where to, [x, y] [m]")
     by: Point2 | None = Field(default=None, description="By how much, [dx, dy] [m]")
     legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
-
-    @model_validator(mode="after")
-    def _check_to_or_by(self) -> _Move:
-        if (self.to is None) == (self.by is None):
-            raise fault("a mapping with either to or by", "write to: [x, y] or by: [dx, dy]")
-        return self
+    blend: bool = Field(default=False, description=BLEND_TEXT)
 
 
 class MoveVertexKeys(_Move):
     """One vertex goes elsewhere."""
 
     vertex: Index = Field(description="Which, from 0", examples=[0])
+    to: Point2 | None = Field(default=None, description="Where to, [x, y] [m]")
+
+    @model_validator(mode="after")
+    def _check_to_or_by(self) -> MoveVertexKeys:
+        if (self.to is None) == (self.by is None):
+            raise fault("a mapping with either to or by", "write to: [x, y] or by: [dx, dy]")
+        return self
 
 
 class MoveEdgeKeys(_Move):
     """Both ends of one edge go elsewhere."""
 
     edge: Index = Field(description="Which, from 0", examples=[0])
+    to: Annotated[list[Point2], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
+    )
+
+    @model_validator(mode="after")
+    def _check_to_or_by(self) -> MoveEdgeKeys:
+        if (self.to is None) == (self.by is None):
+            raise fault(
+                "a mapping with either to or by", "write to: [[x, y], [x, y]] or by: [dx, dy]"
+            )
+        return self
 
 
 class AdjustKeys(Keys):
@@ -83,6 +112,7 @@ class AdjustKeys(Keys):
 
     legs: Legs = Field(description=LEGS_TEXT, examples=["balanced"])
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
+    blend: bool = Field(default=False, description=BLEND_TEXT)
 
 
 class FollowVertexKeys(Keys):
@@ -90,7 +120,8 @@ class FollowVertexKeys(Keys):
 
     vertex: Index = Field(description="Which, from 0", examples=[0])
     path: Annotated[list[TimedPoint], Field(min_length=1)] = Field(
-        description="Points [t, x, y] [s, m, m], t from the step's start, increasing",
+        description="Points [t, x, y] [s, m, m], t from the step's start, increasing; equal points "
+        "in a row mean standing still",
         examples=[[[1.0, 0.0, -0.9]]],
     )
     legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
@@ -100,6 +131,8 @@ class FollowVertexKeys(Keys):
         times = [point[0] for point in self.path]
         if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
             raise fault("a path whose times increase from 0 or later", "sort its points by time")
+        if times[-1] <= 0.0:
+            raise fault("a path with a point after t = 0", "add one")
         return self
 
 
@@ -107,7 +140,9 @@ class TransportKeys(Keys):
     """The whole hitch goes elsewhere and turns."""
 
     to: Point3 = Field(description="Where its centroid goes, [x, y, z] [m]", examples=[[0, 0, 1]])
-    yaw_deg: Number = Field(default=0.0, description="By how much it turns [°]")
+    yaw_deg: Annotated[float, Field(ge=-360 * MAX_TURNS, le=360 * MAX_TURNS)] = Field(
+        default=0.0, description="By how much it turns, counter-clockwise [°]"
+    )
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
 
 
@@ -137,15 +172,13 @@ class StepKeys(OneKey):
     example: ClassVar[str] = "one step per list entry, such as hold: {seconds: 1.0}"
     morph: MorphKeys | None = Field(default=None, description="Polygon to polygon")
     hold: HoldKeys | None = Field(default=None, description="Stay")
-    move_vertex: MoveVertexKeys | None = Field(default=None, description=f"Move one vertex{LATER}")
-    move_edge: MoveEdgeKeys | None = Field(default=None, description=f"Move one edge{LATER}")
-    adjust: AdjustKeys | None = Field(default=None, description=f"Change the legs{LATER}")
+    move_vertex: MoveVertexKeys | None = Field(default=None, description="Move one vertex")
+    move_edge: MoveEdgeKeys | None = Field(default=None, description="Move one edge")
+    adjust: AdjustKeys | None = Field(default=None, description="Change the legs")
     follow_vertex: FollowVertexKeys | None = Field(
-        default=None, description=f"Lead one vertex along timed points{LATER}"
+        default=None, description="Lead one vertex along timed points"
     )
-    transport: TransportKeys | None = Field(
-        default=None, description=f"Carry the whole hitch{LATER}"
-    )
+    transport: TransportKeys | None = Field(default=None, description="Carry the whole hitch")
     form: FormKeys | None = Field(default=None, description=f"Form the hitch{LATER}")
     release: PlainKeys | None = Field(default=None, description=f"The way back of form{LATER}")
     land: PlainKeys | None = Field(default=None, description=f"Land all drones{LATER}")

@@ -124,6 +124,7 @@ _TYPES = {
     "number": "a number",
     "integer": "a whole number",
     "string": "text",
+    "boolean": "true or false",
     "array": "a list",
     "object": "a mapping",
     "null": "null",
@@ -157,6 +158,8 @@ def _type_remedy(path: list[str | int], value: object) -> str:
         remedy = "give a plain number in SI units"
     elif "array" in types:
         remedy = "write a list in brackets"
+    elif "boolean" in types:
+        remedy = "write true or false"
     else:
         remedy = "put it in quotes if it is meant as text"
     return remedy

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.layout import CLOSED, layout_of
 from hitchopt.model.robot import JET, clasp_function, robot_function
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ class FlatJets:
 
     Attributes
     ----------
-    vertices: (J, n, 3, 4) [m]
+    vertices: (J, points, 3, 4) [m]; n points of a closed hitch, n + 1 of a chain.
     q_legs: (J, n, 4) [m]
     tensions: (J, n, 4) [N]
     """
@@ -60,8 +61,8 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     The paper's class is used where all tensions are equal, the general clasp elsewhere.
     """
     count, n = flat.q_legs.shape[:2]
-    stencil = np.stack([np.roll(flat.vertices, shift, axis=1) for shift in (1, 0, -1, -2)], axis=2)
-    tensions = np.stack([np.roll(flat.tensions, shift, axis=1) for shift in (1, 0, -1)], axis=2)
+    stencil = flat.vertices[:, team.layout.stencil]
+    tensions = flat.tensions[:, team.layout.neighbours]
     equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
         flat.tensions[..., 1:]
     )
@@ -91,28 +92,34 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
 
 
 def clasp_residuals(
-    vertices: Array, drones: Array, tensions: Array, loads: Array | float = 0.0
+    vertices: Array,
+    drones: Array,
+    tensions: Array,
+    loads: Array | float = 0.0,
+    topology: str = CLOSED,
 ) -> Array:
-    """Return the unbalanced force at every clasp for any positions, as (J, n, 3) [N].
+    """Return the unbalanced force at every clasp for any positions, as (J, clasps, 3) [N].
 
     Parameters
     ----------
-    vertices: (J, n, 3) [m]
+    vertices: (J, points, 3) [m]
     drones: (J, 2n, 3) [m]
     tensions: (J, n) [N]
-    loads: (J, n, 3) or scalar [N]
+    loads: (J, clasps, 3) or scalar [N]
     """
-    count, n = vertices.shape[:2]
+    layout = layout_of(tensions.shape[1], topology)
+    around = [layout.starts[layout.behind], layout.clasps, layout.ends[layout.ahead]]
+    count, n = len(vertices), len(layout.clasps)
     columns = count * n
-    stencil = np.stack([np.roll(vertices, shift, axis=1) for shift in (1, 0, -1)], axis=2)
-    pulls = np.stack([np.roll(tensions, 1, axis=1), tensions], axis=2)
-    outside = np.broadcast_to(np.asarray(loads, dtype=np.float64), vertices.shape)
+    stencil = vertices[:, np.column_stack(around)]
+    pulls = tensions[:, np.column_stack([layout.behind, layout.ahead])]
+    outside = np.broadcast_to(np.asarray(loads, dtype=np.float64), (count, n, 3))
     (residual,) = _mapped(
         clasp_function(),
         [
             stencil.reshape(columns, 9, 1),
-            drones[:, 0::2].reshape(columns, 3, 1),
-            np.roll(drones[:, 1::2], 1, axis=1).reshape(columns, 3, 1),
+            drones[:, 2 * layout.ahead].reshape(columns, 3, 1),
+            drones[:, 2 * layout.behind + 1].reshape(columns, 3, 1),
             pulls.reshape(columns, 2, 1),
             outside.reshape(columns, 3, 1),
         ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,12 +21,14 @@ class Phase:
     name: such as ``morph`` or ``hold``.
     step: index of the mission's step that it belongs to.
     start, end: [s]
+    remark: what happens that was not asked for, and why; mostly nothing.
     """
 
     name: str
     step: int
     start: float
     end: float
+    remark: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +39,8 @@ class Motion:
     ----------
     team, limits, separation, arena: who flies, and what must be kept.
     drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, ….
-    vertices: of shape (n, 3) [m].
-    legs: of shape (n, 2) [m]: ``d_k``, ``e_k``.
+    vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
+    legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
 
@@ -59,7 +61,8 @@ class Motion:
 
     def __post_init__(self) -> None:
         n = self.team.robots
-        shapes = {"drones": (2 * n, 3), "vertices": (n, 3), "legs": (n, 2), "tensions": (n,)}
+        points = self.team.layout.points
+        shapes = {"drones": (2 * n, 3), "vertices": (points, 3), "legs": (n, 2), "tensions": (n,)}
         for name, shape in shapes.items():
             part: PiecewisePolynomial = getattr(self, name)
             if part.shape != shape:
@@ -79,7 +82,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     phases: list[Phase] = []
     offset = 0.0
     for motion in motions:
-        phases += [Phase(p.name, p.step, offset + p.start, offset + p.end) for p in motion.phases]
+        phases += [replace(p, start=offset + p.start, end=offset + p.end) for p in motion.phases]
         offset += motion.duration
     return Motion(
         first.team,

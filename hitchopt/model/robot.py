@@ -1,9 +1,13 @@
-"""The casadi model of one catenary robot in a closed hitch, and of one clasp.
+"""The casadi model of one catenary robot in a hitch, and of one clasp.
 
 Flat outputs are the vertices ``p_k``, the q-legs ``d_k`` and the tensions ``T_k``, each with its
 derivatives up to the third by a common parameter (time, or a path's): a *jet*. Robot k depends on
 ``p_{k-1} … p_{k+2}``, ``d_k`` and ``T_{k-1} … T_{k+1}`` only, so a hitch of n robots at J times is
 one function mapped over n·J columns, and its derivatives stay as local.
+
+At the ends of an open chain, where there is no leg, the edge's other end stands in for the point
+beyond: u_{k-1} = -u_k turns the cable back onto its edge, so that with ``d_k = 0`` the drone stands
+at p_k and its cable pulls it along the edge.
 """
 
 from __future__ import annotations

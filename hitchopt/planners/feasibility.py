@@ -24,11 +24,11 @@ PROBES = 401
 def check_shapes(path: Path) -> None:
     """Raise InfeasibleError where the path has no hitch to fly."""
     s = np.linspace(0.0, 1.0, PROBES)
-    polygons = polygons_along(path, s)
-    edges = np.roll(polygons, -1, axis=1) - polygons
-    behind = np.roll(edges, 1, axis=1)
-    right = behind[..., 1] * edges[..., 0] - behind[..., 0] * edges[..., 1]
-    angles = np.arctan2(right, np.sum(behind * edges, axis=-1))
+    layout = path.team.layout
+    edges = layout.edges(polygons_along(path, s))
+    ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
+    right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
+    angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
     if np.min(angles) < FLATTEST:
         k = int(np.argmin(np.min(angles, axis=0)))
         first = int(np.argmax(angles[:, k] < FLATTEST))
@@ -40,13 +40,13 @@ def check_shapes(path: Path) -> None:
                     math.degrees(FLATTEST),
                     "min",
                     "deg",
-                    (f"p{k}",),
+                    (f"p{layout.clasps[k]}",),
                     f"from {s[first]:.0%} of the way on",
                     "the straight way is shut: go by a polygon in between, in two morphs",
                 )
             ]
         )
-    legs = legs_along(path, s)
+    legs = np.where(layout.has_leg, legs_along(path, s), np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         raise InfeasibleError(
@@ -59,7 +59,7 @@ def check_shapes(path: Path) -> None:
                     "m",
                     (f"{'qr'[end]}{at}",),
                     f"at {s[j]:.0%} of the way",
-                    f"cable {at} leaves {np.sum(legs[j, at]):.6g} m for both legs there",
+                    f"cable {at} leaves {legs[j, at][layout.has_leg[at]].sum():.6g} m there",
                 )
             ]
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,23 +14,21 @@ from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands, loads_at_rest
 from hitchopt.planners.jets import chained
+from hitchopt.planners.mesh import time_mesh
 from hitchopt.planners.path import Path
-from hitchopt.planners.timing import SpeedProfile, fastest_profile
+from hitchopt.planners.timing import SpeedProfile, fastest_profile, path_grid
 from hitchopt.planners.warp import Clock, first_clock, jerk_limited
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
 
-GRID = 200
+GRID = 240
 """Steps of toppra's grid along the path."""
-
-FEWEST_PIECES, MOST_PIECES = 24, 60
-"""A piece is to be about as long as a ramp of the acceleration, within these."""
 
 MODEL_ERROR = 1e-6
 """Largest error of a cable's length, relative: ten times better than a plan promises."""
 
-FINEST = 240
+FINEST = 400
 """Pieces at which refining for the model's sake ends."""
 
 FINAL_SHARE = 0.9995
@@ -105,20 +104,19 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
         flat = path.flat(s)
         return Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
 
-    grid = np.linspace(0.0, 1.0, GRID + 1)
-    profile = fastest_profile(grid, demands_at(grid))
-    ramp = limits.acceleration / limits.jerk
-    pieces = int(np.clip(round(profile.duration / ramp), FEWEST_PIECES, MOST_PIECES))
-    # A path so short that the acceleration's limit is never reached takes the time that the jerk
-    # needs for the distance of a bang-bang profile: four ramps of it.
-    shortest = (8.0 * profile.duration**2 * limits.acceleration / limits.jerk) ** (1.0 / 3.0)
-    smoothing = min(2.0 * ramp, shortest)
+    grid = path_grid(GRID)
+    demands = demands_at(grid)
+    profile = fastest_profile(grid, demands)
+    ramp = _ramp(profile, demands)
+    finer = 1
     while True:
-        clock = jerk_limited(first_clock(profile, smoothing, pieces), demands_at)
+        clock = jerk_limited(
+            first_clock(profile, ramp, time_mesh(profile, ramp, finer)), demands_at
+        )
         flight = _polynomials(path, clock, profile)
-        if pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
+        if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
             break
-        pieces *= 2
+        finer *= 2
     flight = flight.stretched(_needed_stretch(path, limits, flight))
     if duration is None:
         return flight
@@ -140,6 +138,24 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     return flight.lasting(duration)
 
 
+def _ramp(profile: SpeedProfile, demands: Demands) -> float:
+    """Return how long the acceleration takes from one limit to the other [s].
+
+    Or as long as matters, where the jerk never lets it come to its limits: for the largest speed
+    that is reached, and for the longest way of a drone.
+    """
+    rates = np.linalg.norm(demands.drones[..., 1], axis=-1)
+    speed = float(np.max(rates * profile.speed[:, None]))
+    steps = np.diff(profile.s)[:, None]
+    longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
+    limits = demands.limits
+    return min(
+        2.0 * limits.acceleration / limits.jerk,
+        2.0 * math.sqrt(speed / limits.jerk),
+        math.pow(32.0 * longest / limits.jerk, 1.0 / 3.0),
+    )
+
+
 def _polynomials(path: Path, clock: Clock, profile: SpeedProfile) -> Flight:
     """Return polynomials that meet value, velocity, acceleration and jerk at every break."""
     breaks, progress = clock.breaks, clock.jets()
@@ -148,6 +164,7 @@ def _polynomials(path: Path, clock: Clock, profile: SpeedProfile) -> Flight:
     flat = path.flat(s)
     drones = drone_jets(path.team, flat)
     legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
+    legs *= path.team.layout.has_leg[..., None]  # exactly zero, not nearly
 
     def timed(jets: Array) -> PiecewisePolynomial:
         """Return the polynomials for jets by s (J, *shape, 4)."""
@@ -155,7 +172,12 @@ def _polynomials(path: Path, clock: Clock, profile: SpeedProfile) -> Flight:
         data = np.moveaxis(chained(jets, inner), -1, 0)
         return PiecewisePolynomial.hermite(breaks, data[:, :-1], data[:, 1:])
 
-    tensions = PiecewisePolynomial.constant(breaks, path.team.tension)
+    steady = not np.any(flat.tensions[..., 1:]) and np.all(flat.tensions == flat.tensions[0])
+    tensions = (
+        PiecewisePolynomial.constant(breaks, flat.tensions[0, :, 0])
+        if steady
+        else timed(flat.tensions)
+    )
     return Flight(timed(drones.positions), timed(flat.vertices), timed(legs), tensions, profile)
 
 
@@ -163,12 +185,9 @@ def _cable_error(path: Path, flight: Flight) -> float:
     """Return the largest relative error of a cable's length at samples between the breaks."""
     t = _probes(flight.drones.breaks, 5)
     p, drones = flight.vertices.at(t), flight.drones.at(t)
-    following = np.roll(p, -1, axis=1)
-    length = (
-        np.linalg.norm(drones[:, 0::2] - p, axis=-1)
-        + np.linalg.norm(following - p, axis=-1)
-        + np.linalg.norm(drones[:, 1::2] - following, axis=-1)
-    )
+    layout = path.team.layout
+    legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
+    length = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
     return float(np.max(np.abs(length / path.team.cable_length - 1.0)))
 
 
@@ -215,9 +234,8 @@ def _rates(coefficients: Array, h: float) -> Array:
 def _loads(path: Path, flight: Flight, t: Array) -> Array:
     """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
     p, drones = flight.vertices.at(t), flight.drones.at(t)
-    anchors = np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(drones.shape)
-    legs = drones - anchors
-    directions = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    outward = drones - p[:, path.team.layout.pulled_to]
+    directions = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
     forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
     forces[..., 2] -= path.team.cable_weight
     return loads_at_rest(path.team, forces)

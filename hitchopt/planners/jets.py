@@ -21,12 +21,12 @@ def product(a: Array, b: Array) -> Array:
 
 
 def square_root(a: Array) -> Array:
-    """Return the jet of √a, a positive; (…, m)."""
+    """Return the jet of √a, a positive; (…, m). Where a is zero there is none: zeros stand in."""
     root = np.zeros(a.shape)
     root[..., 0] = np.sqrt(a[..., 0])
     for k in range(1, a.shape[-1]):  # from (√a)² = a, solved for the newest derivative
         known = sum(comb(k, i) * root[..., i] * root[..., k - i] for i in range(1, k))
-        root[..., k] = (a[..., k] - known) / (2.0 * root[..., 0])
+        np.divide(a[..., k] - known, 2.0 * root[..., 0], out=root[..., k], where=root[..., 0] > 0.0)
     return root
 
 

@@ -70,13 +70,15 @@ class ShapePath:
     Attributes
     ----------
     team: whose cables.
-    vertices: of shape (n, 3) over s in [0, 1] [m].
-    legs: the law of the q-legs.
+    vertices: of shape (points, 3) over s in [0, 1] [m].
+    legs: the law of the q-legs, wherever the ends of a chain leave a choice.
+    tensions: of shape (n,) over s [N], or None for the team's.
     """
 
     team: Team
     vertices: PiecewisePolynomial
     legs: LegLaw
+    tensions: PiecewisePolynomial | None = None
 
     @classmethod
     def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
@@ -93,23 +95,29 @@ class ShapePath:
     def flat(self, s: Array) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,)."""
         vertices = np.stack([self.vertices.at(s, order) for order in range(JET)], axis=-1)
-        edges = np.roll(vertices, -1, axis=1) - vertices
+        edges = self.team.layout.edges(vertices, axis=1)
         slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += self.team.cable_length
         tensions = np.zeros((len(s), self.team.robots, JET))
         tensions[..., 0] = self.team.tension
-        return FlatJets(vertices, self.legs.q_legs(s, slack), tensions)
+        if self.tensions is not None:
+            tensions = np.stack([self.tensions.at(s, order) for order in range(JET)], axis=-1)
+        wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
+        q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
+        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
 
 
 def legs_along(path: Path, s: Array) -> Array:
-    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m]; negative where a cable is too short."""
-    flat = path.flat(s)
-    vertices, q_legs = flat.vertices[..., 0], flat.q_legs[..., 0]
-    edges = np.linalg.norm(np.roll(vertices, -1, axis=1) - vertices, axis=-1)
-    return np.stack([q_legs, path.team.cable_length - edges - q_legs], axis=-1)
+    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m].
+
+    Negative where a cable is too short; zero where a chain's end has no leg.
+    """
+    flat, layout = path.flat(s), path.team.layout
+    edges = np.linalg.norm(layout.edges(flat.vertices[..., 0]), axis=-1)
+    return layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
 
 
 def polygons_along(path: Path, s: Array) -> Array:
-    """Return the vertices in plan view at s (J,), as (J, n, 2) [m]."""
+    """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
     polygons: Array = path.flat(s).vertices[:, :, :2, 0]
     return polygons

@@ -26,6 +26,12 @@ class TimingError(HitchoptError):
     """The path cannot be timed: toppra found no profile from rest to rest."""
 
 
+def path_grid(steps: int) -> Array:
+    """Return (steps + 1,) from 0 to 1, closer at the ends, where the path is left from rest."""
+    grid: Array = 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
+    return grid
+
+
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
     """The fastest way along a path without a jerk limit.
@@ -50,14 +56,31 @@ class SpeedProfile:
         """From rest to rest [s]."""
         return float(self.times[-1])
 
-    def at(self, t: Array) -> Array:
-        """Return s at t (…) [s]; at rest before and after."""
+    def acceleration(self, t: Array) -> Array:
+        """Return s̈ at t (…) [s], zero before and after [1/s²]."""
         times = self.times
+        i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+        inside = (t >= 0.0) & (t <= times[-1])
+        acceleration: Array = np.where(inside, (np.diff(self.speed) / np.diff(times))[i], 0.0)
+        return acceleration
+
+    def mean(self, t: Array, width: float) -> Array:
+        """Return the mean of s over the ``width`` [s] before t (…); at rest before and after."""
+        mean: Array = (self._integral(t) - self._integral(t - width)) / width
+        return mean
+
+    def _integral(self, t: Array) -> Array:
+        """Return the integral of s from 0 to t (…)."""
+        times, h = self.times, np.diff(self.times)
+        acceleration = np.diff(self.speed) / h
+        steps = h * (self.s[:-1] + h * (self.speed[:-1] / 2.0 + h * acceleration / 6.0))
+        until = np.append(0.0, np.cumsum(steps))
         inside = np.clip(t, 0.0, times[-1])
-        i = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, len(times) - 2)
+        i = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, len(h) - 1)
         dt = inside - times[i]
-        acceleration = np.diff(self.speed)[i] / np.diff(times)[i]
-        return np.minimum(self.s[i] + dt * (self.speed[i] + 0.5 * dt * acceleration), 1.0)
+        within = dt * (self.s[i] + dt * (self.speed[i] / 2.0 + dt * acceleration[i] / 6.0))
+        total: Array = until[i] + within + np.maximum(t - times[-1], 0.0)
+        return total
 
 
 def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
@@ -68,14 +91,19 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     TimingError: none exists, as where rest itself breaks a limit on the way.
     """
     rows = acceleration_rows(demands)
-    unit = float(np.max(rows.scale))  # toppra's tolerances are absolute: make ṡ² of order 1
-    rule = _Rule(rows.normals, rows.bounds / unit)
-    path = toppra.SplineInterpolator([0.0, 1.0], [[0.0], [1.0]])
-    solver = algorithm.TOPPRA([rule], path, gridpoints=s, solver_wrapper="seidel")
+    # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
+    # which both s̈ and ṡ² are of order 1, be they bound by acceleration or by speed.
+    length = float(np.clip(np.median(rows.steepest / rows.fastest), 1e-2, 1e9))
+    unit = float(np.median(rows.fastest)) * length
+    normals = rows.normals * [1.0, 1.0 / length]
+    size = np.linalg.norm(normals, axis=-1)
+    rule = _Rule(normals / size[..., None], rows.bounds / unit / size)
+    path = toppra.SplineInterpolator([0.0, length], [[0.0], [1.0]])
+    solver = algorithm.TOPPRA([rule], path, gridpoints=s * length, solver_wrapper="seidel")
     _, speed, _ = solver.compute_parameterization(0.0, 0.0)
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[1:-1] <= 0.0):
         raise TimingError("toppra found no speed profile from rest to rest on this path")
-    return SpeedProfile(s, speed * np.sqrt(unit))
+    return SpeedProfile(s, speed * np.sqrt(unit / length))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +114,13 @@ class AccelerationRows:
     ----------
     normals: (J, m, 2)
     bounds: (J, m)
-    scale: (J,) [1/s²], a typical size of ṡ².
+    steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
     """
 
     normals: Array
     bounds: Array
-    scale: Array
+    steepest: Array
+    fastest: Array
 
 
 def acceleration_rows(demands: Demands) -> AccelerationRows:
@@ -118,7 +147,7 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     size = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
     bounds = np.sum(normals * corners[:, :-1], axis=-1)
-    return AccelerationRows(normals, bounds, fastest)
+    return AccelerationRows(normals, bounds, steepest, fastest)
 
 
 def _cast(demands: Demands, u: Array, x: Array) -> Array:

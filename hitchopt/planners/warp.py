@@ -79,22 +79,16 @@ class Clock:
         )
 
 
-def first_clock(profile: SpeedProfile, ramp: float, pieces: int) -> Clock:
+def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
     """Return the profile smoothed over ``ramp`` [s], flown as it is (x = 1).
 
     A moving average of that width turns jumps of the acceleration into ramps.
     """
-    duration = profile.duration + ramp
-    tau = np.linspace(0.0, duration, 8 * max(pieces, 50) + 1)
-    offsets = np.linspace(-ramp, 0.0, 65)
-    spread = profile.at(tau[:, None] + offsets)
-    smooth = (spread[:, :-1] + spread[:, 1:]).mean(axis=1) / 2.0
-    knots = np.linspace(0.0, duration, pieces + 1)
-    at_knots = np.interp(knots, tau, smooth)
+    at_knots = profile.mean(knots, ramp)
     at_knots[0], at_knots[-1] = 0.0, 1.0
     rest = [(1, 0.0), (2, 0.0)]  # the stubs know of one condition an end, scipy of any
     progress = make_interp_spline(knots, at_knots, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
-    return Clock(knots, progress, make_interp_spline(knots, np.ones(pieces + 1), k=3))
+    return Clock(knots, progress, make_interp_spline(knots, np.ones(len(knots)), k=3))
 
 
 def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
@@ -115,7 +109,11 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     rows = path.nearest(steady, flat, flat)
     rate = np.full(count, steady[0])
     for _ in range(ROUNDS):
-        rate = _solve(clock, tau, path, rows, rate)
+        try:
+            rate = _solve(clock, tau, path, rows, rate)
+        except WarpError:  # a steady clock keeps the limits as well, and is only slower
+            even = np.full(count, steady[0])
+            return Clock(clock.knots, clock.progress, BSpline(spline.t, even, 3))
         squared = BSpline(spline.t, rate, 3)
         x = [squared(tau, order) for order in range(3)]
         broken = path.broken(*x)
@@ -204,13 +202,16 @@ def _solve(clock: Clock, tau: Array, path: _Path, rows: NDArray[np.bool_], start
             "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200, "tol": 1e-7},
         },
     )
-    solution = solver(
-        x0=start,
-        lbx=1e-4,
-        ubx=1e4,
-        lbg=np.append(np.full(len(tau), 1e-4), np.full(len(upper), -np.inf)),
-        ubg=np.append(path.most, upper),
-    )
+    try:
+        solution = solver(
+            x0=start,
+            lbx=1e-4,
+            ubx=1e4,
+            lbg=np.append(np.full(len(tau), 1e-4), np.full(len(upper), -np.inf)),
+            ubg=np.append(path.most, upper),
+        )
+    except RuntimeError as error:  # casadi's word for numbers that are none
+        raise WarpError("the jerk-limited timing met numbers out of range") from error
     rate = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not np.all(np.isfinite(rate)):
         raise WarpError(f"the jerk-limited timing failed: {solver.stats()['return_status']}")

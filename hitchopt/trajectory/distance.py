@@ -1,10 +1,9 @@
 """Distance of points and segments whose ends move along polynomials, bounded from below.
 
-Two bodies are given by the *differences* of their ends, in one of three forms: point and point
-``[a - b]``; point and segment ``[a - b0, a - b1]``; segments ``[a0 - b0, a0 - b1, a1 - b0,
-a1 - b1]``. For any vector of length at most one, its product with all the differences bounds the
-distance from below, as all points of the bodies lie between their ends. Taken along the shortest
-connections at both ends of a cell, the bound comes closer with the square of the cell's length.
+Two bodies are given by the *differences* of their ends, as in ``hitchopt.geometry.segments``. For
+any vector of length at most one, its product with all the differences bounds the distance from
+below, as all points of the bodies lie between their ends. Taken along the shortest connections at
+both ends of a cell, the bound comes closer with the square of the cell's length.
 """
 
 from __future__ import annotations
@@ -12,32 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.geometry import closest_offsets
+from hitchopt.geometry import shortest_offset
 from hitchopt.trajectory.extremum import Estimate
 
 Array = NDArray[np.float64]
-
-
-def shortest_offset(differences: Array) -> Array:
-    """Return the shortest of all vectors from the second body to the first.
-
-    Parameters
-    ----------
-    differences: (…, 1, 2 or 4, 3), as the module says. Bodies may touch, cross, be parallel or
-        shrink to points.
-
-    Returns
-    -------
-    (…, 3)
-    """
-    count = differences.shape[-2]
-    if count == 1:
-        return differences[..., 0, :]
-    if count == 2:
-        return _point_offset(differences[..., 0, :], differences[..., 1, :])
-    d00, d01, d10 = (differences[..., i, :] for i in range(3))
-    start = np.zeros_like(d00)  # the second segment's own first end as the origin
-    return closest_offsets(d00, d10, start, d00 - d01)
 
 
 def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
@@ -76,13 +53,3 @@ def _unit(vectors: Array, lengths: Array) -> Array:
     safe = np.where(lengths > 0.0, lengths, np.inf)
     unit: Array = vectors / safe[..., None]
     return unit
-
-
-def _point_offset(to_first: Array, to_second: Array) -> Array:
-    """Return the offset of a point from a segment, given its offsets from both ends."""
-    along = to_first - to_second
-    squared = np.sum(along * along, axis=-1)
-    share = np.sum(to_first * along, axis=-1)
-    share = np.divide(share, squared, out=np.zeros_like(share), where=squared > 0.0)
-    offset: Array = to_first - np.clip(share, 0.0, 1.0)[..., None] * along
-    return offset

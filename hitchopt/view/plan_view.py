@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.export.sampling import States
+from hitchopt.hitch.layout import Layout
 from hitchopt.model.motion import Motion
 from hitchopt.view.curves import Curves
 
@@ -53,7 +54,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
             zorder=1,
         )
     )
-    start, end = (_cables(states.vertices[i], states.positions[i]) for i in (0, -1))
+    start, end = (_cables(motion.team.layout, states, i) for i in (0, -1))
     moves = bool(np.max(np.abs(end - start)) > 1e-3)
     if moves:
         axes.add_collection(
@@ -74,7 +75,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
         )
     )  # fmt: skip
     if n <= MOST_LABELS:
-        _label_vertices(axes, states.vertices[-1][:, :2])
+        _label_vertices(axes, motion.team.layout, states.vertices[-1][:, :2])
     axes.set_aspect("equal", adjustable="datalim")
     _make_room(axes, states.positions[..., :2], motion.separation.radius)
     axes.set_xlabel("x [m]")
@@ -89,11 +90,11 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
     )
 
 
-def _cables(vertices: Array, drones: Array) -> Array:
-    """Return (n, 4, 2) [m]: cable k from q_k over its two clasps to r_k."""
-    pairs = drones.reshape(-1, 2, 3)
-    ends = np.stack([pairs[:, 0], vertices, np.roll(vertices, -1, axis=0), pairs[:, 1]], axis=1)
-    return ends[..., :2]
+def _cables(layout: Layout, states: States, i: int) -> Array:
+    """Return (n, 4, 2) [m]: cable k from q_k over the ends of its edge to r_k, in state i."""
+    vertices, pairs = states.vertices[i], states.positions[i].reshape(-1, 2, 3)
+    edges = [vertices[layout.starts], vertices[layout.ends]]
+    return np.stack([pairs[:, 0], *edges, pairs[:, 1]], axis=1)[..., :2]
 
 
 def _colours(n: int) -> list[str]:
@@ -127,11 +128,15 @@ def _draw_drones(axes: Axes, drones: Array, colour: str, size: float, order: int
         )
 
 
-def _label_vertices(axes: Axes, vertices: Array) -> None:
+def _label_vertices(axes: Axes, layout: Layout, vertices: Array) -> None:
     """Write every vertex's number inside of it, where no leg passes."""
-    edges = np.roll(vertices, -1, axis=0) - vertices
+    edges = layout.edges(vertices)
     directions = edges / np.linalg.norm(edges, axis=1)[:, None]
-    inward = directions - np.roll(directions, 1, axis=0)  # of length 2 cos(half the corner)
+    # Away from the chain where it begins and ends; at clasps of length 2 cos(half the corner).
+    inward = np.zeros_like(vertices)
+    inward[layout.starts] += directions
+    inward[layout.ends] -= directions
+    inward[~np.isin(np.arange(len(vertices)), layout.clasps)] *= -1.0
     length = np.linalg.norm(inward, axis=1)[:, None]
     sharpness = np.sqrt(np.maximum(1.0 - 0.25 * length**2, 1e-9))  # sin(half the corner)
     offsets = np.clip(11.0 / sharpness, 13.0, 32.0) * inward / np.maximum(length, 1e-9)  # [points]

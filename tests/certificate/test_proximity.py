@@ -1,8 +1,7 @@
 """The spatial index: it finds what looking at all pairs finds, whatever moves and however far."""
 
-import itertools
 import math
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.certificate import certify, proximity
-from hitchopt.certificate.broadphase import Boxes, Pairs, all_pairs, close_pairs
 from hitchopt.certificate.certify import CHECKS
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.geometry import regular_polygon
+from hitchopt.geometry.broadphase import Pairs, close_pairs, few_close_pairs
 from hitchopt.hitch import Separation, Team
 
 FAR = 10**12
@@ -23,52 +22,6 @@ FAR = 10**12
 
 def every(i: np.ndarray, _: np.ndarray) -> np.ndarray:
     return np.ones(len(i), dtype=np.bool_)
-
-
-def gap(a: Boxes, i: int, b: Boxes, j: int) -> float:
-    """The distance of two boxes, axis by axis."""
-    per_axis = [
-        max(a.lower[i, x] - b.upper[j, x], b.lower[j, x] - a.upper[i, x], 0.0) for x in range(3)
-    ]
-    return math.sqrt(sum(p * p for p in per_axis))
-
-
-def boxes(rng: np.random.Generator, count: int, scale: float) -> Boxes:
-    """Boxes of sizes from 1e-4 to 10, some of them points."""
-    centres = rng.uniform(-scale, scale, (count, 3))
-    sizes = 10.0 ** rng.uniform(-4.0, 1.0, (count, 3)) * (rng.random((count, 1)) > 0.3)
-    return Boxes(centres - sizes, centres + sizes)
-
-
-@settings(max_examples=25, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 10_000), cutoff=st.floats(0.0, 3.0), one=st.booleans())
-def test_close_pairs_are_those_that_all_pairs_show(seed: int, cutoff: float, one: bool) -> None:
-    rng = np.random.default_rng(seed)
-    a, b = boxes(rng, 30, 20.0), boxes(rng, 20, 20.0)
-    pairs = close_pairs(a, None if one else b, cutoff, FAR)
-    assert pairs is not None
-    found = list(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
-    if one:
-        both = itertools.combinations(range(30), 2)
-        expected = {(i, j) for i, j in both if gap(a, i, a, j) <= cutoff}
-    else:
-        expected = {(i, j) for i in range(30) for j in range(20) if gap(a, i, b, j) <= cutoff}
-    assert len(found) == len(set(found))
-    assert set(found) == expected
-
-
-def test_too_many_pairs_are_not_listed() -> None:
-    same = Boxes(np.zeros((50, 3)), np.ones((50, 3)))
-    assert close_pairs(same, None, 0.1, 100) is None
-    assert close_pairs(same, None, 0.1, FAR) is not None
-
-
-def test_all_pairs_counts() -> None:
-    assert len(all_pairs(7, None)) == 21
-    pairs = all_pairs(3, 4)
-    assert sorted(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)) == list(
-        itertools.product(range(3), range(4))
-    )
 
 
 @settings(max_examples=15, deadline=None, derandomize=True)
@@ -170,12 +123,16 @@ def test_two_thousand_drones_at_rest_show_what_all_pairs_show() -> None:
 def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPatch) -> None:
     listed: list[int] = []
 
-    def counted(*given: Any) -> Pairs | None:
-        pairs = close_pairs(*given)
-        listed.append(0 if pairs is None else len(pairs))
-        return pairs
+    def counted(find: Callable[..., Pairs | None]) -> Callable[..., Pairs | None]:
+        def found(*given: object) -> Pairs | None:
+            pairs = find(*given)
+            listed.append(0 if pairs is None else len(pairs))
+            return pairs
 
-    monkeypatch.setattr(proximity, "close_pairs", counted)
+        return found
+
+    monkeypatch.setattr(proximity, "close_pairs", counted(close_pairs))
+    monkeypatch.setattr(proximity, "few_close_pairs", counted(few_close_pairs))
 
     def count(n: int) -> int:
         base = regular_polygon(n, 1.3).vertices  # where all neighbours are equally near

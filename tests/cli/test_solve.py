@@ -33,6 +33,8 @@ def run(*arguments: str | Path) -> Result:
 
 def least_duration(path: Path) -> float:
     """How long the vertices need at their speed limit, from the file alone [s]."""
+    if "# Lasts: " in path.read_text(encoding="utf-8"):
+        return float(header(path, "Lasts"))
     data: Any = read_yaml(path)
     speed = data.get("limits", {}).get("vertex_speed", 0.5)
     polygon = np.array(data["start"]["hitch"]["polygon"])
@@ -40,6 +42,8 @@ def least_duration(path: Path) -> float:
     for step in data["mission"]:
         if "hold" in step:
             total += step["hold"]["seconds"]
+        elif "follow_vertex" in step:
+            total += step["follow_vertex"]["path"][-1][0]
         else:
             end = np.array(step["morph"]["polygon"])
             way = np.max(np.linalg.norm(end - polygon, axis=1))

@@ -15,7 +15,6 @@ from hitchopt import (
     Quadrotor,
     Separation,
     Team,
-    UnsupportedError,
 )
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -58,11 +57,6 @@ def test_bad_values_name_their_key(make: Callable[[], object], key: str) -> None
     assert caught.value.key == key
     assert caught.value.bound
     assert caught.value.remedy
-
-
-def test_open_chains_are_known_but_not_planned_yet() -> None:
-    with pytest.raises(UnsupportedError, match="open"):
-        Team(4, 5.0, topology="open")
 
 
 def test_an_edge_longer_than_its_cable_is_infeasible_and_says_which() -> None:

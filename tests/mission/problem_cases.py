@@ -59,5 +59,10 @@ def triangle() -> dict[str, object]:
             {"morph": {"polygon": [[2, 0.7], [1.6, 1.7], [2.4, 1.7]], "legs": "balanced"}},
             {"hold": {"seconds": 1.5}},
             {"morph": {"polygon": [[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]], "duration": 7.5}},
+            {"move_vertex": {"vertex": 2, "by": [0.1, 0.05], "legs": "spread", "duration": 3.5}},
+            {"move_edge": {"edge": 1, "to": [[1.6, 1.7], [2.4, 1.75]], "blend": True}},
+            {"adjust": {"legs": [0.5, 0.6, 0.45]}},
+            {"follow_vertex": {"vertex": 0, "path": [[0, 2.1, 0.6], [3.5, 2.0, 0.7]]}},
+            {"transport": {"to": [2.0, 1.2, 1.6], "yaw_deg": -30, "duration": 9}},
         ],
     }

@@ -11,9 +11,19 @@ import pytest
 from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, UNSUPPORTED, header, triangle
 
 from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
+from hitchopt.geometry import ConvexArc, ConvexPolygon
 from hitchopt.mission.faults import MAX_LISTED
 from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
-from hitchopt.mission.problem import Hold, Morph, Problem
+from hitchopt.mission.problem import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Problem,
+    Transport,
+)
 from hitchopt.mission.yaml_file import read_yaml
 
 MINIMAL: dict[str, Any] = {
@@ -64,7 +74,7 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     assert start.polygon.vertices.tolist() == [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
     assert start.altitude == 1.3
     assert np.array_equal(start.legs, [0.4, 0.7, 0.45])
-    first, second, third = problem.mission
+    first, second, third = problem.mission[:3]
     assert isinstance(first, Morph)
     assert isinstance(third, Morph)
     assert second == Hold(1.5)
@@ -72,6 +82,28 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     assert (first.legs, first.duration) == ("balanced", None)
     assert third.polygon.vertices.tolist() == [[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]
     assert (third.legs, third.duration) == (None, 7.5)
+    assert (first.blend, third.blend) == (False, False)
+
+
+def test_every_value_of_the_actions_arrives_where_it_belongs() -> None:
+    vertex, edge, adjust, follow, transport = problem_from_dict(triangle()).mission[3:]
+    assert isinstance(vertex, MoveVertex)
+    assert vertex.by is not None
+    assert (vertex.vertex, vertex.to, vertex.by.tolist()) == (2, None, [0.1, 0.05])
+    assert (vertex.legs, vertex.duration, vertex.blend) == ("spread", 3.5, False)
+    assert isinstance(edge, MoveEdge)
+    assert edge.to is not None
+    assert (edge.edge, edge.to.tolist(), edge.by) == (1, [[1.6, 1.7], [2.4, 1.75]], None)
+    assert (edge.legs, edge.duration, edge.blend) == (None, None, True)
+    assert isinstance(adjust, Adjust)
+    assert np.array_equal(adjust.legs, [0.5, 0.6, 0.45])
+    assert (adjust.duration, adjust.blend) == (None, False)
+    assert isinstance(follow, FollowVertex)
+    assert (follow.vertex, follow.legs, follow.duration) == (0, None, 3.5)
+    assert follow.path.tolist() == [[0, 2.1, 0.6], [3.5, 2.0, 0.7]]
+    assert isinstance(transport, Transport)
+    assert (transport.to.tolist(), transport.duration) == ([2.0, 1.2, 1.6], 9)
+    assert transport.yaw == pytest.approx(-math.pi / 6, rel=1e-15)
 
 
 def test_defaults_are_those_of_the_interface() -> None:
@@ -194,11 +226,6 @@ def test_infeasible_files_are_well_formed(path: Path) -> None:
 
 
 LATER_STEPS: list[tuple[str, object]] = [
-    ("move_vertex", {"vertex": 2, "by": [0.1, 0.0], "duration": 3}),
-    ("move_edge", {"edge": 1, "by": [0.0, 0.1]}),
-    ("adjust", {"legs": "balanced"}),
-    ("follow_vertex", {"vertex": 0, "path": [[0, 2, 0.2], [3.5, 2, 0.3]]}),
-    ("transport", {"to": [1, 2, 1.5], "yaw_deg": -30}),
     ("form", {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}),
     ("release", {}),
     ("land", {}),
@@ -209,7 +236,7 @@ LATER_STEPS: list[tuple[str, object]] = [
     ("name", "keys"), LATER_STEPS, ids=lambda x: x if isinstance(x, str) else ""
 )
 def test_known_steps_that_are_not_planned_yet_are_unsupported(name: str, keys: object) -> None:
-    with pytest.raises(UnsupportedError, match=rf"^mission\[1\]\.{name}: .*use morph or hold"):
+    with pytest.raises(UnsupportedError, match=rf"^mission\[1\]\.{name}: .*use morph, move_vertex"):
         problem_from_dict(changed(["mission", 1], {name: keys}))
 
 
@@ -232,13 +259,22 @@ def test_a_wrong_file_is_wrong_even_where_it_asks_for_something_unsupported() ->
         problem_from_dict(data)
 
 
-def test_open_chains_are_unsupported_if_their_points_are_counted_right() -> None:
+def test_open_chains_have_one_point_more_than_robots() -> None:
     data = copy.deepcopy(MINIMAL)
     data["team"]["topology"] = "open"
     with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
         problem_from_dict(data)
     data["start"]["hitch"]["polygon"] = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
-    with pytest.raises(UnsupportedError, match=r"team\.topology"):
+    problem = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
+    assert isinstance(problem.start.polygon, ConvexArc)
+    assert len(problem.start.polygon) == 4
+    # A closed polygon of the same four points would be for four robots.
+    data["team"].update(topology="closed", robots=4)
+    closed = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
+    assert isinstance(closed.start.polygon, ConvexPolygon)
+    data["team"].update(topology="open", robots=3)
+    data["start"]["hitch"]["polygon"] = [[2, 0], [1, 1], [-1, 1], [-2, 0]]
+    with pytest.raises(InputError, match="clockwise"):
         problem_from_dict(data)
 
 
@@ -270,12 +306,98 @@ FAULTS: list[tuple[list[str | int], object, str]] = [
     (["start", "hitch", "polygon", 1], [2.0, 0.2], r"start.hitch.polygon[0] = [2.0, 0.2]: must be"),
     (["start", "hitch", "legs"], "even", r"start.hitch.legs = 'even': must be balanced or spread"),
     (["start", "hitch", "legs"], 0.4, r"start.hitch.legs = 0.4: must be balanced or spread, or a"),
-    (["mission", 0, "morph", "legs"], [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be gre"),
+    (["mission", 0, "morph", "legs"], [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be at "),
     (["mission", 2, "morph", "polygon"], None, r"mission[2].morph.polygon = None: must be a list"),
+    (
+        ["mission", 3, "move_vertex", "vertex"],
+        3,
+        r"mission[3].move_vertex.vertex = 3: must be from",
+    ),
+    (
+        ["mission", 3, "move_vertex", "by"],
+        [-2, 1],
+        r"mission[3].move_vertex.by = [-2.0, 1.0]: must ",
+    ),
+    (
+        ["mission", 3, "move_vertex", "by"],
+        [9],
+        r"mission[3].move_vertex.by = [9]: must be a list of",
+    ),
+    (
+        ["mission", 3, "move_vertex", "to"],
+        [2, 2],
+        r"move_vertex = {'vertex': 2, 'by': [0.1, 0.05], ",
+    ),
+    (
+        ["mission", 3, "move_vertex", "blend"],
+        1,
+        r"mission[3].move_vertex.blend = 1: must be true or",
+    ),
+    (
+        ["mission", 3, "move_vertex", "blend"],
+        True,
+        r"mission[3].move_vertex.duration = 3.5: must be",
+    ),
+    (["mission", 4, "move_edge", "to"], [[2, 2]], r"mission[4].move_edge.to = [[2, 2]]: must be "),
+    (
+        ["mission", 4, "move_edge", "edge"],
+        2.5,
+        r"mission[4].move_edge.edge = 2.5: must be a whole n",
+    ),
+    (
+        ["mission", 5, "adjust", "blend"],
+        True,
+        r"mission[5].adjust.blend = True: must be false befor",
+    ),
+    (
+        ["mission", 5, "adjust", "duration"],
+        2,
+        r"mission[5].adjust.duration = 2.0: must be left out",
+    ),
+    (
+        ["mission", 6, "follow_vertex", "blend"],
+        True,
+        r"mission[6].follow_vertex.blend = True: must be",
+    ),
+    (
+        ["mission", 6, "follow_vertex", "path"],
+        [[0, 2, 1]],
+        r"must be a path with a point after t = 0",
+    ),
+    (
+        ["mission", 6, "follow_vertex", "path", 1],
+        [2, 2, 2],
+        r"mission[6].follow_vertex.path = [[0.0,",
+    ),
+    (
+        ["mission", 7, "transport", "to"],
+        [1, 2],
+        r"mission[7].transport.to = [1, 2]: must be a list of",
+    ),
+    (
+        ["mission", 7, "transport", "to", 0],
+        1e6,
+        r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m",
+    ),
+    (
+        ["mission", 7, "transport", "yaw_deg"],
+        "x",
+        r"mission[7].transport.yaw_deg = 'x': must be a n",
+    ),
     (["mission", 1, "hold", "duration"], 1, r"mission[1].hold.duration = 1: must be a known key"),
     (["mission", 1], {"hodl": 1}, r"mission[1].hodl = 1: must be a known key; did you mean hold?"),
     (["mission"], {"hold": {}}, r"mission = {'hold': {}}: must be a list; write a list in bracket"),
     (["arena", "upper"], [5, 4, 0.1], r"arena.upper = [5.0, 4.0, 0.1]: must be greater than lower"),
+    (
+        ["mission", 7, "transport", "to", 2],
+        1e6,
+        r"7].transport.to = [2.0, 1.2, 1000000.0]: must be",
+    ),
+    (
+        ["mission", 7, "transport", "yaw_deg"],
+        1801,
+        r"[7].transport.yaw_deg = 1801: must be at most",
+    ),
     (["title"], "a\nb", r"title = 'a\nb': must be printable text on one line; remove"),
     (["title"], "x" * 201, r": must be at most 200 characters long; shorten it"),
     (["title"], 2026, r"title = 2026: must be text; put it in quotes if it is meant as text"),

@@ -11,6 +11,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.equilibrium import clasp_residuals as hitch_residuals
 from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, clasp_residuals, drone_jets
+from hitchopt.model.planar import planar_function
 from hitchopt.model.robot import clasp_function, robot_function
 
 
@@ -47,10 +48,14 @@ def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJet
 
 
 def functions() -> list[ca.Function]:
-    return [robot_function(True), robot_function(False), clasp_function()]
+    robots = [robot_function(True), robot_function(False), clasp_function()]
+    return [*robots, planar_function(True), planar_function(False)]
 
 
-@pytest.mark.parametrize("function", functions(), ids=["equal tensions", "any tensions", "clasp"])
+NAMES = ["equal tensions", "any tensions", "clasp", "from above, equal", "from above, any"]
+
+
+@pytest.mark.parametrize("function", functions(), ids=NAMES)
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=5, deadline=None)
 def test_every_derivative_of_every_output_by_finite_differences(
@@ -67,6 +72,8 @@ def test_every_derivative_of_every_output_by_finite_differences(
             points[1] - [0.2, 0.3, 0.0],
         ]
         given_values += [np.array([0.4, 0.5]), rng.normal(size=3)]
+    elif function.name() == "planar":
+        given_values = [polygon.vertices[:4].ravel(), 0.4, np.array([0.4, 0.5, 0.45]), 2.2]
     else:
         jets = rng.normal(scale=0.3, size=(12, 4))
         jets[:, 0] = points[:4].ravel()

@@ -86,3 +86,12 @@ def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
     start, end = (Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
     flight = straight_morph(start, end, Limits(), Separation())
     assert flight is not None
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
+    square = np.array([[0.0, 0.0], [0.0, 1.3], [1.3, 1.3], [1.3, 0.0]])
+    team = Team(4 if topology == "closed" else 3, 2.2, topology=topology)
+    start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
+    with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
+        straight_morph(start, end, Limits(), Separation())

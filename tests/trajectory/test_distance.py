@@ -7,18 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hitchopt.geometry import differences, shortest_offset
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.distance import distance_bound, shortest_offset
+from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
 
 GRID = np.linspace(0.0, 1.0, 201)
-
-
-def differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(…, ends_a · ends_b, 3) of ends (…, ends, 3)."""
-    d = a[..., :, None, :] - b[..., None, :, :]
-    flat: np.ndarray = d.reshape(*d.shape[:-3], -1, 3)
-    return flat
 
 
 def on_a_grid(a: np.ndarray, b: np.ndarray) -> float:

@@ -18,7 +18,7 @@ class Boxes:
 
     Attributes
     ----------
-    lower, upper: (boxes, 3) [m]
+    lower, upper: (boxes, d) [m]
     """
 
     lower: Array
@@ -34,7 +34,7 @@ class Boxes:
 
     @property
     def centres(self) -> Array:
-        """(boxes, 3) [m]: where their middles are."""
+        """(boxes, d) [m]: where their middles are."""
         return 0.5 * (self.lower + self.upper)
 
     @property
@@ -72,37 +72,67 @@ def all_pairs(first: int, second: int | None) -> Pairs:
     return Pairs(i, j)
 
 
-def close_pairs(first: Boxes, second: Boxes | None, cutoff: float, most: int) -> Pairs | None:
+def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
     """Return a list that holds every pair of boxes that are at most ``cutoff`` apart.
 
     Parameters
     ----------
     first, second: two groups, or one whose pairs (i < j) are looked for.
     cutoff: [m]
-    most: with more pairs than this within reach of the index, nothing is listed.
-
-    Returns
-    -------
-    The pairs, or None where there would be too many.
     """
+    return _listed(first, second, cutoff, _reaches(first, second, cutoff))
+
+
+def few_close_pairs(first: Boxes, second: Boxes | None, cutoff: float, most: int) -> Pairs | None:
+    """Return what ``close_pairs`` does, or None with more than ``most`` within the index's reach.
+
+    They are counted first: a list of all pairs of thousands of boxes is what must not happen.
+    """
+    reaches = _reaches(first, second, cutoff)
+    found = sum(int(r.a.tree.count_neighbors(r.b.tree, r.distance, p=np.inf)) for r in reaches)
+    return None if found > most else _listed(first, second, cutoff, reaches)
+
+
+@dataclass(frozen=True, eq=False)
+class _SizeClass:
+    """Boxes of about one size: a few large ones must not widen the search for all."""
+
+    members: Indices
+    size: float
+    tree: cKDTree
+
+
+@dataclass(frozen=True, eq=False)
+class _Reach:
+    """Two classes, and how far apart the centres of two close boxes of theirs can be."""
+
+    a: _SizeClass
+    b: _SizeClass
+    distance: float
+
+
+def _reaches(first: Boxes, second: Boxes | None, cutoff: float) -> list[_Reach]:
     groups = _classes(first, cutoff)
     others = groups if second is None else _classes(second, cutoff)
-    reach = [
-        (a, b, cutoff + a.size + b.size)
+    return [
+        _Reach(a, b, cutoff + a.size + b.size)
         for i, a in enumerate(groups)
         for j, b in enumerate(others)
         if second is not None or i <= j
     ]
-    # Counted first: a list of all pairs of thousands of boxes is what must not happen.
-    if sum(int(a.tree.count_neighbors(b.tree, r, p=np.inf)) for a, b, r in reach) > most:
-        return None
+
+
+def _listed(first: Boxes, second: Boxes | None, cutoff: float, reaches: list[_Reach]) -> Pairs:
     found = []
-    for a, b, r in reach:
+    for reach in reaches:
+        a, b = reach.a, reach.b
         if second is None and a is b:
-            pairs = a.tree.query_pairs(r, p=np.inf, output_type="ndarray")
+            pairs = a.tree.query_pairs(reach.distance, p=np.inf, output_type="ndarray")
             i, j = a.members[pairs[:, 0]], a.members[pairs[:, 1]]
         else:
-            table = a.tree.sparse_distance_matrix(b.tree, r, p=np.inf, output_type="ndarray")
+            table = a.tree.sparse_distance_matrix(
+                b.tree, reach.distance, p=np.inf, output_type="ndarray"
+            )
             i, j = a.members[table["i"]], b.members[table["j"]]
         found.append((i, j) if second is not None else (np.minimum(i, j), np.maximum(i, j)))
     pairs_i = np.concatenate([i for i, _ in found])
@@ -113,15 +143,6 @@ def close_pairs(first: Boxes, second: Boxes | None, cutoff: float, most: int) ->
     )
     near = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
     return Pairs(pairs_i[near], pairs_j[near])
-
-
-@dataclass(frozen=True, eq=False)
-class _SizeClass:
-    """Boxes of about one size: a few large ones must not widen the search for all."""
-
-    members: Indices
-    size: float
-    tree: cKDTree
 
 
 def _classes(boxes: Boxes, cutoff: float) -> list[_SizeClass]:

@@ -1,0 +1,255 @@
+"""The user's side of single steps: one function each, from a hitch to a certified plan.
+
+All take ``limits``, ``separation`` and ``arena``, with the defaults of a problem file, and raise
+``InputError`` for arguments that are wrong in themselves and ``InfeasibleError`` for what cannot be
+met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Arena, Hitch, Limits, Separation
+from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.mission.outlines import outline_after
+from hitchopt.mission.problem import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    LegSharing,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Step,
+    Transport,
+    leg_sharing,
+)
+from hitchopt.mission.solving import Kept, solve_steps
+from hitchopt.plan import Plan
+
+Legs = str | Sequence[float] | ArrayLike
+
+
+def morph(
+    start: Hitch,
+    polygon: Outline | ArrayLike,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    legs: Legs | None = None,
+    duration: float | None = None,
+    optimize: bool = False,
+    tension: tuple[float, float] | None = None,
+) -> Plan:
+    """Return the certified plan from one hitch to another.
+
+    Vertices go straight where that keeps all limits; where it does not, an optimised way is
+    looked for.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    polygon: the outline at the end, (n, 2) [m], clockwise.
+    limits, separation, arena: what is kept; defaults as in a problem file.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for the sharing nearest to the start's
+        fractions.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+    optimize: look for a faster way even where the straight one will do.
+    tension: smallest and largest [N] where tensions may change on the way.
+
+    Raises
+    ------
+    InputError: arguments that are wrong in themselves.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    outline = fitting_polygon(start.team, polygon)
+    step = Morph(outline, _sharing(legs, start), duration, optimize=optimize, tension=tension)
+    return _planned(start, step, limits, separation, arena)
+
+
+def move_vertex(
+    start: Hitch,
+    vertex: int,
+    *,
+    to: ArrayLike | None = None,
+    by: ArrayLike | None = None,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    legs: Legs | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan in which one vertex goes elsewhere.
+
+    Only the four drones move that the paper names, unless a limit binds; the phase's remark then
+    says which others do, and why.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    vertex: which, from 0.
+    to, by: its new place, or by how much it goes (2,) [m]; exactly one of them.
+    legs: the sharing at the end; None for the paper's, or the nearest to it that keeps the limits.
+    limits, separation, arena, duration: as of morph.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    step = MoveVertex(vertex, _array(to), _array(by), _sharing(legs, start), duration)
+    return _planned(start, step, limits, separation, arena)
+
+
+def move_edge(
+    start: Hitch,
+    edge: int,
+    *,
+    to: ArrayLike | None = None,
+    by: ArrayLike | None = None,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    legs: Legs | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan in which both ends of an edge go elsewhere.
+
+    Four drones move where the ends slide along their neighbours' lines, else six, unless a limit
+    binds; the phase's remark then says which others do, and why.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    edge: which, from 0; edge k runs from vertex k to vertex k + 1.
+    to, by: the new places of its ends (2, 2), or by how much both go (2,) [m]; exactly one of them.
+    legs, limits, separation, arena, duration: as of move_vertex.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    step = MoveEdge(edge, _array(to), _array(by), _sharing(legs, start), duration)
+    return _planned(start, step, limits, separation, arena)
+
+
+def adjust(
+    start: Hitch,
+    legs: Legs = "balanced",
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan in which cables slide through their clasps and vertices stay.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    legs: the sharing at the end.
+    limits, separation, arena, duration: as of morph.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    step = Adjust(leg_sharing(legs, start.team), duration)
+    return _planned(start, step, limits, separation, arena)
+
+
+def follow_vertex(
+    start: Hitch,
+    vertex: int,
+    path: ArrayLike,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    legs: Legs | None = None,
+) -> Plan:
+    """Return the certified plan in which one vertex meets timed points at their times.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    vertex: which, from 0.
+    path: (J, 3), rows ``t, x, y`` [s, m, m], t increasing from 0 or later; at rest before the
+        first and after the last, and between equal points in a row.
+    legs, limits, separation, arena: as of move_vertex.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    step = FollowVertex(vertex, np.array(path), _sharing(legs, start))
+    return _planned(start, step, limits, separation, arena)
+
+
+def transport(
+    start: Hitch,
+    to: ArrayLike,
+    yaw: float = 0.0,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan in which the whole hitch is carried and turned, rigidly.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    to: (3,) [m], where the centroid of its outline goes.
+    yaw: by how much it turns about that, counter-clockwise [rad]; more than a turn is one.
+    limits, separation, arena, duration: as of morph.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    step = Transport(np.array(to), yaw, duration)
+    return _planned(start, step, limits, separation, arena)
+
+
+def hold(
+    start: Hitch,
+    seconds: float,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+) -> Plan:
+    """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
+
+    Raises
+    ------
+    InputError, InfeasibleError: as morph.
+    """
+    return _planned(start, Hold(seconds), limits, separation, arena)
+
+
+def _array(value: ArrayLike | None) -> np.ndarray | None:
+    return None if value is None else np.array(value)
+
+
+def _sharing(legs: Legs | None, start: Hitch) -> LegSharing | None:
+    return None if legs is None else leg_sharing(legs, start.team)
+
+
+def _planned(
+    start: Hitch,
+    step: Step,
+    limits: Limits | None,
+    separation: Separation | None,
+    arena: Arena | None,
+) -> Plan:
+    outline_after(start.team, start.polygon, step)  # what is wrong in itself is told first
+    kept = Kept(limits or Limits(), separation or Separation(), arena)
+    found = solve_steps(start, (step,), kept)
+    return Plan(found.motion, found.certificate)

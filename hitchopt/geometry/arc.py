@@ -1,0 +1,51 @@
+"""Convex arcs: the outlines of open chains. They know no cable."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.geometry.outline import Outline
+
+
+class ConvexArc(Outline):
+    """Points joined in a row that turn right at every inner one, less than once around in all.
+
+    Parameters
+    ----------
+    vertices: (n + 1, 2) [m], n ≥ 2: the ends of n edges. Copied and set read-only.
+
+    Raises
+    ------
+    InputError: wrong shape, not finite, coincident points, not clockwise or not convex.
+    """
+
+    closed: ClassVar[bool] = False
+
+    @property
+    def edge_vectors(self) -> NDArray[np.float64]:
+        """(n, 2) [m]: ``p_{k+1} - p_k``."""
+        return np.diff(self.vertices, axis=0)
+
+    @property
+    def centroid(self) -> NDArray[np.float64]:
+        """(2,) [m]: centre of the arc's length."""
+        middles = 0.5 * (self.vertices[1:] + self.vertices[:-1])
+        centroid: NDArray[np.float64] = np.average(middles, axis=0, weights=self.edge_lengths)
+        return centroid
+
+    def _check_turns(self) -> None:
+        super()._check_turns()
+        total = float(np.sum(self.exterior_angles))
+        if total >= 2.0 * math.pi:
+            raise InputError(
+                "polygon",
+                self.vertices.tolist(),
+                f"an arc that turns by less than 360° in all (it turns by "
+                f"{math.degrees(total):.6g}°)",
+                "open the chain, or close it and write topology: closed",
+            )

@@ -1,0 +1,160 @@
+"""What convex polygons and convex arcs share: points that turn right, in the plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError
+
+Array = NDArray[np.float64]
+
+MIN_EXTERIOR_ANGLE = 1e-6
+"""[rad] A flatter vertex is no vertex: the clasp there would hold nothing."""
+
+MIN_EDGE = 1e-6
+"""[m] Points closer than this are taken to be the same."""
+
+MAX_COORDINATE = 1e5
+"""[m] Beyond this double precision no longer resolves the tolerances of a plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Points joined in a row, turning right wherever one edge follows another.
+
+    Parameters
+    ----------
+    vertices: (points, 2) [m], at least three. Copied and set read-only.
+
+    Raises
+    ------
+    InputError: wrong shape, not finite, coincident points, not clockwise or not convex.
+    """
+
+    vertices: Array
+    closed: ClassVar[bool]
+
+    def __init__(self, vertices: ArrayLike) -> None:
+        points = _as_points(vertices)
+        points.setflags(write=False)
+        object.__setattr__(self, "vertices", points)
+        self._check_edges()
+        self._check_turns()
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.vertices)
+
+    @property
+    def edge_vectors(self) -> Array:
+        """(edges, 2) [m]: ``p_{k+1} - p_k``."""
+        raise NotImplementedError
+
+    @property
+    def centroid(self) -> Array:
+        """(2,) [m]: the middle, which scaling leaves where it is."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> NDArray[np.intp]:
+        """(corners,): the points at which one edge follows another."""
+        return np.arange(len(self)) if self.closed else np.arange(1, len(self) - 1)
+
+    @property
+    def edge_lengths(self) -> Array:
+        """(edges,) [m]: ``l_k``."""
+        edges = self.edge_vectors
+        lengths: Array = np.hypot(edges[:, 0], edges[:, 1])
+        return lengths
+
+    @property
+    def edge_directions(self) -> Array:
+        """(edges, 2): unit vectors ``u_k``, eq. (1) of the paper."""
+        return self.edge_vectors / self.edge_lengths[:, None]
+
+    @property
+    def exterior_angles(self) -> Array:
+        """(corners,) [rad]: by how much the outline turns right at each corner."""
+        edges = self.edge_vectors
+        ahead, behind = edges[self.corners], edges[self.corners - 1]
+        right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
+        angles: Array = np.arctan2(right, np.sum(behind * ahead, axis=1))
+        return angles
+
+    def translated(self, offset: ArrayLike) -> Self:
+        """Return the outline moved by ``offset`` (2,) [m]."""
+        return type(self)(self.vertices + np.asarray(offset, dtype=np.float64))
+
+    def rotated(self, angle: float) -> Self:
+        """Return the outline turned counter-clockwise about the origin by ``angle`` [rad]."""
+        c, s = math.cos(angle), math.sin(angle)
+        return type(self)(self.vertices @ np.array([[c, s], [-s, c]]))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the outline scaled about its centroid by ``factor`` > 0."""
+        centre = self.centroid
+        return type(self)(centre + factor * (self.vertices - centre))
+
+    def mirrored(self) -> Self:
+        """Return the mirror image in the y axis; the order is reversed to stay clockwise."""
+        return type(self)((self.vertices * [-1.0, 1.0])[::-1])
+
+    def _check_edges(self) -> None:
+        lengths = self.edge_lengths
+        shortest = int(np.argmin(lengths))
+        if lengths[shortest] < MIN_EDGE:
+            raise InputError(
+                f"polygon[{shortest}]",
+                self.vertices[shortest].tolist(),
+                f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]",
+                "remove or move one of the coincident points",
+            )
+
+    def _check_turns(self) -> None:
+        angles = self.exterior_angles
+        if np.all(angles < 0.0):
+            raise InputError(
+                "polygon",
+                self.vertices.tolist(),
+                "in clockwise order seen from above",
+                "list its points in the reverse order",
+            )
+        flattest = int(np.argmin(angles))
+        if angles[flattest] < MIN_EXTERIOR_ANGLE:
+            k = int(self.corners[flattest])
+            raise InputError(
+                f"polygon[{k}]",
+                self.vertices[k].tolist(),
+                f"a convex corner (it turns right by {math.degrees(angles[flattest]):.6g}°, "
+                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)",
+                "move the point outward, or list the points in clockwise order",
+            )
+
+
+def _as_points(vertices: ArrayLike) -> Array:
+    try:
+        points = np.array(vertices, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        raise InputError(
+            "polygon", vertices, "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
+        )
+    bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
+    if np.any(bad):
+        k = int(np.argmax(bad))
+        raise InputError(
+            f"polygon[{k}]",
+            points[k].tolist(),
+            f"finite and within ±{MAX_COORDINATE:g} m",
+            "check the point's coordinates",
+        )
+    return points

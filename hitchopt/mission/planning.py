@@ -1,0 +1,228 @@
+"""One step of a mission, or several that are blended, to a motion: a function per kind of step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Hitch
+from hitchopt.mission.ends import End, broken_on_the_way, end_of_action, end_of_morph, shared_hitch
+from hitchopt.mission.morphing import WayTask, best_way
+from hitchopt.mission.motions import Kept, check_at_rest, flying, resting
+from hitchopt.mission.outlines import outline_after
+from hitchopt.mission.step_records import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    ShapeStep,
+    Step,
+    Transport,
+)
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.planners.actions.action import Action
+from hitchopt.planners.actions.flying import Flying, fly_action
+from hitchopt.planners.actions.following import follow_vertex
+from hitchopt.planners.actions.shape_moves import adjust, move_edge, move_vertex
+from hitchopt.planners.blended_path import SAME, blended, check_turns, passing_times
+from hitchopt.planners.feasibility import check_loads, check_shapes
+from hitchopt.planners.flown import Flown, fly_unhurried
+from hitchopt.planners.morph import straight_morph
+from hitchopt.planners.rigid_path import RigidPath
+
+IDLE = 0.01
+"""[s] What a step takes that moves nothing and was given no duration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """The motion of a step, not certified yet, and the hitch after it."""
+
+    motion: Motion
+    end: Hitch
+
+
+def plan_step(start: Hitch, step: Step, i: int, kept: Kept) -> Planned:
+    """Return the plan of step i of a mission, from rest to rest.
+
+    Raises
+    ------
+    InfeasibleError: the end breaks a limit at rest, or the way is shut.
+    HitchoptError: a planner failed.
+    """
+    if isinstance(step, Hold):
+        return Planned(resting(start, kept, step.seconds, Phase(step.name, i, 0.0, 0.0)), start)
+    if isinstance(step, Transport):
+        return _transport(start, step, i, kept)
+    if isinstance(step, FollowVertex):
+        return _follow(start, step, i, kept)
+    return _shape(start, step, i, kept)
+
+
+def plan_blended(start: Hitch, steps: Sequence[ShapeStep], first: int, kept: Kept) -> Planned:
+    """Return the plan of steps that go on into one another, from rest to rest.
+
+    One path through all hitches that they would have ended with, timed as a whole; each phase ends
+    when its step's hitch is passed.
+
+    Raises
+    ------
+    InputError: a step that moves nothing.
+    InfeasibleError, HitchoptError: as plan_step.
+    """
+    hitches = [start]
+    for i, step in enumerate(steps, first):
+        end = _end(hitches[-1], step, kept).hitch
+        check_at_rest(end, kept, _end_of(i, step))
+        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
+            raise InputError(
+                f"mission[{i}].{step.name}",
+                "no motion",
+                "a step that moves something where steps are blended",
+                "leave it out, or leave out blend",
+            )
+        hitches.append(end)
+    way = blended(hitches)
+    check_shapes(way.path)
+    check_turns(way)
+    check_loads(way.path, kept.limits)
+    flight = fly_unhurried(way.path, kept.limits)
+    passed = passing_times(way.path, way.s[1:-1], flight)
+    times = [0.0, *passed.tolist(), flight.duration]
+    phases = [
+        Phase(
+            step.name,
+            first + j,
+            times[j],
+            times[j + 1],
+            "goes on without a stop" if j + 1 < len(steps) else "",
+        )
+        for j, step in enumerate(steps)
+    ]
+    return Planned(flying(flight, start.team, kept, phases), hitches[-1])
+
+
+def _shape(start: Hitch, step: ShapeStep, i: int, kept: Kept) -> Planned:
+    """Return the plan of a step that ends with another shape or sharing, optimised if need be."""
+    end = _end(start, step, kept)
+    check_at_rest(end.hitch, kept, _end_of(i, step))
+
+    def own() -> Motion:
+        if not isinstance(step, Morph):
+            return _action(start, step, i, kept, end)
+        flight = straight_morph(
+            start, end.hitch, kept.limits, kept.separation, kept.arena, step.duration
+        )
+        return _moving(flight, end.hitch, step, i, kept)
+
+    task = WayTask(
+        start, end.hitch, kept, Phase(step.name, i, 0.0, 0.0), step.duration, *_options(step)
+    )
+    return Planned(best_way(own, task), end.hitch)
+
+
+def _options(step: ShapeStep) -> tuple[bool, tuple[float, float] | None]:
+    return (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
+
+
+def _follow(start: Hitch, step: FollowVertex, i: int, kept: Kept) -> Planned:
+    end = end_of_action(_worded(start, step, kept), step.legs, kept)
+    check_at_rest(end.hitch, kept, _end_of(i, step))
+    return Planned(_action(start, step, i, kept, end), end.hitch)
+
+
+def _transport(start: Hitch, step: Transport, i: int, kept: Kept) -> Planned:
+    path = RigidPath(start, step.to, step.yaw)
+    end = Hitch(
+        start.team,
+        outline_after(start.team, start.polygon, step),
+        float(step.to[2]),
+        start.q_legs,
+    )
+    check_at_rest(end, kept, _end_of(i, step))
+    if path.still:
+        return Planned(_moving(None, end, step, i, kept), end)
+    check_loads(path, kept.limits)
+    flight = fly_unhurried(path, kept.limits, step.duration)
+    return Planned(_moving(flight, end, step, i, kept), end)
+
+
+def _action(
+    start: Hitch,
+    step: MoveVertex | MoveEdge | Adjust | FollowVertex,
+    i: int,
+    kept: Kept,
+    end: End,
+) -> Motion:
+    """Return the motion of an action of the paper to the hitch that it ends with."""
+    action = _worded(start, step, kept)
+    found = fly_action(action, end.hitch, kept.distances, _given(step))
+    remark = _remark(action, end, found, asked=step.legs is not None, kept=kept)
+    return _moving(found.flight, end.hitch, step, i, kept, remark)
+
+
+def _worded(
+    start: Hitch, step: MoveVertex | MoveEdge | Adjust | FollowVertex, kept: Kept
+) -> Action:
+    """Return the action that a step asks for."""
+    if isinstance(step, Adjust):
+        asked = shared_hitch(start.team, start.polygon, start.altitude, step.legs, kept)
+        return adjust(start, asked.q_legs)
+    outline = outline_after(start.team, start.polygon, step)
+    if isinstance(step, MoveEdge):
+        return move_edge(start, outline, step.edge)
+    if isinstance(step, FollowVertex):
+        return follow_vertex(start, outline, step.vertex, step.path)
+    return move_vertex(start, outline, step.vertex)
+
+
+def _end(start: Hitch, step: ShapeStep, kept: Kept) -> End:
+    if isinstance(step, Morph):
+        return end_of_morph(start, step.polygon, step.legs, kept)
+    return end_of_action(_worded(start, step, kept), step.legs, kept)
+
+
+def _given(step: MoveVertex | MoveEdge | Adjust | FollowVertex) -> float | None:
+    return None if isinstance(step, FollowVertex) else step.duration
+
+
+def _moving(
+    flight: Flown | None,
+    end: Hitch,
+    step: ShapeStep | FollowVertex | Transport,
+    i: int,
+    kept: Kept,
+    remark: str = "",
+) -> Motion:
+    """Return the motion of a flight, or of a rest where nothing moves."""
+    phase = Phase(step.name, i, 0.0, 0.0 if flight is None else flight.duration, remark)
+    if flight is None:
+        return resting(end, kept, step.duration or IDLE, phase)
+    return flying(flight, end.team, kept, [phase])
+
+
+def _remark(action: Action, end: End, found: Flying, asked: bool, kept: Kept) -> str:
+    """Return which drones move that the paper does not name, and why."""
+    parts = []
+    if found.turning:
+        parts.append(
+            f"{', '.join(found.turning)} turn as well: tensions differ, so legs turn with both "
+            "edges at their vertex"
+        )
+    if found.sliding:
+        reasons = ["legs are to change"] if asked else []
+        reasons += [end.reason] if end.reason else []
+        if found.worst is not None:
+            path = action.path(end.hitch.q_legs)
+            reasons.append(broken_on_the_way(path, found.worst, action.start.altitude, kept))
+        parts.append(f"{', '.join(found.sliding)} slide as well: {', and '.join(reasons)}")
+    return "; ".join(parts)
+
+
+def _end_of(i: int, step: Step) -> str:
+    return f"at the end of step {i} ({step.name})"

@@ -1,0 +1,83 @@
+"""An action as the paper words it: which vertices move, and which legs are kept meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.fitting import cable_slack
+from hitchopt.planners.path import LegLaw, ShapePath
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+LINEAR = (0.0, 1.0)
+"""Bernstein coefficients of s: how a deviation from the kept legs grows along a path."""
+
+AT_REST = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+"""The same at rest at both ends, for paths that are flown by their own time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """A change of shape and the legs that it keeps.
+
+    Parameters
+    ----------
+    start: the hitch before.
+    polygon: the outline after.
+    vertices: of shape (n, 3) over s from 0 to 1 [m], the way between.
+    length, share: (n,) [m] and without unit; the legs kept are ``d = length + share · slack``.
+    named: the drones that move by this law where tensions are equal.
+    seconds: [s] how long, where s is time already; else None.
+    """
+
+    start: Hitch
+    polygon: Outline
+    vertices: PiecewisePolynomial
+    length: Array
+    share: Array
+    named: tuple[str, ...]
+    seconds: float | None = None
+
+    @property
+    def kept_legs(self) -> Array:
+        """(n,) [m]: the q-legs that the law leaves after the action, of any sign."""
+        slack = cable_slack(self.start.team, self.polygon)
+        return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
+
+    def path(self, q_legs: Array | None = None) -> ShapePath:
+        """Return the path that ends with ``q_legs`` (n,) [m], those kept if None.
+
+        What they differ by from the kept ones is made up along the way.
+        """
+        deviation = np.zeros_like(self.length) if q_legs is None else q_legs - self.kept_legs
+        grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
+        whole = np.array([0.0, 1.0])
+        length = PiecewisePolynomial(
+            whole, (self.length[:, None] + deviation[:, None] * grown)[None]
+        )
+        law = LegLaw(length, PiecewisePolynomial.constant(whole, self.share))
+        return ShapePath(self.start.team, self.vertices, law)
+
+
+def straight_vertices(start: Hitch, polygon: Outline) -> PiecewisePolynomial:
+    """Return the vertices' straight way to an outline at the same height, over s."""
+    end = np.column_stack([polygon.vertices, np.full(len(polygon), start.altitude)])
+    return PiecewisePolynomial(np.array([0.0, 1.0]), np.stack([start.vertices, end], axis=-1)[None])
+
+
+def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:
+    """Return the names of drones ``q_k`` and ``r_k`` in the order of the team.
+
+    Indices are cyclic; in an open chain those beyond its ends name none.
+    """
+    n, closed = team.robots, team.layout.closed
+    wanted = {f"q{k % n}" for k in q if closed or 0 <= k < n}
+    wanted |= {f"r{k % n}" for k in r if closed or 0 <= k < n}
+    return tuple(name for name in team.drone_names if name in wanted)

@@ -1,0 +1,98 @@
+"""From an action and the hitch that it ends with to its flight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.hitch import Hitch
+from hitchopt.planners.actions.action import Action
+from hitchopt.planners.actions.sliding import cleared
+from hitchopt.planners.actions.timed import fly_timed
+from hitchopt.planners.feasibility import SHORTEST_LEG, check_loads, check_shapes
+from hitchopt.planners.flown import MOVES, Flown, fly_unhurried, moving
+from hitchopt.planners.leg_law import KeptDistances
+from hitchopt.planners.path import ShapePath, drones_along, legs_along
+
+PROBES = 65
+"""Points of a path at which it is seen which drones its law moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flying:
+    """The flight of an action, and which drones move in it.
+
+    Attributes
+    ----------
+    flight: None where nothing moves.
+    turning: names of the drones beyond the named ones that the action's own law moves.
+    sliding: names of those that move only because its law was not kept.
+    worst: s where the law broke a limit on the way, or None.
+    """
+
+    flight: Flown | None
+    turning: tuple[str, ...] = ()
+    sliding: tuple[str, ...] = ()
+    worst: float | None = None
+
+
+def fly_action(
+    action: Action, end: Hitch, kept: KeptDistances, duration: float | None = None
+) -> Flying:
+    """Return the flight to ``end``, further cables sliding where a limit binds on the way.
+
+    Parameters
+    ----------
+    action: what moves, and by which law.
+    end: the hitch after it; its legs may differ from those that the law keeps.
+    kept: limits and distances.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InfeasibleError, TimingError, WarpError: as straight_morph.
+    """
+    start, timed = action.start, action.seconds is not None
+    if not timed and np.max(np.abs(end.drones - start.drones)) < MOVES:
+        return Flying(None)
+    path = action.path(end.q_legs)
+    _check_outline(path)
+    clear = cleared(path, kept, at_rest=timed)
+    check_shapes(clear.path)
+    check_loads(clear.path, kept.limits)
+    flight: Flown = (
+        fly_unhurried(clear.path, kept.limits, duration)
+        if action.seconds is None
+        else fly_timed(clear.path, action.seconds)
+    )
+    names = np.array(start.team.drone_names)
+    own = _moved_by_law(action)
+    further = moving(flight.drones) & ~np.isin(names, action.named)
+    return Flying(
+        flight,
+        tuple(names[further & own].tolist()),
+        tuple(names[further & ~own].tolist()),
+        clear.worst,
+    )
+
+
+def _check_outline(path: ShapePath) -> None:
+    """Raise InfeasibleError where no sharing of the legs makes the path one of hitches."""
+    try:
+        check_shapes(path)
+    except InfeasibleError as error:
+        slack = np.sum(legs_along(path, np.linspace(0.0, 1.0, PROBES)), axis=-1)
+        if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
+            raise
+
+
+def _moved_by_law(action: Action) -> NDArray[np.bool_]:
+    """Return which drones (2n,) the action's own law moves, whether or not it can be kept."""
+    s = np.linspace(0.0, 1.0, PROBES)
+    places = drones_along(action.path(), s).positions[..., 0]
+    away = np.linalg.norm(places - places[:1], axis=-1)
+    moved: NDArray[np.bool_] = np.max(away, axis=0) > MOVES
+    return moved

@@ -1,0 +1,202 @@
+"""Open chains at rest: balance, lengths, symmetry, and what their ends leave no choice in."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt import ConvexArc, Hitch, InfeasibleError, InputError, Separation, Team
+from hitchopt.geometry import ConvexPolygon, random_convex_polygon
+from hitchopt.hitch.equilibrium import clasp_residuals, contact_forces
+from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.integers(2, 8)
+
+
+def arc(seed: int, n: int) -> ConvexArc:
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(n + 3, 1.3, rng).translated(rng.normal(size=2))
+    return ConvexArc(polygon.vertices[: n + 1])
+
+
+def chain(seed: int, n: int, *, equal: bool = False) -> Hitch:
+    rng = np.random.default_rng(seed)
+    outline = arc(seed, n)
+    length = outline.edge_lengths + rng.uniform(0.5, 1.0, n)
+    tension = 0.7 if equal else rng.uniform(0.4, 0.6, n)
+    team = Team(n, length, topology="open", tension=tension, cable_density=0.01)
+    fractions = rng.uniform(0.2, 0.8, n)
+    fractions[0], fractions[-1] = 0.0, 1.0
+    return Hitch(team, outline, 0.8, (length - outline.edge_lengths) * fractions)
+
+
+@given(seeds, sizes, st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equal: bool) -> None:
+    """Written out clasp by clasp and cable by cable, with complex numbers for the plane."""
+    h = chain(seed, n, equal=equal)
+    p = h.vertices[:, 0] + 1j * h.vertices[:, 1]
+    x = h.drones[:, 0] + 1j * h.drones[:, 1]
+    q, r, T = x[0::2], x[1::2], h.team.tension
+    for k in range(1, n):
+        pulls = [
+            (T[k], q[k]),
+            (T[k], p[k + 1]),
+            (T[k - 1], r[k - 1]),
+            (T[k - 1], p[k - 1]),
+        ]
+        assert abs(sum(t * (z - p[k]) / abs(z - p[k]) for t, z in pulls)) < 1e-9
+    for k in range(n):
+        used = abs(q[k] - p[k]) + abs(p[k + 1] - p[k]) + abs(r[k] - p[k + 1])
+        assert used == pytest.approx(h.team.cable_length[k], rel=1e-12)
+    np.testing.assert_array_equal(h.drones[0], h.vertices[0])
+    np.testing.assert_allclose(h.drones[-1], h.vertices[-1], atol=1e-15)
+    assert h.legs[0, 0] == h.legs[-1, 1] == 0.0
+    residual = clasp_residuals(
+        h.vertices, h.drones[0::2], h.drones[1::2], T, topology=h.team.topology
+    )
+    assert residual.shape == (n - 1, 3)
+    assert np.max(np.abs(residual)) < 1e-9
+
+
+@given(seeds, sizes)
+@settings(max_examples=30, deadline=None)
+def test_end_drones_are_pulled_along_their_edges_and_clasps_press(seed: int, n: int) -> None:
+    h = chain(seed, n)
+    T, p = h.team.tension, h.vertices
+    weight = np.array([0.0, 0.0, 0.5 * 0.01 * 9.81])
+    for drone, own, other in ((0, 0, 1), (2 * n - 1, n, n - 1)):
+        toward = (p[other] - p[own]) / math.dist(p[other], p[own])
+        pull = T[drone // 2] * toward - weight * h.team.cable_length[drone // 2]
+        np.testing.assert_allclose(h.cable_forces[drone], pull, atol=1e-12)
+    u = h.polygon.edge_directions
+    V = T[:-1, None] * u[:-1] - T[1:, None] * u[1:]
+    sine = u[:-1, 1] * u[1:, 0] - u[:-1, 0] * u[1:, 1]
+    expected = 2.0 * T[1:] * T[:-1] * sine / np.linalg.norm(V, axis=1)
+    forces = contact_forces(u, T, "open")
+    np.testing.assert_allclose(forces, expected, rtol=1e-9)
+    assert np.all(forces > 0.0)
+
+
+@given(seeds, st.integers(2, 6))
+@settings(max_examples=30, deadline=None)
+def test_a_chain_is_a_closed_hitch_with_cables_left_out(seed: int, n: int) -> None:
+    """Where both have a leg it ends in the same place, and pulls alike."""
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(n + 3, 1.3, rng).translated([3.0, -2.0])
+    length = polygon.edge_lengths + rng.uniform(0.5, 1.0, n + 3)
+    tension = rng.uniform(0.4, 0.5, n + 3)
+    closed = Hitch.balanced(Team(n + 3, length, tension=tension), polygon)
+    team = Team(n, length[:n], topology="open", tension=tension[:n])
+    d = closed.q_legs[:n].copy()
+    d[0], d[-1] = 0.0, closed.slack[n - 1]
+    h = Hitch(team, polygon.vertices[: n + 1], 1.0, d)
+    middle = slice(2, 2 * n - 2)  # both legs of the inner cables
+    np.testing.assert_allclose(h.drones[middle], closed.drones[middle], atol=1e-12)
+    np.testing.assert_allclose(h.cable_forces[middle], closed.cable_forces[middle], atol=1e-12)
+
+
+@given(seeds, sizes, st.floats(-3.0, 3.0))
+@settings(max_examples=12, deadline=None)
+def test_spread_chains_move_turn_and_reverse_with_their_arc(
+    seed: int, n: int, angle: float
+) -> None:
+    outline = arc(seed, n)
+    length = outline.edge_lengths + np.random.default_rng(seed).uniform(0.8, 1.0, n)
+    first = Hitch.spread(Team(n, length, topology="open"), outline)
+    moved = Hitch.spread(
+        Team(n, length, topology="open"), outline.rotated(angle).translated([1.0, 2.0])
+    )
+    np.testing.assert_allclose(moved.q_legs, first.q_legs, atol=1e-3)
+    # The mirror image runs the other way: cable k becomes n - 1 - k, and q becomes r.
+    mirrored = Hitch.spread(Team(n, length[::-1], topology="open"), outline.mirrored())
+    np.testing.assert_allclose(mirrored.legs, first.legs[::-1, ::-1], atol=1e-3)
+    swapped = first.drones.reshape(n, 2, 3)[::-1, ::-1].reshape(-1, 3) * [-1.0, 1.0, 1.0]
+    np.testing.assert_allclose(mirrored.drones, swapped, atol=1e-3)
+
+
+def test_balanced_chains_halve_what_is_free() -> None:
+    team = Team(3, [2.0, 2.3, 2.1], topology="open")
+    h = Hitch.balanced(team, [[0.4, -0.5], [0.2, 0.7], [1.5, 0.8], [1.4, -0.5]])
+    slack = team.cable_length - [math.hypot(0.2, 1.2), math.hypot(1.3, 0.1), math.hypot(0.1, 1.3)]
+    expected = [[0.0, slack[0]], [slack[1] / 2, slack[1] / 2], [slack[2], 0.0]]
+    np.testing.assert_allclose(h.legs, expected)
+    np.testing.assert_allclose(h.fractions, [0.0, 0.5, 1.0])
+
+
+def test_spread_slides_the_free_legs_only() -> None:
+    """A sharp clasp: balanced legs would stand too close, as in the paper's triangle."""
+    team = Team(4, [2.0, 2.4, 2.4, 2.1], topology="open")
+    points = [[0.45, 1.7], [0.4, 0.5], [0.0, -1.0], [-0.4, 0.5], [-0.45, 1.7]]
+    near = Hitch.balanced(team, points)
+    far = Hitch.spread(team, points)
+
+    def closest(h: Hitch) -> float:
+        i, j = np.triu_indices(8, 1)
+        return float(np.min(np.linalg.norm(h.drones[i] - h.drones[j], axis=1))) / 0.24
+
+    assert closest(near) < 1.5
+    assert closest(far) > closest(near)
+    np.testing.assert_array_equal(far.legs[[0, 3]], near.legs[[0, 3]])
+
+
+def test_a_leg_at_a_chains_end_is_no_choice() -> None:
+    team = Team(2, [2.0, 2.2], topology="open", tension=[0.4, 0.45])
+    points = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
+    slack = 2.2 - math.hypot(1.2, 0.8)
+    h = Hitch(team, points, 1.2, [0.0, round(slack, 5)])  # to within 1e-4 of the cable: as meant
+    assert h.q_legs[1] == pytest.approx(slack, abs=1e-15)
+    with pytest.raises(InfeasibleError, match=r"above the limit of 0 m at q0; q0 stands at the ch"):
+        Hitch(team, points, 1.2, [0.1, slack])
+    with pytest.raises(InfeasibleError, match=r"at q1; r1 stands at the chain's end, .* 0\.75777"):
+        Hitch(team, points, 1.2, [0.0, slack - 0.01])
+
+
+def test_outlines_of_the_other_topology_or_count_are_refused() -> None:
+    points = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
+    with pytest.raises(InputError, match="a ConvexArc, the team being open"):
+        Hitch.balanced(Team(2, 2.2, topology="open"), ConvexPolygon(points))
+    with pytest.raises(InputError, match="a ConvexPolygon, the team being closed"):
+        Hitch.balanced(Team(3, 2.2), ConvexArc(points))
+    with pytest.raises(InputError, match="4 points, one more than robots"):
+        Hitch.balanced(Team(3, 2.2, topology="open"), points)
+    with pytest.raises(InputError, match="from 2 to"):
+        Team(1, 2.2, topology="open")
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
+    """By names of parts and sets of clasps, not by indices; p_0 and p_n are no clasps."""
+    clasps = set(range(1, n))
+    bodies: list[tuple[str, int, set[int]]] = [(end, k, set()) for k in range(n) for end in "qr"]
+    for k in range(n):
+        bodies += [("q-leg", k, {k})] if k in clasps else []
+        bodies += [("edge", k, {k, k + 1} & clasps)]
+        bodies += [("r-leg", k, {k + 1})] if k + 1 in clasps else []
+    parts = Parts.of(n, "open")
+    assert len(parts.nodes) == len(bodies) == 2 * n + 3 * n - 2
+    i, j = np.triu_indices(len(bodies), 1)
+    found = parts.kind(i, j)
+    for a, b, kind in zip(i, j, found, strict=True):
+        (first, k, its), (second, m, others) = bodies[a], bodies[b]
+        at_the_end = (first, k) in {("q", 0), ("r", n - 1)}
+        if first in "qr" and second in "qr":
+            wanted = SEPARATION
+        elif first in "qr":
+            own_edge = second == "edge" and not at_the_end
+            wanted = CABLE if k != m or own_edge else -1
+        else:
+            wanted = CROSSING if not its & others else -1
+        assert kind == wanted, (bodies[a], bodies[b])
+
+
+def test_a_chain_too_near_itself_is_shared_as_well_as_it_goes() -> None:
+    """No margin can be had where the ends themselves stand too close: the rest is still shared."""
+    team = Team(4, 2.4, topology="open")
+    points = [[0.0, 0.0], [-0.4, 1.2], [0.6, 1.9], [1.5, 1.1], [0.2, -0.02]]
+    h = Hitch.spread(team, points, separation=Separation(radius=0.12))
+    assert np.linalg.norm(h.drones[0] - h.drones[-1]) < 0.24
+    assert np.min(h.legs[h.team.layout.has_leg]) >= 0.15

@@ -1,0 +1,157 @@
+"""Missions of many steps: one plan, stops where they are asked for, remarks that are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.cli.tables import phase_table
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.mission.problem import Step
+
+HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
+MOVES: tuple[Step, ...] = (
+    ho.MoveVertex(0, by=np.array([-0.15, 0.03])),
+    ho.MoveEdge(2, by=np.array([0.02, 0.1])),
+    ho.Morph(HEXAGON, np.full(6, 0.33)),
+    ho.Adjust("balanced"),
+)
+
+
+def mission(*steps: Step, **kept: object) -> ho.Problem:
+    return ho.Problem(
+        ho.Team(6, [2.0, 2.02, 2.04, 2.0, 2.01, 2.03]),
+        ho.HitchStart(HEXAGON, 1.2, "balanced"),
+        steps,
+        **kept,  # type: ignore[arg-type]
+    )
+
+
+def blended(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """All of them without a stop."""
+    changed = [type(s)(**{**vars(s), "blend": True}) for s in steps[:-1]]
+    return (*changed, steps[-1])
+
+
+def fastest(plan: ho.Plan, t: float) -> float:
+    return float(np.max(np.linalg.norm(plan.at(t).velocities, axis=-1)))
+
+
+def test_steps_of_all_kinds_are_one_plan_at_rest_in_between() -> None:
+    x, y = HEXAGON.vertices[1]
+    steps: tuple[Step, ...] = (
+        *MOVES,
+        ho.FollowVertex(1, np.array([[1.5, x + 0.05, y], [3.0, x, y]])),
+        ho.Transport(np.array([0.5, 2.2, 1.5]), yaw=0.4),
+        ho.Hold(0.5),
+    )
+    plan = ho.solve(mission(*steps))
+    assert [p.name for p in plan.phases] == [s.name for s in steps]
+    assert [p.step for p in plan.phases] == list(range(7))
+    assert plan.phases[0].start == 0.0
+    assert plan.phases[-1].end == pytest.approx(plan.duration, abs=1e-12)
+    for before, after in zip(plan.phases, plan.phases[1:], strict=False):
+        assert after.start == before.end
+        assert fastest(plan, before.end) < 1e-9
+    assert plan.phases[4].end - plan.phases[4].start == pytest.approx(3.0, abs=1e-12)
+    assert plan.certificate["continuity"].worst < 1e-9
+    names = [check.name for check in plan.certificate.checks]
+    assert len(names) == len(set(names))  # one certificate, not one per step
+
+
+def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
+    stopping = ho.solve(mission(*MOVES))
+    passing = ho.solve(mission(*blended(MOVES)))
+    assert passing.duration < 0.9 * stopping.duration
+    assert [p.name for p in passing.phases] == [p.name for p in stopping.phases]
+    for here, there in zip(passing.phases[:-1], stopping.phases[:-1], strict=True):
+        state, rest = passing.at(here.end), stopping.at(there.end)
+        np.testing.assert_allclose(state.vertices, rest.vertices, atol=1e-6)
+        np.testing.assert_allclose(state.legs, rest.legs, atol=1e-6)
+        assert fastest(passing, here.end) > 0.1
+        assert here.remark == "goes on without a stop"
+    end = passing.at(passing.duration)
+    np.testing.assert_allclose(end.vertices[:, :2], HEXAGON.vertices, atol=1e-9)
+    np.testing.assert_allclose(end.legs[:, 0], end.legs[:, 1], atol=1e-9)
+    assert fastest(passing, passing.duration) < 1e-9
+    assert [p.start for p in passing.phases[1:]] == [p.end for p in passing.phases[:-1]]
+    assert passing.certificate["continuity"].worst < 1e-9
+
+
+def test_a_group_that_is_blended_rests_before_and_after() -> None:
+    plan = ho.solve(mission(ho.Hold(0.3), *blended(MOVES[:2]), *blended(MOVES[2:]), ho.Hold(0.2)))
+    rests = [fastest(plan, p.end) < 1e-9 for p in plan.phases]
+    assert rests == [True, False, True, False, True, True]
+
+
+def test_a_blend_that_breaks_a_limit_says_that_a_stop_would_help() -> None:
+    polygon = ConvexPolygon([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+    up, down = ho.MoveEdge(3, by=np.array([0, 0.3])), ho.MoveEdge(1, by=np.array([0, -0.3]))
+    problem = {
+        "team": ho.Team(4, 2.0),
+        "start": ho.HitchStart(polygon, 1.0, "balanced"),
+        "arena": ho.Arena([-2, -2, 0], [2, 1.31, 2]),
+    }
+    ho.solve(ho.Problem(mission=(up, down), **problem))  # type: ignore[arg-type]
+    with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or leave out blend"):
+        ho.solve(ho.Problem(mission=blended((up, down)), **problem))  # type: ignore[arg-type]
+
+
+def test_a_blend_that_turns_back_on_itself_is_told() -> None:
+    there = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
+    back = ho.MoveVertex(0, by=np.array([0.15, -0.03]))
+    with pytest.raises(
+        ho.InfeasibleError, match=r"^blend: .*turns back on itself .* leave out ble"
+    ):
+        ho.solve(mission(there, back))
+
+
+def test_what_cannot_be_blended_is_refused() -> None:
+    vertex = blended(MOVES)[0]
+    with pytest.raises(ho.InputError, match=r"mission\[0\]\.move_vertex\.blend = True: .* last"):
+        mission(vertex)
+    with pytest.raises(ho.InputError, match=r"\.blend = True: must be false before a hold"):
+        mission(vertex, ho.Hold(1.0))
+    with pytest.raises(ho.InputError, match=r"\.blend = True: must be false before a transport"):
+        mission(vertex, ho.Transport(np.array([0.0, 0.0, 1.0])))
+    with pytest.raises(ho.InputError, match=r"mission\[1\]\.morph\.duration = 3\.0: must be left"):
+        mission(vertex, ho.Morph(HEXAGON, duration=3.0))
+    with pytest.raises(ho.InputError, match=r"mission\[0\]\.adjust.*moves something"):
+        ho.solve(
+            mission(ho.Adjust("balanced", blend=True), ho.Adjust("balanced", blend=True), MOVES[0])
+        )
+
+
+def test_an_outline_is_checked_through_all_steps() -> None:
+    inward = ho.MoveVertex(0, by=np.array([-0.6, -0.1]))
+    problem = mission(inward)
+    assert len(problem.mission) == 1
+    with pytest.raises(ho.InputError, match=r"mission\[1\]\.move_vertex\.by = .*convex"):
+        mission(inward, inward)
+
+
+def test_remarks_are_kept_in_the_file_and_shown_in_the_table(tmp_path: Path) -> None:
+    polygon = ConvexPolygon([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+    start = ho.Hitch.balanced(ho.Team(4, 2.0), polygon)
+    plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
+    remark = plan.phases[0].remark
+    assert remark.startswith("r0, q3 slide as well: separation")
+    plan.save(tmp_path / "out", rate=5.0)
+    assert ho.load(tmp_path / "out").phases == plan.phases
+    table = " ".join(phase_table(plan.phases).split())
+    assert "remark" in table
+    assert all(word in table for word in remark.split())
+    assert "remark" not in phase_table(ho.hold(start, 1.0).phases)
+
+
+def test_errors_name_the_step_that_they_are_of() -> None:
+    arena = ho.Arena([-3, -3, 0], [4.2, 5, 2])
+    far = ho.Transport(np.array([3.0, 2.0, 1.2]))
+    with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 1 \(transport\)"):
+        ho.solve(mission(MOVES[0], far, arena=arena))
+    short = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
+    with pytest.raises(ho.InfeasibleError, match=r"duration: .* of step 1 \(move_vertex\)"):
+        ho.solve(mission(ho.Hold(0.1), short))

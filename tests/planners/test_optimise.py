@@ -1,0 +1,232 @@
+"""The optimiser: its guesses, rows and derivatives, and the ways that it must find."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt.geometry import ConvexPolygon, random_convex_polygon, regular_polygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.sharing import SharingTask, measured
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.planners.flight import Flight, fly
+from hitchopt.planners.leg_law import KeptDistances
+from hitchopt.planners.morph import straight_morph
+from hitchopt.planners.optimise.guesses import guesses, mean_turn
+from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.pairs import pair_rows
+from hitchopt.planners.optimise.program import Bounds, WayProgram, build_program, solve_program
+from hitchopt.planners.optimise.search import Candidate, candidates
+from hitchopt.planners.optimise.way import Way
+
+FREE = KeptDistances(ho.Limits(), ho.Separation(), None)
+SQUARE = regular_polygon(4, 1.2, np.pi / 4)
+PENTAGON = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
+OCTAGON = regular_polygon(8, 1.3)
+
+
+def ends(
+    team: Team, first: ConvexPolygon, last: ConvexPolygon, kept: KeptDistances = FREE
+) -> tuple[Hitch, Hitch]:
+    start = Hitch.spread(team, first, limits=kept.limits, separation=kept.separation)
+    end = Hitch.nearest(
+        team,
+        last,
+        1.0,
+        start.fractions,
+        limits=kept.limits,
+        separation=kept.separation,
+        arena=kept.arena,
+    )
+    return start, end
+
+
+def certified(flight: Flight, team: Team, kept: KeptDistances) -> ho.Certificate:
+    motion = Motion(
+        team,
+        kept.limits,
+        kept.separation,
+        kept.arena,
+        flight.drones,
+        flight.vertices,
+        flight.legs,
+        flight.tensions,
+        (Phase("morph", 0, 0.0, flight.duration),),
+    )
+    return ho.certify(motion)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
+@settings(max_examples=25, deadline=None)
+def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
+    seed: int, n: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    first = random_convex_polygon(n, 1.2, rng)
+    last = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
+    found = guesses(first, last, 13)
+    assert found[0].name == "straight"
+    kinds = {guess.name.split(" ")[0] for guess in found}
+    assert kinds == {"straight", "turned", "edges"}
+    for guess in found:
+        np.testing.assert_allclose(guess.polygons[0], first.vertices, atol=1e-6)
+        np.testing.assert_allclose(guess.polygons[-1], last.vertices, atol=1e-6)
+        if guess.name.startswith("edges"):
+            for polygon in guess.polygons:
+                ConvexPolygon(polygon)  # refuses what is not convex
+
+
+@pytest.mark.parametrize("angle", [-2.9, -1.0, 0.0, 0.7, 2.5, 3.1])
+def test_the_mean_turn_is_that_of_a_turned_polygon(angle: float) -> None:
+    assert mean_turn(PENTAGON, PENTAGON.rotated(angle).scaled(1.2)) == pytest.approx(angle)
+
+
+def program_of(n: int, *, fastest: bool, tension: tuple[float, float] | None) -> WayProgram:
+    rng = np.random.default_rng(n)
+    first = random_convex_polygon(n, 1.1, rng)
+    pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
+    start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
+    polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
+    bounds = Bounds(ho.Limits(), ho.Separation(), None, tension, 1.02, (1.5, 1.5))
+    return build_program(Way.through("turned", start, end, polygons), bounds, fastest=fastest)
+
+
+@pytest.mark.parametrize(
+    ("fastest", "tension"), [(False, None), (True, None), (False, (0.2, 0.6)), (True, (0.2, 0.6))]
+)
+def test_the_optimisers_derivatives_are_those_of_finite_differences(
+    fastest: bool, tension: tuple[float, float] | None
+) -> None:
+    program = program_of(3, fastest=fastest, tension=tension)
+    rng = np.random.default_rng(1)
+    multipliers = rng.normal(size=len(program.least))
+    lagrangian = program.f + ca.dot(ca.DM(multipliers), program.g)
+    gradient = ca.gradient(lagrangian, program.x)
+    value = ca.Function("value", [program.x], [lagrangian, gradient])
+    slope = ca.Function("slope", [program.x], [gradient, ca.jacobian(gradient, program.x)])
+    x = program.start + 1e-3 * rng.normal(size=len(program.start))
+    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(x))
+    h = 1e-5
+    for _ in range(12):  # along random directions: all entries take part in each
+        direction = rng.normal(size=len(x))
+        around = [
+            [np.asarray(v).ravel() for v in value.call([x + k * h * direction])]
+            for k in (-2.0, -1.0, 1.0, 2.0)
+        ]
+        by_cost, by_slope = (
+            (a - 8 * b + 8 * c - d) / (12 * h) for a, b, c, d in zip(*around, strict=True)
+        )
+        along = exact_gradient.ravel() @ direction
+        assert by_cost[0] == pytest.approx(along, rel=1e-6, abs=1e-4)
+        curved = exact_hessian @ direction
+        np.testing.assert_allclose(by_slope, curved, atol=1e-5 * (1.0 + np.max(np.abs(curved))))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
+    """Kept rows mean kept distances, wherever the bodies have gone; and nothing near is missed."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 7))
+    first = random_convex_polygon(n, 1.1, rng)
+    start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
+    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
+    layout = Layout(n)
+    table = layout.table(way)
+    moved = table.copy()
+    moved[1:-1] += rng.uniform(-0.03, 0.03, moved[1:-1].shape)  # well within a step
+    other = layout.way(moved, way)
+    moved[1:-1] = layout.table(other)[1:-1]  # drones where the moved hitch has them
+    rows = pair_rows(layout, table, ho.Separation(), np.ones(3))
+    x = moved[1:-1].ravel()
+    apart = np.linalg.norm(x[rows.first] - x[rows.second], axis=1)
+    kept = bool(np.all(rows.rows @ x >= rows.least) and np.all(apart >= rows.apart))
+    task = SharingTask(
+        way.team, ho.Separation(), None, other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0
+    )
+    assert measured(task) >= 1.0 - 1e-9 or not kept
+
+
+def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
+    program = program_of(4, fastest=False, tension=None)
+    way = solve_program(program)
+    assert way is not None
+    value = ca.Function("value", [program.x], [program.f, program.g])
+    x = program.layout.table(way)[1:-1].ravel()
+    cost, rows = value(x)
+    assert np.all(np.asarray(rows).ravel() >= program.least - 1e-4)
+    assert np.all(np.asarray(rows).ravel() <= program.most + 1e-4)
+    assert float(cost) <= float(value(program.start)[0]) + 1e-6
+
+
+NARROW = KeptDistances(ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0], [1.55, 1.55, 3]))
+FOUR = Team(4, 2.4)
+THRUST_BOUND = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
+MUST_PLAN = {
+    "square, quarter turn": (FOUR, SQUARE, SQUARE.renumbered(1), FREE),
+    "square, half turn": (FOUR, SQUARE, SQUARE.renumbered(2), FREE),
+    "octagon turned by 45 degrees": (Team(8, 2.0), OCTAGON, OCTAGON.rotated(np.pi / 4), FREE),
+    "asymmetric pentagon": (Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2), FREE),
+    "past a star tip": (
+        Team(5, 2.0),
+        regular_polygon(5, 0.7, 0.3),
+        regular_polygon(5, 1.3, 0.3),
+        FREE,
+    ),
+    "thrust-bound": (THRUST_BOUND, SQUARE, SQUARE.rotated(0.9).translated([0.5, 0.2]), FREE),
+    "narrow arena": (FOUR, SQUARE, SQUARE.renumbered(1), NARROW),
+}
+
+
+def best(found: list[Candidate], kept: KeptDistances, team: Team) -> Flight:
+    assert found
+    durations = [candidate.duration for candidate in found]
+    assert durations == sorted(durations)
+    flight = fly(found[0].path, kept.limits)
+    assert certified(flight, team, kept).certified
+    return flight
+
+
+@pytest.mark.parametrize("name", MUST_PLAN)
+def test_hard_morphs_are_found_and_certified(name: str) -> None:
+    team, first, last, kept = MUST_PLAN[name]
+    start, end = ends(team, first, last, kept)
+    flight = best(candidates(start, end, kept), kept, team)
+    np.testing.assert_allclose(flight.drones.at(0.0), start.drones, atol=1e-9)
+    np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_optimised_way_is_no_slower_than_the_straight_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = random_convex_polygon(5, 1.2, rng, 0.18)
+    start, end = ends(Team(5, 2.1), first, first.rotated(0.5).translated([0.3, 0.2]))
+    straight = straight_morph(start, end, ho.Limits(), ho.Separation())
+    assert straight is not None
+    flight = best(candidates(start, end, FREE), FREE, start.team)
+    assert flight.duration <= 1.01 * straight.duration
+
+
+def test_renumbering_gives_the_same_duration() -> None:
+    start, end = ends(Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2))
+    other = ends(Team(5, 2.6), PENTAGON.renumbered(3), PENTAGON.renumbered(5))
+    durations = [
+        fly(candidates(a, b, FREE)[0].path, ho.Limits()).duration for a, b in ((start, end), other)
+    ]
+    assert durations[1] == pytest.approx(durations[0], rel=0.01)
+
+
+def test_free_tensions_are_eased_on_the_way_and_restored() -> None:
+    team, first, last, kept = MUST_PLAN["thrust-bound"]
+    start, end = ends(team, first, last)
+    fixed = fly(candidates(start, end, kept)[0].path, kept.limits)
+    eased = fly(candidates(start, end, kept, (0.3, 0.8))[0].path, kept.limits)
+    assert certified(eased, team, kept).certified
+    t = np.linspace(0.0, eased.duration, 201)
+    tensions = eased.tensions.at(t)
+    np.testing.assert_allclose(tensions[[0, -1]], 0.8, atol=1e-9)
+    assert np.min(tensions) < 0.6
+    assert np.min(tensions) >= 0.29
+    assert eased.duration < fixed.duration
