@@ -70,7 +70,7 @@ def solve(file: Path, directory: Path | None, rate: float) -> None:
     _check_rate(rate)
     from hitchopt.mission.loading import load_problem
 
-    place = directory if directory is not None else Path(file.stem)
+    place = _place(directory, file)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
     try:
@@ -81,6 +81,15 @@ def solve(file: Path, directory: Path | None, rate: float) -> None:
         raise  # no solve: DIR keeps telling the last one
     except HitchoptError as error:
         _leave_diagnosis(place, error)
+
+
+def _place(directory: Path | None, file: Path) -> Path:
+    """Return where to write to; never a place that was named by mistake."""
+    if directory is None:
+        return Path(file.stem)
+    if not directory.name and directory.resolve().parent == directory.resolve():
+        raise InputError("-o", str(directory), "a directory of its own", "name one, such as out")
+    return directory
 
 
 def _solve(problem: Problem, place: Path, rate: float) -> None:

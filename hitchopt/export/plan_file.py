@@ -45,6 +45,13 @@ BROKEN = (
 """All that a file which is not a plan makes its readers raise."""
 
 
+LARGEST = 1e6
+"""[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
+
+JOINT = 1e-6
+"""[s] Phases meet within this."""
+
+
 def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     """Write the plan; the same plan gives the same bytes.
 
@@ -133,8 +140,11 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion
         quadrotor=kinds,
         **given,
     )
+    for name in POLYNOMIALS:
+        if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
+            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
     parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in POLYNOMIALS}
-    return Motion(
+    motion = Motion(
         team,
         Limits(**settings["limits"]),
         Separation(**settings["separation"]),
@@ -142,6 +152,23 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion
         phases=tuple(_phase(**entry) for entry in settings["phases"]),
         **parts,
     )
+    _check_phases(motion)
+    return motion
+
+
+def _check_phases(motion: Motion) -> None:
+    """Raise InputError unless the phases cover the plan's time, from 0 on, one after the other."""
+    ends = [0.0, *(phase.end for phase in motion.phases)]
+    starts = [*(phase.start for phase in motion.phases), motion.duration]
+    apart = np.abs(np.array(ends) - np.array(starts))
+    first = abs(float(motion.drones.breaks[0]))
+    if not motion.phases or max(first, float(np.max(apart))) > JOINT:
+        raise InputError(
+            "phases",
+            [[phase.start, phase.end] for phase in motion.phases],
+            f"one after the other from 0 to {motion.duration:g} s",
+            "do not edit them",
+        )
 
 
 def _phase(name: object, step: object, start: float, end: float, remark: object = "") -> Phase:

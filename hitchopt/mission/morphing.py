@@ -81,7 +81,7 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Motion:
     if motion is not None:
         return motion
     if isinstance(refusal, InfeasibleError):
-        raise InfeasibleError(refusal.violations, _found_nothing(tried))
+        raise InfeasibleError(refusal.violations, _found_nothing(refusal, tried))
     raise refusal
 
 
@@ -95,7 +95,9 @@ def _remark(shut: bool, name: str) -> str:
     return f"on an optimised way, first guess {name}: {why}"
 
 
-def _found_nothing(tried: int) -> str:
+def _found_nothing(refusal: InfeasibleError, tried: int) -> str:
+    if any(violation.constraint == "duration" for violation in refusal.violations):
+        return "the optimiser found no way that is fast enough either"
     if tried:
         return f"the optimiser's {tried} best other ways do not keep every limit either"
     return "the optimiser found no other way"

@@ -81,7 +81,11 @@ def test_defaults_are_shown_and_valid_themselves() -> None:
         ),
         (["team", "quadrotor"], {"mass", "max_thrust"}),
         (["team", "quadrotor", 4], {"mass", "max_thrust"}),
-        (["mission", 7, "morph"], {"polygon", "legs", "duration", "blend"}),
+        (
+            ["mission", 7, "morph"],
+            {"polygon", "legs", "duration", "blend", "optimize", "tension"},
+        ),
+        (["mission", 7, "morph", "tension"], {"min", "max"}),
         (["mission", 7, "move_edge"], {"edge", "to", "by", "legs", "duration", "blend"}),
         (["mission", 7, "hold"], {"seconds"}),
         (["start", "hitch", "polygon", 1, 0], set()),
