@@ -11,10 +11,10 @@ from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.motions import Kept, flying
 from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.morph import optimised_flights
-
-MOST_FLIGHTS = 4
-"""Optimised ways that are flown and certified, the fastest first, before it is given up."""
+from hitchopt.planners.flight import Flight
+from hitchopt.planners.flown import fly_unhurried
+from hitchopt.planners.optimise.search import Candidate, Judge, candidates
+from hitchopt.planners.path import ShapePath
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +65,40 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Motion:
             motion = None
     except HitchoptError as error:
         refusal = error
-    tried = 0
-    for name, flight in optimised_flights(
-        task.start, task.end, task.kept.distances, task.duration, task.tension
+    for candidate in candidates(
+        task.start, task.end, task.kept.distances, _judge(task), task.tension
     ):
-        if motion is not None and flight.duration >= motion.duration:
-            break
-        phase = replace(task.phase, end=flight.duration, remark=_remark(motion is None, name))
-        found = flying(flight, task.start.team, task.kept, [phase])
-        if _certificate(found).certified:
-            return found
-        tried += 1
-        if tried == MOST_FLIGHTS:
-            break
+        found = _as_asked(candidate, task, shut=motion is None)
+        if found is None or (motion is not None and found.duration >= motion.duration):
+            break  # the others are slower still
+        return found
     if motion is not None:
         return motion
     if isinstance(refusal, InfeasibleError):
-        raise InfeasibleError(refusal.violations, _found_nothing(refusal, tried))
+        raise InfeasibleError(refusal.violations, _found_nothing(refusal))
     raise refusal
+
+
+def _judge(task: WayTask) -> Judge:
+    """Return what flies a path and believes the certificate alone."""
+
+    def judged(path: ShapePath) -> Flight | None:
+        flight = fly_unhurried(path, task.kept.limits)
+        motion = flying(flight, task.start.team, task.kept, [task.phase])
+        return flight if _certificate(motion).certified else None
+
+    return judged
+
+
+def _as_asked(candidate: Candidate, task: WayTask, *, shut: bool) -> Motion | None:
+    """Return a candidate's motion in the step's duration; None where it cannot be so fast."""
+    flight = candidate.flight
+    if task.duration is not None:
+        if task.duration < flight.duration:
+            return None
+        flight = flight.lasting(task.duration)
+    phase = replace(task.phase, end=flight.duration, remark=_remark(shut, candidate.name))
+    return flying(flight, task.start.team, task.kept, [phase])
 
 
 def _certificate(motion: Motion) -> Certificate:
@@ -95,9 +111,7 @@ def _remark(shut: bool, name: str) -> str:
     return f"on an optimised way, first guess {name}: {why}"
 
 
-def _found_nothing(refusal: InfeasibleError, tried: int) -> str:
+def _found_nothing(refusal: InfeasibleError) -> str:
     if any(violation.constraint == "duration" for violation in refusal.violations):
         return "the optimiser found no way that is fast enough either"
-    if tried:
-        return f"the optimiser's {tried} best other ways do not keep every limit either"
     return "the optimiser found no other way"

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 WIDEST = 1.0 / 12.0
 """Of the whole time: no piece is longer."""
 
-PER_RAMP = 4.0
+PER_RAMP = 6.0
 """Pieces in a change of the acceleration from one limit to the other."""
 
 SHORTEST = 5e-3

@@ -20,6 +20,7 @@ from hitchopt.planners.optimise.pairs import pair_rows
 from hitchopt.planners.optimise.program import Bounds, WayProgram, build_program, solve_program
 from hitchopt.planners.optimise.search import Candidate, candidates
 from hitchopt.planners.optimise.way import Way
+from hitchopt.planners.path import ShapePath
 
 FREE = KeptDistances(ho.Limits(), ho.Separation(), None)
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)
@@ -174,20 +175,45 @@ MUST_PLAN = {
 }
 
 
-def best(found: list[Candidate], kept: KeptDistances, team: Team) -> Flight:
+def found_flights(
+    start: Hitch, end: Hitch, kept: KeptDistances, tension: tuple[float, float] | None = None
+) -> list[Candidate]:
+    def judge(path: ShapePath) -> Flight | None:
+        flight = fly(path, kept.limits)
+        return flight if certified(flight, start.team, kept).certified else None
+
+    return candidates(start, end, kept, judge, tension)
+
+
+def best(
+    start: Hitch, end: Hitch, kept: KeptDistances, tension: tuple[float, float] | None = None
+) -> Flight:
+    found = found_flights(start, end, kept, tension)
     assert found
-    durations = [candidate.duration for candidate in found]
+    durations = [candidate.flight.duration for candidate in found]
     assert durations == sorted(durations)
-    flight = fly(found[0].path, kept.limits)
-    assert certified(flight, team, kept).certified
-    return flight
+    return found[0].flight
+
+
+def test_what_the_judge_turns_down_is_refined_and_never_returned() -> None:
+    start, end = ends(FOUR, SQUARE, SQUARE.renumbered(1))
+    seen: list[int] = []
+
+    def strict(path: ShapePath) -> Flight | None:
+        seen.append(path.vertices.pieces)
+        return fly(path, FREE.limits) if len(seen) > 2 else None
+
+    found = candidates(start, end, FREE, strict)
+    assert len(found) == len(seen) - 2
+    assert seen[2] > seen[0]
+    assert candidates(start, end, FREE, lambda _: None) == []
 
 
 @pytest.mark.parametrize("name", MUST_PLAN)
 def test_hard_morphs_are_found_and_certified(name: str) -> None:
     team, first, last, kept = MUST_PLAN[name]
     start, end = ends(team, first, last, kept)
-    flight = best(candidates(start, end, kept), kept, team)
+    flight = best(start, end, kept)
     np.testing.assert_allclose(flight.drones.at(0.0), start.drones, atol=1e-9)
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
 
@@ -199,7 +225,7 @@ def test_a_polygon_is_widened_for_its_legs_to_pass_the_star_tip() -> None:
     start = Hitch(team, small, 1.0, np.full(5, 1.2))
     end = Hitch(team, small, 1.0, np.full(5, 0.35))
     assert np.sum(start.legs[0]) > 2.0 * tip
-    flight = best(candidates(start, end, FREE), FREE, team)
+    flight = best(start, end, FREE)
     p = flight.vertices.at(np.linspace(0.0, flight.duration, 101))
     edges = np.linalg.norm(np.roll(p, -1, axis=1) - p, axis=-1)
     assert np.max(np.min(edges, axis=1)) > 0.55
@@ -212,25 +238,22 @@ def test_the_optimised_way_is_no_slower_than_the_straight_one(seed: int) -> None
     start, end = ends(Team(5, 2.1), first, first.rotated(0.5).translated([0.3, 0.2]))
     straight = straight_morph(start, end, ho.Limits(), ho.Separation())
     assert straight is not None
-    flight = best(candidates(start, end, FREE), FREE, start.team)
+    flight = best(start, end, FREE)
     assert flight.duration <= 1.01 * straight.duration
 
 
 def test_renumbering_gives_the_same_duration() -> None:
     start, end = ends(Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2))
     other = ends(Team(5, 2.6), PENTAGON.renumbered(3), PENTAGON.renumbered(5))
-    durations = [
-        fly(candidates(a, b, FREE)[0].path, ho.Limits()).duration for a, b in ((start, end), other)
-    ]
+    durations = [best(a, b, FREE).duration for a, b in ((start, end), other)]
     assert durations[1] == pytest.approx(durations[0], rel=0.01)
 
 
 def test_free_tensions_are_eased_on_the_way_and_restored() -> None:
     team, first, last, kept = MUST_PLAN["thrust-bound"]
     start, end = ends(team, first, last)
-    fixed = fly(candidates(start, end, kept)[0].path, kept.limits)
-    eased = fly(candidates(start, end, kept, (0.3, 0.8))[0].path, kept.limits)
-    assert certified(eased, team, kept).certified
+    fixed = best(start, end, kept)
+    eased = best(start, end, kept, (0.3, 0.8))
     t = np.linspace(0.0, eased.duration, 201)
     tensions = eased.tensions.at(t)
     np.testing.assert_allclose(tensions[[0, -1]], 0.8, atol=1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,14 @@ from hitchopt.hitch.sharing import SharingTask, measured
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.feasibility import check_loads, check_shapes
+from hitchopt.planners.flight import Flight
 from hitchopt.planners.leg_law import KeptDistances, legs_clear, with_legs_clear
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.program import Bounds, build_program, solve_program
 from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath, drones_along
 from hitchopt.planners.timing import TimingError, fastest_profile
+from hitchopt.planners.warp import WarpError
 
 Array = NDArray[np.float64]
 
@@ -57,20 +59,22 @@ GRID = 101
 """Points at which candidates are timed to be compared."""
 
 
+Judge = Callable[[ShapePath], Flight | None]
+"""Flies a path and looks at all of the time: the flight if it keeps every limit, else None."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A clear path and how long it takes without a jerk limit.
+    """A way that the judge has let pass.
 
     Attributes
     ----------
     name: of the guess that it came from.
-    path: which keeps all limits at its probes.
-    duration: [s]
+    flight: along it.
     """
 
     name: str
-    path: ShapePath
-    duration: float
+    flight: Flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +84,13 @@ class Search:
     Attributes
     ----------
     kept: limits, separation and arena.
+    judge: has the last word on every path.
     tension: smallest and largest [N] where tensions may change on the way.
     end_margins: how many times their limits the first and last hitch keep their distances.
     """
 
     kept: KeptDistances
+    judge: Judge
     tension: tuple[float, float] | None
     end_margins: tuple[float, float]
 
@@ -97,19 +103,24 @@ class Search:
 
 
 def candidates(
-    start: Hitch, end: Hitch, kept: KeptDistances, tension: tuple[float, float] | None = None
+    start: Hitch,
+    end: Hitch,
+    kept: KeptDistances,
+    judge: Judge,
+    tension: tuple[float, float] | None = None,
 ) -> list[Candidate]:
-    """Return the clear paths found from all guesses, the fastest first.
+    """Return the ways found from all guesses, the fastest first; none for chains.
 
     Parameters
     ----------
     start, end: hitches at one altitude that keep all limits.
     kept: limits, separation and arena.
+    judge: has the last word on every path; those that it turns down are refined.
     tension: smallest and largest [N] where tensions may change on the way.
     """
     if not isinstance(start.polygon, ConvexPolygon) or not isinstance(end.polygon, ConvexPolygon):
         return []  # chains are not optimised
-    search = Search(kept, tension, (end_margin(start, kept), end_margin(end, kept)))
+    search = Search(kept, judge, tension, (end_margin(start, kept), end_margin(end, kept)))
     found = guesses(start.polygon, end.polygon, FEWEST_STEPS + 1)
     ways = [Way.through(guess.name, start, end, guess.polygons) for guess in found]
     sound = [way for way in ways if _sound(way)]
@@ -118,7 +129,7 @@ def candidates(
 
 
 def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
-    """Return the clear paths found from the given first ways, the fastest first."""
+    """Return the ways found from the given first ones, the fastest first."""
     bounds = search.bounds(ROUNDS[0][1])
     firsts: list[Way] = []
     for way in ways:
@@ -133,14 +144,14 @@ def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
         if promise > WORSE * fastest:
             break
         found += _refined(way, search)
-        fastest = min((candidate.duration for candidate in found), default=np.inf)
-    return sorted(found, key=lambda candidate: candidate.duration)
+        fastest = min((candidate.flight.duration for candidate in found), default=np.inf)
+    return sorted(found, key=lambda candidate: candidate.flight.duration)
 
 
 def _refined(way: Way, search: Search) -> Iterator[Candidate]:
-    """Yield what comes of a way of least energy: its path, then a faster one if there is.
+    """Yield what comes of a way of least energy: its flight, then a faster one if there is.
 
-    Where the path is not clear between the knots, more of them are set, and wider margins.
+    Where limits are broken between the knots, more of them are set, and wider margins.
     """
     steps = len(way.polygons) - 1
     for finer, margin in ROUNDS:
@@ -152,11 +163,11 @@ def _refined(way: Way, search: Search) -> Iterator[Candidate]:
             if solved is None:
                 continue
             way = solved
-        clear = _candidate(way, search.kept)
+        clear = _candidate(way, search)
         if clear is not None:
             yield clear
             faster = _settled(way, bounds, LATER_STEPS, fastest=True)
-            quick = None if faster is None else _candidate(faster, search.kept)
+            quick = None if faster is None else _candidate(faster, search)
             if quick is not None:
                 yield quick
             return
@@ -236,8 +247,8 @@ def _same(way: Way, other: Way) -> bool:
     return apart < SAME
 
 
-def _candidate(way: Way, kept: KeptDistances) -> Candidate | None:
-    path = way.path()
+def _candidate(way: Way, search: Search) -> Candidate | None:
+    kept, path = search.kept, way.path()
     try:
         check_shapes(path)
         if not legs_clear(path, kept):
@@ -245,11 +256,10 @@ def _candidate(way: Way, kept: KeptDistances) -> Candidate | None:
             if not legs_clear(path, kept):
                 return None
         check_loads(path, kept.limits)
-        if not _inside(path, kept):
-            return None
-        return Candidate(way.name, path, _duration(path, kept))
-    except (InfeasibleError, TimingError):
+        flight = search.judge(path) if _inside(path, kept) else None
+    except (InfeasibleError, TimingError, WarpError):
         return None
+    return None if flight is None else Candidate(way.name, flight)
 
 
 def _inside(path: ShapePath, kept: KeptDistances) -> bool:
