@@ -14,6 +14,9 @@ from hitchopt.planners.path import Path, drones_along, legs_along, polygons_alon
 FLATTEST = math.radians(0.01)
 """[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
 
+SHORTEST_EDGE = 1e-3
+"""[m] A shorter edge on the way has no direction to speak of."""
+
 SHORTEST_LEG = 1e-3
 """[m] A shorter leg on the way has no direction to speak of."""
 
@@ -29,6 +32,9 @@ def check_shapes(path: Path) -> None:
     ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
     right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
     angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
+    lengths = np.linalg.norm(edges, axis=-1)
+    shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
+    angles = np.where(shorter < SHORTEST_EDGE, 0.0, angles)  # a point has no corners
     if np.min(angles) < FLATTEST:
         k = int(np.argmin(np.min(angles, axis=0)))
         first = int(np.argmax(angles[:, k] < FLATTEST))
@@ -91,7 +97,7 @@ def check_loads(path: Path, limits: Limits) -> None:
                         "max",
                         unit,
                         (names[i],),
-                        f"at rest at {s[j]:.0%} of the way, with nothing left to move by",
+                        f"at rest, {s[j]:.0%} of the way on, 0.1 % of it being kept to move by",
                         f"{remedy}, or lower team.tension",
                     )
                 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from hitchopt.errors import HitchoptError
 from hitchopt.planners.demands import Demands
 
 Array = NDArray[np.float64]
+
+logging.getLogger("toppra").setLevel(logging.ERROR)  # its complaints become a TimingError
 
 RAYS = 64
 """Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""

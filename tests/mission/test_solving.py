@@ -7,6 +7,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.mission import morphing
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
 
@@ -230,3 +231,41 @@ def test_unequal_tensions_cables_and_drones_off_the_origin() -> None:
     np.testing.assert_allclose(state.legs[:, 0], state.legs[:, 1], atol=1e-9)
     assert plan.certificate["equilibrium"].worst < 1e-4
     np.testing.assert_allclose(state.tensions, team.tension)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-8, 1e-6, 1e-4])
+def test_moves_of_next_to_nothing_are_planned(offset: float) -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    plan = ho.morph(start, np.array(TRIANGLE) + offset)
+    assert plan.duration <= 0.2
+    np.testing.assert_allclose(
+        plan.at(1.0).vertices[:, :2], np.array(TRIANGLE) + offset, atol=1e-12
+    )
+
+
+def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
+    start = ho.Hitch.spread(ho.Team(4, 2.4), ho.regular_polygon(4, 1.2, np.pi / 4))
+    goal = ho.regular_polygon(4, 1.2, np.pi / 4).renumbered(1)
+    straight, optimised = ho.morph(start, goal), ho.morph(start, goal, optimize=True)
+    assert straight.phases[0].remark == ""
+    assert optimised.duration < straight.duration
+    assert "faster than the step's own way" in optimised.phases[0].remark
+    exact = ho.morph(start, goal, optimize=True, duration=3.0)
+    assert exact.duration == 3.0
+    assert exact.certificate.certified
+
+
+def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    square = ho.regular_polygon(4, 1.2, np.pi / 4)
+    start = ho.Hitch.spread(ho.Team(4, 2.4), square)
+    half = ho.morph(start, square.renumbered(2))
+    assert "the step's own way is shut" in half.phases[0].remark
+    assert half.certificate.certified
+    monkeypatch.setattr(morphing, "candidates", lambda *_: [])
+    with pytest.raises(ho.InfeasibleError, match="the optimiser found no other way") as caught:
+        ho.morph(start, square.renumbered(2))
+    assert caught.value.violations[0].constraint == "convexity"
+    with pytest.raises(ho.InfeasibleError, match="no way that is fast enough"):
+        ho.morph(start, square.renumbered(1), duration=2.0)

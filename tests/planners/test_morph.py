@@ -95,3 +95,15 @@ def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
     start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
     with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
         straight_morph(start, end, Limits(), Separation())
+
+
+def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:
+    """The end of least change keeps its distances at 1.001 times their limits and no more."""
+    team = Team(3, [1.8735, 2.1119, 1.7983])
+    first = [[0.0708, -0.7702], [-0.7066, -0.3644], [0.522, 0.5865]]
+    last = [[0.5994, -0.3958], [-0.8439, -0.1823], [-0.0547, 0.5303]]
+    start = Hitch.spread(team, first)
+    end = Hitch.nearest(team, last, 1.0, start.fractions, limits=Limits(), separation=Separation())
+    linear = ShapePath.straight(start, end)
+    assert distances_on_the_way(linear) < 1.0
+    assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0

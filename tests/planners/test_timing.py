@@ -1,6 +1,7 @@
 """Timing: jets, what limits allow, optima known in closed form."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from hitchopt.geometry import random_convex_polygon, regular_polygon
 from hitchopt.planners import jets
 from hitchopt.planners.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.flight import Flight, fly
+from hitchopt.planners.mesh import time_mesh
 from hitchopt.planners.path import ShapePath, drones_along
-from hitchopt.planners.timing import acceleration_rows, fastest_profile
+from hitchopt.planners.timing import acceleration_rows, fastest_profile, path_grid
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 
@@ -226,3 +228,73 @@ def test_timing_does_not_care_where_or_how_turned() -> None:
         pair = [Hitch.balanced(team, p.rotated(angle).translated(offset)) for p in (first, second)]
         times.append(fly(ShapePath.straight(*pair), limits).duration)
     assert times[1] == pytest.approx(times[0], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        Limits(speed=1e-3),
+        Limits(vertex_speed=2e-3),
+        Limits(speed=1e-4, jerk=0.1),
+        Limits(acceleration=0.01),
+        Limits(jerk=0.05),
+        Limits(speed=1.5, acceleration=1.3, jerk=103.0, vertex_speed=0.12),
+        Limits(acceleration=1e4),
+    ],
+    ids=str,
+)
+def test_limits_of_all_sizes_only_scale_the_time(limits: Limits) -> None:
+    path = straight(3, 12, limits)
+    flight = fly(path, limits)
+    assert max(worst_ratio(path, limits, flight).values()) <= 1.0
+    fine = path_grid(2000)
+    exact = Demands.of(path.team, limits, path.flat(fine), drones_along(path, fine))
+    optimum = fastest_profile(fine, exact).duration
+    assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
+
+
+def test_a_long_way_costs_no_more_than_its_ramps() -> None:
+    """30 m at 0.5 m/s: the pieces of the ramps must not be as long as those of the cruise."""
+    limits = Limits()
+    flight = fly(straight(3, 4, limits, (30.0, 0.0)), limits)
+    v, a, j = 0.5, 2.0, 20.0
+    optimum = 30.0 / v + v / a + a / j
+    assert optimum <= flight.duration <= 1.01 * optimum
+
+
+def test_a_higher_limit_hardly_ever_costs_time() -> None:
+    path = straight(3, 4, Limits())
+    times = [fly(path, Limits(acceleration=a)).duration for a in (1.0, 2.0, 4.0, 40.0, 1e4)]
+    assert all(later <= 1.01 * earlier for earlier, later in pairwise(times))
+
+
+def test_the_profiles_mean_and_acceleration_by_sampling() -> None:
+    profile = fly(straight(4, 5, Limits()), Limits()).profile
+    t = np.linspace(-0.3, profile.duration + 0.3, 4001)
+    rate = np.interp(t, profile.times, profile.speed, left=0.0, right=0.0)
+    s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
+    window = t > -0.1
+    width = 0.2
+    steps = round(width / (t[1] - t[0]))
+    mean = np.array([np.mean(s[max(0, i - steps) : i + 1]) for i in range(len(t))])
+    np.testing.assert_allclose(profile.mean(t, width)[window], mean[window], atol=2e-3)
+    middle = (t[1:] + t[:-1]) / 2.0
+    slope = np.diff(rate) / np.diff(t)
+    steady = np.abs(profile.acceleration(t[1:]) - profile.acceleration(t[:-1])) < 1e-9
+    np.testing.assert_allclose(profile.acceleration(middle)[steady], slope[steady], atol=1e-6)
+
+
+def test_the_mesh_is_close_where_the_acceleration_changes() -> None:
+    limits = Limits()
+    profile = fly(straight(3, 4, limits, (10.0, 0.0)), limits).profile
+    ramp = 0.2
+    knots = time_mesh(profile, ramp)
+    widths = np.diff(knots)
+    assert knots[0] == 0.0
+    assert knots[-1] == pytest.approx(profile.duration + ramp)
+    assert np.all(widths > 0.0)
+    assert max(widths[0], widths[-1]) <= ramp / 4.0
+    assert np.max(widths) >= 5.0 * widths[0]
+    assert np.all(widths[1:] / widths[:-1] < 2.5)
+    assert np.all(widths[:-1] / widths[1:] < 2.5)
+    assert len(time_mesh(profile, ramp, finer=2)) == pytest.approx(2 * len(knots), abs=3)
