@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -25,7 +26,7 @@ MAX_COORDINATE = 1e5
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(ABC):
     """Points joined in a row, turning right wherever one edge follows another.
 
     Parameters
@@ -54,14 +55,14 @@ class Outline:
         return iter(self.vertices)
 
     @property
+    @abstractmethod
     def edge_vectors(self) -> Array:
         """(edges, 2) [m]: ``p_{k+1} - p_k``."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def centroid(self) -> Array:
         """(2,) [m]: the middle, which scaling leaves where it is."""
-        raise NotImplementedError
 
     @property
     def corners(self) -> NDArray[np.intp]:

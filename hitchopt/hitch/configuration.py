@@ -12,7 +12,8 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch.equilibrium import leg_directions
 from hitchopt.hitch.fitting import balanced_legs, cable_slack, checked_legs, fitting_polygon
 from hitchopt.hitch.limits import Arena, Limits, Separation
-from hitchopt.hitch.sharing import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask, share
+from hitchopt.hitch.sharing import share
+from hitchopt.hitch.sharing_task import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask
 from hitchopt.hitch.team import Team
 from hitchopt.hitch.values import finite
 

@@ -10,103 +10,23 @@ Wright 1978).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
-from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
-from hitchopt.hitch.equilibrium import leg_directions
-from hitchopt.hitch.limits import Arena, Separation
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
-from hitchopt.hitch.team import Team
+from hitchopt.hitch.convex_qp import solve_qp
+from hitchopt.hitch.sharing_program import (
+    PENALTY,
+    SharingBodies,
+    sharing_bounds,
+    sharing_program,
+)
+from hitchopt.hitch.sharing_task import Sharing, SharingTask
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-SPREAD_MARGIN = 1.5
-"""How many times its limit each distance is kept at by the sharing called ``spread``."""
-
-LIMIT_MARGIN = 1.001
-"""How far inside its limits a sharing is put, so that a plan's small errors do not break them."""
-
-CROSSING_MARGIN = 1.005
-"""At most that for cables that cross no clasp: ``spread`` is about drones."""
-
-PENALTY = 1e3
-"""[m²] per robot and unit of margin: so dear that distances come first, deviation second."""
 
 ROUNDS = 60
 SETTLED = 1e-9
 """[m] A round that moves no drone by more ends the iteration."""
-
-
-@dataclass(frozen=True, eq=False)
-class SharingTask:
-    """Sharings of one team on J polygons (one, or the knots of a path) at once.
-
-    Attributes
-    ----------
-    team, separation, arena: whose cables, and which distances to keep.
-    polygons: (J, points, 2) [m]
-    reference: (J, n) [m], the ``d`` to stay near to.
-    shortest_leg: [m], for both legs of every cable.
-    margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
-    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
-    fixed: (J,), knots that keep their reference.
-    """
-
-    team: Team
-    separation: Separation
-    arena: Arena | None
-    polygons: Array
-    reference: Array
-    shortest_leg: float
-    margin: float | Array
-    roughness: float = 0.0
-    fixed: NDArray[np.bool_] | None = None
-
-    @property
-    def margins(self) -> Array:
-        """(J,): the margin of every knot."""
-        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-
-    @property
-    def crossing_margins(self) -> Array:
-        """(J,): how many times its limit the distance of two cables is kept at."""
-        return np.minimum(self.margins, CROSSING_MARGIN)
-
-    @property
-    def wanted(self) -> float:
-        """The largest of the margins, which a sharing that keeps them all is said to have."""
-        return float(np.max(self.margins))
-
-    @property
-    def slack(self) -> Array:
-        """(J, n) [m]: what each cable has left for its two legs."""
-        edges = self.team.layout.edges(self.polygons)
-        slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
-        return slack
-
-
-@dataclass(frozen=True, eq=False)
-class Sharing:
-    """A sharing that was found.
-
-    Attributes
-    ----------
-    q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on the sharing itself; where margins
-        differ from knot to knot, in proportion to the largest of them.
-    deviation: sum of ``(d - reference)²`` [m²].
-    """
-
-    q_legs: Array
-    margin: float
-    deviation: float
 
 
 def share(task: SharingTask) -> Sharing:
@@ -116,8 +36,8 @@ def share(task: SharingTask) -> Sharing:
     a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
     linear in J·n.
     """
-    slack, bodies = task.slack, _Bodies(task)
-    start = np.clip(task.reference, *_bounds(task))
+    slack, bodies = task.slack, SharingBodies(task)
+    start = np.clip(task.reference, *sharing_bounds(task))
     if task.roughness == 0.0 and np.array_equal(start, task.reference):
         # To the last bit, where a solver would come within its tolerance.
         margin = bodies.margin(task, start)
@@ -128,7 +48,7 @@ def share(task: SharingTask) -> Sharing:
     if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
         return best
     for pattern in _uneven_fractions(task):
-        start = np.clip(pattern * slack, *_bounds(task))
+        start = np.clip(pattern * slack, *sharing_bounds(task))
         best = min(best, _refined(task, bodies, start), key=lambda s: _merit(task, s))
     return best
 
@@ -152,7 +72,7 @@ def _uneven_fractions(task: SharingTask) -> Array:
 
 def measured(task: SharingTask) -> float:
     """Return the margin of the reference itself: the smallest distance over its limit."""
-    return _Bodies(task).margin(task, task.reference)
+    return SharingBodies(task).margin(task, task.reference)
 
 
 def _merit(task: SharingTask, sharing: Sharing) -> float:
@@ -160,11 +80,11 @@ def _merit(task: SharingTask, sharing: Sharing) -> float:
     return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * sharing.deviation
 
 
-def _refined(task: SharingTask, bodies: _Bodies, start: Array) -> Sharing:
+def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
     """Return the sharing that repeated convex approximation reaches from ``start``."""
     d = start
     for _ in range(ROUNDS):
-        x = solve_qp(_program(task, bodies, d))
+        x = solve_qp(sharing_program(task, bodies, d))
         if x is None:
             break
         moved = x[: d.size].reshape(d.shape)
@@ -173,184 +93,3 @@ def _refined(task: SharingTask, bodies: _Bodies, start: Array) -> Sharing:
         if step < SETTLED:
             break
     return Sharing(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))
-
-
-class _Bodies:
-    """Nodes and pairs of a task, flat over its J polygons."""
-
-    def __init__(self, task: SharingTask) -> None:
-        J, n = task.reference.shape
-        p = task.polygons
-        layout = task.team.layout
-        edges = layout.edges(p)
-        u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-        q, r = leg_directions(u, task.team.tension, task.team.topology)
-        following = p[:, layout.ends] + task.slack[..., None] * r
-        ends = np.stack([p[:, layout.starts], following], axis=2)
-        slopes = np.stack([q, -r], axis=2).reshape(J, 2 * n, 2)
-        self.base = np.concatenate([p, ends.reshape(J, 2 * n, 2)], axis=1).reshape(-1, 2)
-        self.slope = np.concatenate([np.zeros_like(p), slopes], axis=1).reshape(-1, 2)
-        cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
-        self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
-        self.count = layout.points + 2 * n
-        drones = layout.points + np.arange(2 * n)
-        self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
-        keep = task.separation
-        self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
-        self._find_pairs(task, Parts.of(n, task.team.topology))
-
-    def nodes(self, d: Array) -> Array:
-        """Return the nodes' positions (J·count, 2) [m]."""
-        nodes: Array = self.base + self.slope * d.reshape(-1)[self.variable][:, None]
-        return nodes
-
-    def offsets(self, nodes: Array) -> Array:
-        """Return the shortest vector of each pair, second body to first, (pairs, 2) [m]."""
-        return shortest_offset(differences(nodes[self.first], nodes[self.second]))
-
-    def margin(self, task: SharingTask, d: Array) -> float:
-        """Return the smallest distance over its limit; crossings count up to their margin only."""
-        distance = np.linalg.norm(self.offsets(self.nodes(d)), axis=1)
-        ratios = distance / self.limits[self.kind]
-        enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
-        apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
-        shares = apart / task.margins[self.frame]
-        return task.wanted * float(np.min(shares, initial=np.inf))
-
-    def inside(self, arena: Arena | None, d: Array) -> bool:
-        """Return whether every drone is between the arena's upright walls."""
-        if arena is None:
-            return True
-        drones = self.nodes(d)[self.drones]
-        return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
-
-    def _find_pairs(self, task: SharingTask, parts: Parts) -> None:
-        """Keep the pairs whose sweeps over all sharings come within reach of their limits."""
-        J = len(task.reference)
-        lower, upper = _bounds(task)
-        swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
-        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, -1, 2)
-        lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits))
-        # A third coordinate keeps the polygons apart, so that one tree serves them all.
-        size = cutoff + float(np.max(highest) - np.min(lowest))
-        level = np.repeat(np.arange(J) * 4.0 * size, len(parts.nodes))
-        boxes = Boxes(np.column_stack([lowest, level]), np.column_stack([highest, level]))
-        pairs = close_pairs(boxes, None, cutoff * (1.0 + 1e-9))
-        frame, i = np.divmod(pairs.first, len(parts.nodes))
-        j = pairs.second % len(parts.nodes)
-        kind = parts.kind(i, j)
-        wanted = (kind >= 0) & (self.limits[kind] > 0.0)
-        if task.fixed is not None:  # what cannot change is no matter of the sharing
-            wanted &= ~task.fixed[frame]
-        offset = (self.count * frame[wanted])[:, None]
-        self.frame: Index = frame[wanted]
-        self.kind: Index = kind[wanted]
-        self.first: Index = parts.nodes[i[wanted]] + offset
-        self.second: Index = parts.nodes[j[wanted]] + offset
-
-
-def _bounds(task: SharingTask) -> tuple[Array, Array]:
-    """Return the smallest and largest ``d`` (J, n) that leave both legs long enough.
-
-    The same one at the ends of a chain, where a cable has one leg only.
-    """
-    slack, layout = task.slack, task.team.layout
-    shortest = np.minimum(task.shortest_leg, 0.5 * slack)
-    lower = layout.q_legs_of(shortest, slack)
-    upper = layout.q_legs_of(slack - shortest, slack)
-    if task.fixed is not None:
-        lower[task.fixed] = upper[task.fixed] = task.reference[task.fixed]
-    return lower, upper
-
-
-def _program(task: SharingTask, bodies: _Bodies, d: Array) -> QuadraticProgram:
-    """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
-    J, n = d.shape
-    size = J * n + 2
-    nodes = bodies.nodes(d)
-    offsets = bodies.offsets(nodes)
-    distance = np.linalg.norm(offsets, axis=1, keepdims=True)
-    middle = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    direction = np.where(distance > 1e-9, offsets, middle)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    normal = np.where(length > 0.0, direction / np.where(length > 0.0, length, 1.0), [1.0, 0.0])
-
-    pair, a, b = _end_combinations(bodies)
-    kind, nu = bodies.kind[pair], normal[pair]
-    limit = bodies.limits[kind]
-    crossing = kind == CROSSING
-    row = np.arange(len(pair))
-    entries = np.concatenate(
-        [
-            np.sum(nu * bodies.slope[a], axis=1),
-            -np.sum(nu * bodies.slope[b], axis=1),
-            limit,  # the slacks: one of all margins, one of crossings and walls
-        ]
-    )
-    columns = np.concatenate(
-        [bodies.variable[a], bodies.variable[b], np.where(crossing, size - 1, size - 2)]
-    )
-    # A hair more than asked for, so that rounding does not leave it a hair short.
-    frame = bodies.frame[pair]
-    margins = np.where(crossing, task.crossing_margins[frame], task.margins[frame])
-    wanted = margins * (1.0 + 1e-7) * limit
-    least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
-    rows = sparse.csc_matrix((entries, (np.tile(row, 3), columns)), shape=(len(row), size))
-
-    if task.arena is not None:
-        walls, wall_least = _wall_rows(bodies, task.arena, size)
-        rows, least = sparse.vstack([rows, walls], format="csc"), np.append(least, wall_least)
-    hessian = sparse.eye(J * n, format="csc") + _roughness(task)
-    full = sparse.csc_matrix(sparse.block_diag([hessian, sparse.csc_matrix((2, 2))]))
-    gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = _bounds(task)
-    return QuadraticProgram(
-        full,
-        gradient,
-        rows,
-        least,
-        np.append(lower.reshape(-1), [0.0, 0.0]),
-        np.append(upper.reshape(-1), [np.inf, np.inf]),
-    )
-
-
-def _end_combinations(bodies: _Bodies) -> tuple[Index, Index, Index]:
-    """Return (pair, node of the first, node of the second): one row of the QP each."""
-    found: list[tuple[Index, Index, Index]] = []
-    for kind, firsts, seconds in (
-        (SEPARATION, (0,), (0,)),
-        (CABLE, (0,), (0, 1)),
-        (CROSSING, (0, 1), (0, 1)),
-    ):
-        pair = np.flatnonzero(bodies.kind == kind)
-        for i in firsts:
-            found += [(pair, bodies.first[pair, i], bodies.second[pair, j]) for j in seconds]
-    pairs, a, b = zip(*found, strict=True)
-    return np.concatenate(pairs), np.concatenate(a), np.concatenate(b)
-
-
-def _wall_rows(bodies: _Bodies, arena: Arena, size: int) -> tuple[sparse.csc_matrix, Array]:
-    """Return rows and bounds that keep every drone between the arena's upright walls."""
-    base, slope = bodies.base[bodies.drones], bodies.slope[bodies.drones]
-    entries = np.concatenate([slope[:, 0], slope[:, 1], -slope[:, 0], -slope[:, 1]])
-    least = np.concatenate([*(arena.lower[:2] - base).T, *(base - arena.upper[:2]).T])
-    # A wall parallel to the leg is no matter of the sharing: such a row could only be infeasible.
-    free = np.abs(entries) > 1e-9
-    columns = np.tile(bodies.variable[bodies.drones], 4)[free]
-    row = np.arange(len(columns))
-    # Walls share the crossings' slack: out of reach, they must not leave the rest undecided.
-    values = np.append(entries[free], np.ones(len(row)))
-    places = (np.tile(row, 2), np.append(columns, np.full(len(row), size - 1)))
-    return sparse.csc_matrix((values, places), shape=(len(row), size)), least[free]
-
-
-def _roughness(task: SharingTask) -> sparse.csc_matrix:
-    """Return the Hessian of the fractions' squared second differences along the knots."""
-    J, n = task.reference.shape
-    if task.roughness == 0.0 or J < 3:
-        return sparse.csc_matrix((J * n, J * n))
-    second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
-    fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
-    bend = sparse.kron(second, sparse.eye_array(n)) @ fractions
-    return sparse.csc_matrix(task.roughness * (bend.T @ bend))

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Arena, Limits, Separation
-from hitchopt.hitch.sharing import SharingTask, measured, share
+from hitchopt.hitch.sharing import measured, share
+from hitchopt.hitch.sharing_task import SharingTask
 from hitchopt.planners.path import LegLaw, ShapePath, legs_along, polygons_along
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, random_convex_polygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.sharing import SharingTask, measured
+from hitchopt.hitch.sharing import measured
+from hitchopt.hitch.sharing_task import SharingTask
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.sharing import SharingTask, measured
+from hitchopt.hitch.sharing import measured
+from hitchopt.hitch.sharing_task import SharingTask
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.feasibility import check_loads, check_shapes
