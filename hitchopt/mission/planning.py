@@ -211,7 +211,7 @@ def _remark(action: Action, end: End, found: Flying, asked: bool, kept: Kept) ->
     parts = []
     if found.turning:
         parts.append(
-            f"{', '.join(found.turning)} turn as well: tensions differ, so legs turn with both "
+            f"{_all_of(found.turning, 'turn')} as well: tensions differ, so legs turn with both "
             "edges at their vertex"
         )
     if found.sliding:
@@ -220,8 +220,13 @@ def _remark(action: Action, end: End, found: Flying, asked: bool, kept: Kept) ->
         if found.worst is not None:
             path = action.path(end.hitch.q_legs)
             reasons.append(broken_on_the_way(path, found.worst, action.start.altitude, kept))
-        parts.append(f"{', '.join(found.sliding)} slide as well: {', and '.join(reasons)}")
+        parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
     return "; ".join(parts)
+
+
+def _all_of(names: tuple[str, ...], verb: str) -> str:
+    """Return such as "r0 slides" or "q1, r0 slide"."""
+    return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"
 
 
 def _end_of(i: int, step: Step) -> str:

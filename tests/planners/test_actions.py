@@ -67,7 +67,7 @@ def test_where_tensions_differ_legs_turn_with_both_edges_of_their_vertex() -> No
     plan = ho.move_vertex(start, 2, by=[-0.04, 0.05])
     # p_1 holds cables 0 and 1 (unequal), p_3 cables 2 and 3 (equal).
     assert movers(plan) == names(6, q=[2, 3, 1], r=[1, 0])
-    assert plan.phases[0].remark.startswith("q1 turn as well: tensions differ")
+    assert plan.phases[0].remark.startswith("q1 turns as well: tensions differ")
 
 
 CHAIN = ho.Hitch.spread(
@@ -100,7 +100,7 @@ def test_where_one_cable_slides_the_others_keep_their_legs_to_the_last_bit() -> 
     start = ho.Hitch.spread(longer, CHAIN.polygon, 0.8)
     plan = ho.move_vertex(start, 1, by=[0.01, 0.03])
     assert movers(plan) == {"q1", "r0", "q2", "r1"}
-    assert plan.phases[0].remark.startswith("r1 slide as well: separation 0.9")
+    assert plan.phases[0].remark.startswith("r1 slides as well: separation 0.9")
 
 
 @pytest.mark.parametrize(("n", "k"), [(4, 3), (5, 0), (6, 2), (9, 8)])

@@ -39,6 +39,9 @@ FLATTEST = math.radians(3.0)
 INSET = 5e-3
 """[m] From walls and shortest legs, for what the spline does between knots."""
 
+TENSION_INSET = 0.02
+"""Of a range of tensions, kept free at both its ends for what the spline does between knots."""
+
 STATIC_SHARE = 0.97
 """Of thrust and tilt that holding the hitch at rest may take, so that it can still be moved."""
 
@@ -252,8 +255,10 @@ def _box(layout: Layout, team: Team, bounds: Bounds, table: Array) -> tuple[Arra
     if bounds.tension is None:
         lower[layout.tensions] = upper[layout.tensions] = team.tension
     else:
-        lower[layout.tensions] = bounds.tension[0]
-        upper[layout.tensions] = np.minimum(bounds.tension[1], _static_tension(team, bounds))
+        least, most = bounds.tension
+        inset = TENSION_INSET * (most - least)
+        lower[layout.tensions] = least + inset
+        upper[layout.tensions] = np.minimum(most - inset, _static_tension(team, bounds))
         upper = np.maximum(lower, upper)
     lower, upper = np.tile(lower, (inner, 1)), np.tile(upper, (inner, 1))
     rise = (bounds.margins(inner) - 1.0) / max(bounds.margin - 1.0, 1e-9)

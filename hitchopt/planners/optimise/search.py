@@ -25,6 +25,7 @@ from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath, drones_along
 from hitchopt.planners.timing import TimingError, fastest_profile
 from hitchopt.planners.warp import WarpError
+from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,9 @@ WORSE = 1.1
 
 SAME = 0.05
 """[m] Ways that differ by less at every knot are one."""
+
+HALVINGS = 3
+"""Of pieces, to bound their tensions closely."""
 
 GRID = 101
 """Points at which candidates are timed to be compared."""
@@ -258,9 +262,23 @@ def _candidate(way: Way, search: Search) -> Candidate | None:
                 return None
         check_loads(path, kept.limits)
         flight = search.judge(path) if _inside(path, kept) else None
+        if flight is not None and not _tensions_kept(flight, search.tension):
+            return None
     except (InfeasibleError, TimingError, WarpError):
         return None
     return None if flight is None else Candidate(way.name, flight)
+
+
+def _tensions_kept(flight: Flight, tension: tuple[float, float] | None) -> bool:
+    """Return whether tensions stay within their range, by the hulls of their polynomials."""
+    if tension is None:
+        return True
+    pieces = [flight.tensions.coefficients]
+    for _ in range(HALVINGS):
+        pieces = [half for piece in pieces for half in bernstein.halve(piece)]
+    least, most = min(float(np.min(p)) for p in pieces), max(float(np.max(p)) for p in pieces)
+    slack = 1e-9 * tension[1]
+    return least >= tension[0] - slack and most <= tension[1] + slack
 
 
 def _inside(path: ShapePath, kept: KeptDistances) -> bool:
