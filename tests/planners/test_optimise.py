@@ -15,7 +15,7 @@ from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.morph import straight_morph
-from hitchopt.planners.optimise.guesses import guesses, mean_turn
+from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.layout import Layout
 from hitchopt.planners.optimise.pairs import pair_rows
 from hitchopt.planners.optimise.program import Bounds, WayProgram, build_program, solve_program
@@ -78,6 +78,16 @@ def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
         if guess.name.startswith("edges"):
             for polygon in guess.polygons:
                 ConvexPolygon(polygon)  # refuses what is not convex
+
+
+def test_widened_guesses_keep_their_ends_shapes_and_middles() -> None:
+    polygons = guesses(PENTAGON, PENTAGON.renumbered(2), 9)[1].polygons
+    wide = widened(polygons, 0.25)
+    np.testing.assert_allclose(wide[[0, -1]], polygons[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(wide.mean(axis=1), polygons.mean(axis=1), atol=1e-12)
+    half = ConvexPolygon(wide[4]), ConvexPolygon(polygons[4])
+    np.testing.assert_allclose(half[0].edge_lengths, 1.25 * half[1].edge_lengths)
+    np.testing.assert_allclose(half[0].exterior_angles, half[1].exterior_angles)
 
 
 @pytest.mark.parametrize("angle", [-2.9, -1.0, 0.0, 0.7, 2.5, 3.1])

@@ -56,6 +56,14 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> list[Guess
     return found
 
 
+def widened(polygons: Array, share: float) -> Array:
+    """Return polygons (J, n, 2) scaled about their middles, by 1 at the ends, 1 + share half way."""
+    rise = np.sin(np.pi * np.linspace(0.0, 1.0, len(polygons))) ** 2
+    middles = polygons.mean(axis=1, keepdims=True)
+    wide: Array = middles + (1.0 + share * rise)[:, None, None] * (polygons - middles)
+    return wide
+
+
 def mean_turn(first: ConvexPolygon, last: ConvexPolygon) -> float:
     """Return by how much the edges turn on average, in (-π, π], counter-clockwise [rad].
 

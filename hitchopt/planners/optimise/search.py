@@ -19,7 +19,7 @@ from hitchopt.planners.demands import Demands
 from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flight import Flight
 from hitchopt.planners.leg_law import KeptDistances, legs_clear, with_legs_clear
-from hitchopt.planners.optimise.guesses import guesses
+from hitchopt.planners.optimise.guesses import guesses, widened
 from hitchopt.planners.optimise.program import Bounds, build_program, solve_program
 from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath, drones_along
@@ -41,6 +41,9 @@ FEWEST_STEPS, MOST_STEPS = 8, 16
 
 CLOSEST = 0.3
 """A straight guess whose distances fall below this share of their limits is not worth a try."""
+
+WIDER = 0.25
+"""By how much guesses are widened half way where none has led to a way as it is."""
 
 SHARPEST_LOSS = 0.1
 """Share of a polygon's smallest exterior angle and shortest edge that a guess has to keep."""
@@ -130,7 +133,14 @@ def candidates(
     ways = [Way.through(guess.name, start, end, guess.polygons) for guess in found]
     sound = [way for way in ways if _sound(way)]
     loose = [way for way in sound if _closest(way, kept) >= CLOSEST]
-    return searched(loose or sound, search)
+    found_ways = searched(loose or sound, search)
+    if found_ways:
+        return found_ways
+    # Wider on the way, legs have more room to pass one another.
+    wide = [
+        Way.through(guess.name, start, end, widened(guess.polygons, WIDER)) for guess in found[1:]
+    ]
+    return searched([way for way in wide if _sound(way)], search)
 
 
 def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
