@@ -42,8 +42,9 @@ if TYPE_CHECKING:
         Problem,
         Transport,
     )
+    from hitchopt.mission.repair import Change, Suggestion
     from hitchopt.model.motion import Motion, Phase
-    from hitchopt.plan import Plan, load, solve
+    from hitchopt.plan import Plan, load, repair, solve, suggestions
     from hitchopt.trajectory import PiecewisePolynomial
 
 _HOMES = {
@@ -51,6 +52,7 @@ _HOMES = {
     "Arena": "hitch",
     "Certificate": "certificate",
     "CertificateError": "certificate",
+    "Change": "mission.repair",
     "Check": "certificate",
     "ConvexArc": "geometry",
     "ConvexPolygon": "geometry",
@@ -74,6 +76,7 @@ _HOMES = {
     "Quadrotor": "hitch",
     "Separation": "hitch",
     "States": "export.sampling",
+    "Suggestion": "mission.repair",
     "Team": "hitch",
     "Transport": "mission.problem",
     "UnsupportedError": "errors",
@@ -88,7 +91,9 @@ _HOMES = {
     "move_edge": "actions",
     "move_vertex": "actions",
     "regular_polygon": "geometry",
+    "repair": "plan",
     "solve": "plan",
+    "suggestions": "plan",
     "transport": "actions",
 }
 
@@ -97,6 +102,7 @@ __all__ = [
     "Arena",
     "Certificate",
     "CertificateError",
+    "Change",
     "Check",
     "ConvexArc",
     "ConvexPolygon",
@@ -120,6 +126,7 @@ __all__ = [
     "Quadrotor",
     "Separation",
     "States",
+    "Suggestion",
     "Team",
     "Transport",
     "UnsupportedError",
@@ -134,7 +141,9 @@ __all__ = [
     "move_edge",
     "move_vertex",
     "regular_polygon",
+    "repair",
     "solve",
+    "suggestions",
     "transport",
 ]
 

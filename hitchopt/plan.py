@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from numpy.typing import ArrayLike
 
 from hitchopt.certificate import Certificate, certify
+from hitchopt.errors import InfeasibleError
 from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
 from hitchopt.mission.loading import load_problem
 from hitchopt.mission.problem import Problem
+from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.model.motion import Motion, Phase
 
@@ -99,6 +101,60 @@ def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Pl
     task = problem if isinstance(problem, Problem) else load_problem(problem)
     found = solve_problem(task, progress)
     return Plan(found.motion, found.certificate, task.title)
+
+
+def suggestions(
+    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
+) -> tuple[Suggestion, ...]:
+    """Return up to three single changes that mend a problem, the smallest first; none if it is met.
+
+    Each has been verified by planning the problem with it. None is no proof that there is none.
+
+    Parameters
+    ----------
+    problem: or the path of a problem file.
+    budget: how long to search [s]; the last plan that was begun is waited for.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    """
+    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    try:
+        solve_problem(task, progress)
+    except InfeasibleError as error:
+        return find_suggestions(task, error, budget, progress)
+    return ()
+
+
+def repair(
+    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
+) -> Plan:
+    """Return the certified plan of a problem, by the smallest single change that mends it.
+
+    The plan's title tells the change; without need of one the plan is that of solve.
+
+    Parameters
+    ----------
+    problem, budget, progress: as of suggestions.
+
+    Raises
+    ------
+    InfeasibleError: what binds; no single change was found that mends it.
+    InputError, FileError: a problem that is wrong in itself.
+    """
+    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    try:
+        return solve(task, progress)
+    except InfeasibleError as error:
+        found = find_suggestions(task, error, budget, progress)
+        if not found:
+            note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
+            raise InfeasibleError(error.violations, note) from None
+    change = found[0].change
+    mended = solve(change.problem, progress)
+    return replace(mended, title=f"{task.title} with {change}".strip())
 
 
 def load(directory: Path | str) -> Plan:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
-from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.certificate.report import Certificate
     from hitchopt.mission.problem import Problem
+    from hitchopt.mission.repair import Suggestion
     from hitchopt.model.motion import Motion
 
 MAX_RATE = 10_000.0
@@ -65,7 +66,13 @@ def main() -> None:
     show_default=True,
     help="Setpoints per second and drone.",
 )
-def solve(file: Path, directory: Path | None, rate: float) -> None:
+@click.option(
+    "--repair/--no-repair",
+    "mending",
+    default=True,
+    help="Where there is no plan, search for the smallest change that mends it.",
+)
+def solve(file: Path, directory: Path | None, rate: float, mending: bool) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR."""
     _check_rate(rate)
     from hitchopt.mission.loading import load_problem
@@ -73,6 +80,7 @@ def solve(file: Path, directory: Path | None, rate: float) -> None:
     place = _place(directory, file)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
+    problem: Problem | None = None
     try:
         problem = load_problem(file)
         _check_rows(rate, _least_duration(problem), problem.team.robots)
@@ -80,7 +88,7 @@ def solve(file: Path, directory: Path | None, rate: float) -> None:
     except (InputError, FileError):
         raise  # no solve: DIR keeps telling the last one
     except HitchoptError as error:
-        _leave_diagnosis(place, error)
+        _leave_diagnosis(place, error, problem if mending else None)
 
 
 def _place(directory: Path | None, file: Path) -> Path:
@@ -105,14 +113,33 @@ def _solve(problem: Problem, place: Path, rate: float) -> None:
     say(f"certified; the plan is in {place}")
 
 
-def _leave_diagnosis(place: Path, error: HitchoptError) -> NoReturn:
-    """Say and write why there is no plan, and end with the exit code that tells so."""
+def _leave_diagnosis(place: Path, error: HitchoptError, problem: Problem | None) -> NoReturn:
+    """Say and write why there is no plan, and end with the exit code that tells so.
+
+    With a problem, what would mend it is searched for and told as well.
+    """
     from hitchopt.export.directory import save_diagnosis
 
     complain(error)  # first, in case that the diagnosis cannot be written
-    save_diagnosis(place, error)
+    save_diagnosis(place, error)  # the search may be interrupted
+    if problem is not None and isinstance(error, InfeasibleError):
+        save_diagnosis(place, error, _suggested(problem, error))
     say(f"no plan; the diagnosis is in {place / 'diagnosis.json'}", err=True)
     click.get_current_context().exit(exit_code(error))
+
+
+def _suggested(problem: Problem, error: InfeasibleError) -> tuple[Suggestion, ...]:
+    """Return the verified changes that mend the problem, and say them."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+
+    with LateProgress(sys.stderr, "looking for what would mend it") as progress:
+        found = find_suggestions(problem, error, progress=progress)
+    for suggestion in found:
+        say(str(suggestion), err=True)
+    if not found:
+        say(NO_CHANGE, err=True)
+    return found
 
 
 @main.command()

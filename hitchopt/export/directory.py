@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.plan_file import write_plan
 from hitchopt.export.setpoints import Progress, write_setpoints
 from hitchopt.export.vertices import write_vertices
+from hitchopt.mission.repair import Suggestion
 from hitchopt.model.motion import Motion
 
 PLAN = "plan.npz"
@@ -67,13 +68,16 @@ def save_plan(
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
 
 
-def save_diagnosis(directory: Path | str, reason: HitchoptError) -> Path:
+def save_diagnosis(
+    directory: Path | str, reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
+) -> Path:
     """Write why there is no plan, and remove the files of an earlier one; return the directory.
 
     Parameters
     ----------
     directory: made if it is missing.
     reason: what the planner found: what binds, where it is an InfeasibleError, else its words.
+    suggestions: the changes that are verified to mend it, the smallest first.
 
     Raises
     ------
@@ -85,6 +89,7 @@ def save_diagnosis(directory: Path | str, reason: HitchoptError) -> Path:
         "feasible": False,
         "message": str(reason),
         "violations": [{**vars(v), "message": str(v)} for v in violations],
+        "suggestions": [suggestion.to_dict() for suggestion in suggestions],
     }
     writers = {DIAGNOSIS: lambda path: _write_json(path, content)}
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hitchopt.certificate import Certificate, Check
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import Separation
 from hitchopt.model.motion import Phase
 
 REMEDIES = {
@@ -24,17 +25,21 @@ REMEDIES = {
     "arena": "enlarge the arena, or keep the hitch farther from its walls",
     "duration": "raise limits.duration, or the limits of motion",
 }
-"""Per check, what a user can change. Words of advice, not computed."""
+"""Per check, what a user can change. Words of advice; what would do is computed in ``repair``."""
 
 
 def infeasible(
-    certificate: Certificate, phases: tuple[Phase, ...] = (), when: str = ""
+    certificate: Certificate,
+    separation: Separation,
+    phases: tuple[Phase, ...] = (),
+    when: str = "",
 ) -> InfeasibleError:
     """Return the error that tells what a certificate's broken checks say.
 
     Parameters
     ----------
     certificate: one that does not hold.
+    separation: what was to be kept, to tell in metres by how much drones are too close.
     phases: of the plan, to name the step in which it happens.
     when: told instead, for a certificate of something at rest.
     """
@@ -47,12 +52,21 @@ def infeasible(
                 check.sense,
                 check.unit,
                 check.where,
-                when or _moment(check, phases),
+                _metres(check, separation) + (when or _moment(check, phases)),
                 REMEDIES.get(check.name, "this plan must not be flown; please report it"),
             )
             for check in certificate.violated
         ]
     )
+
+
+def _metres(check: Check, separation: Separation) -> str:
+    """Return how far apart drones are and should be; a hitch's drones fly at one height."""
+    if check.name != "separation":
+        return ""
+    needed = 2.0 * separation.radius * check.limit
+    apart = check.worst * 2.0 * separation.radius
+    return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 
 
 def _moment(check: Check, phases: tuple[Phase, ...]) -> str:

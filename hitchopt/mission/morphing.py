@@ -60,11 +60,15 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Motion:
         certificate = _certificate(motion)
         if certificate.certified and not task.optimize and task.tension is None:
             return motion
-        refusal = infeasible(certificate, motion.phases)
+        refusal = infeasible(certificate, task.kept.separation, motion.phases)
         if not certificate.certified:
             motion = None
     except HitchoptError as error:
         refusal = error
+    if not task.kept.optimiser:
+        if motion is None:
+            raise refusal
+        return motion
     for candidate in candidates(
         task.start, task.end, task.kept.distances, _judge(task), task.tension
     ):

@@ -18,11 +18,18 @@ from hitchopt.trajectory import PiecewisePolynomial
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What every step of a mission has to keep."""
+    """What every step of a mission has to keep.
+
+    Attributes
+    ----------
+    limits, separation, arena: of the problem.
+    optimiser: whether steps whose own way will not do are given to the optimiser.
+    """
 
     limits: Limits
     separation: Separation
     arena: Arena | None
+    optimiser: bool = True
 
     @property
     def distances(self) -> KeptDistances:
@@ -75,4 +82,4 @@ def check_at_rest(hitch: Hitch, kept: Kept, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
     certificate = certificate_at_rest(hitch, kept)
     if not certificate.certified:
-        raise infeasible(certificate, when=when)
+        raise infeasible(certificate, kept.separation, when=when)

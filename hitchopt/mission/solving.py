@@ -32,20 +32,23 @@ class Certified:
     certificate: Certificate
 
 
-def solve_problem(problem: Problem, progress: Progress | None = None) -> Certified:
+def solve_problem(
+    problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
+) -> Certified:
     """Return the plan of all steps with its certificate.
 
     Parameters
     ----------
     problem: what is to be flown.
     progress: called with what is being done now.
+    optimiser: try optimised ways too; without them steps go their own way or not at all.
 
     Raises
     ------
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     HitchoptError: a planner failed to find what may exist, and says so.
     """
-    kept = Kept(problem.limits, problem.separation, problem.arena)
+    kept = Kept(problem.limits, problem.separation, problem.arena, optimiser)
     start = problem.start
     _tell(progress, "sharing the start's legs")
     hitch = shared_hitch(problem.team, start.polygon, start.altitude, start.legs, kept)
@@ -73,7 +76,8 @@ def solve_steps(
     motion = joined_motions(motions)
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise _advised(infeasible(certificate, motion.phases), certificate, motion, steps)
+        broken = infeasible(certificate, kept.separation, motion.phases)
+        raise _advised(broken, certificate, motion, steps)
     return Certified(motion, certificate)
 
 

@@ -88,7 +88,7 @@ def test_the_file_of_init_solves_as_it_is(place: Path) -> None:
 
 @pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
 def test_infeasible_problems_end_with_3_and_say_what_binds(path: Path, place: Path) -> None:
-    result = run("solve", path, "-o", "out")
+    result = run("solve", path, "-o", "out", "--no-repair")
     assert result.exit_code == 3, result.output
     binds = header(path, "Binds")
     told = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
@@ -103,11 +103,50 @@ def test_infeasible_problems_end_with_3_and_say_what_binds(path: Path, place: Pa
         assert binds in {violation["constraint"] for violation in found["violations"]}
 
 
+def test_a_refusal_says_what_would_mend_it(place: Path) -> None:
+    path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
+    result = run("solve", path, "-o", "out")
+    assert result.exit_code == 3, result.output
+    told = [line for line in result.stderr.splitlines() if line.startswith("mended by: ")]
+    found = json.loads((place / "out" / "diagnosis.json").read_text())
+    assert [entry["message"] for entry in found["suggestions"]] == told
+    best = found["suggestions"][0]
+    assert (best["key"], best["old"], best["unit"]) == ("team.cable_length", 1.2, "m")
+    assert best["edits"] == [{"key": "team.cable_length", "value": best["new"]}]
+    assert best["relative"] == pytest.approx(best["new"] / 1.2 - 1.0)
+    assert "(0.141 m apart, 0.0986 m too close)" in result.stderr  # 0.1 m times the root of 2
+    text = path.read_text().replace("cable_length: 1.2", f"cable_length: {best['new']}")
+    (place / "mended.yaml").write_text(text)
+    assert run("solve", "mended.yaml", "--rate", "5").exit_code == 0
+
+
+def test_a_refusal_that_nothing_mends_says_so(place: Path) -> None:
+    path = next(path for path in INFEASIBLE if path.stem == "points_begin_elsewhere")
+    result = run("solve", path, "-o", "out")
+    assert result.exit_code == 3, result.output
+    assert "no single change was found that mends it" in result.stderr.splitlines()
+    assert json.loads((place / "out" / "diagnosis.json").read_text())["suggestions"] == []
+
+
+def test_the_diagnosis_is_there_when_the_search_is_interrupted(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hitchopt.mission.repair.find_suggestions", interrupted)
+    path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
+    assert run("solve", path, "-o", "out").exit_code == 130
+    found = json.loads((place / "out" / "diagnosis.json").read_text())
+    assert found["violations"][0]["constraint"] == "separation"
+    assert found["suggestions"] == []
+
+
 def test_the_directory_tells_the_last_solve(place: Path) -> None:
     assert run("solve", TRIANGLE, "-o", "out", "--rate", "5").exit_code == 0
     (place / "out" / "mine.txt").write_text("precious")
     infeasible = next(path for path in INFEASIBLE if path.stem == "too_little_thrust")
-    assert run("solve", infeasible, "-o", "out").exit_code == 3
+    assert run("solve", infeasible, "-o", "out", "--no-repair").exit_code == 3
     assert {file.name for file in (place / "out").iterdir()} == {"diagnosis.json", "mine.txt"}
     assert run("solve", TRIANGLE, "-o", "out", "--rate", "5").exit_code == 0
     names = {file.name for file in (place / "out").iterdir()}

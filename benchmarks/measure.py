@@ -1,0 +1,198 @@
+"""One solver on one morph, in a process of its own: prints what it measured as JSON.
+
+Usage: python -m benchmarks.measure SOLVER KIND ROBOTS SECONDS SAMPLES
+
+A fresh process tells the peak memory of this morph alone, and how long a first solve takes with
+all that is imported and compiled for it. Times are the process's processor time, so that others on
+the machine disturb them less.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from benchmarks.rival import Solution
+    from benchmarks.tasks import Task
+
+OURS = ("straight", "optimised")
+RIVALS = ("opti", "opti fine", "rockit", "toppra")
+
+MEMORY = 6e9
+"""[B] That a rival may take: the programs of large teams would take the machine down."""
+
+RATE = 10_000.0
+"""[Hz] of the samples that a result is checked at, unless there are too many of them."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one solver did; None is what it did not get to.
+
+    Attributes
+    ----------
+    solver, kind, robots: who, on which of ``tasks.KINDS``, with how many cables.
+    status: ``solved``, ``breaks …``, ``failed: …`` or ``timed out``.
+    imports: from the start of the process until everything is imported [s].
+    first, second: a solve in a fresh process, and the same again [s]; with its certificate.
+    certify, sharing, write: of the plan, of the first hitch's legs, of all files [s].
+    flight: duration of what was found [s].
+    peak: memory [MB], before writing and sampling.
+    certified: whether the certificate holds; rivals have none.
+    broken: the limit whose samples are worst, and by how much of it they break it (below 0: kept).
+    excess: of ``broken``.
+    rate: of the samples [Hz].
+    """
+
+    solver: str
+    kind: str
+    robots: int
+    status: str
+    imports: float | None = None
+    first: float | None = None
+    second: float | None = None
+    certify: float | None = None
+    sharing: float | None = None
+    write: float | None = None
+    flight: float | None = None
+    peak: float | None = None
+    certified: bool | None = None
+    broken: str | None = None
+    excess: float | None = None
+    rate: float | None = None
+
+
+def main() -> None:
+    """Measure what the command line says."""
+    solver, kind, robots, seconds, most = sys.argv[1:]
+    from benchmarks.tasks import make_task
+
+    imports = time.process_time()
+    task = make_task(kind, int(robots))
+    if solver in OURS:
+        found = _ours(solver, kind, task, imports, float(most))
+    else:
+        found = _rival(solver, kind, task, float(seconds), float(most))
+    print(json.dumps(asdict(found)))
+
+
+def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Measurement:
+    import hitchopt as ho
+    from benchmarks.sampled import check_samples, of_motion
+
+    def plan() -> ho.Plan:
+        goal, separation = task.end.polygon, task.separation
+        optimize = solver == "optimised"
+        return ho.morph(
+            task.start, goal, limits=task.limits, separation=separation, optimize=optimize
+        )
+
+    team, polygon = task.start.team, task.start.polygon
+    try:
+        first = _seconds(plan)
+        began = time.process_time()
+        found = plan()
+    except ho.HitchoptError as error:
+        return Measurement(solver, kind, task.robots, f"failed: {type(error).__name__}")
+    second = time.process_time() - began
+    certify = _seconds(lambda: ho.certify(found.motion))
+    sharing = _seconds(lambda: ho.Hitch.spread(team, polygon, separation=task.separation))
+    peak = _peak()
+    with tempfile.TemporaryDirectory() as place:
+        write = _seconds(lambda: found.save(place))
+    rate = _rate(task, found.duration, most)
+    worst = check_samples(task, found.duration, of_motion(found.motion), rate)[0]
+    return Measurement(
+        solver,
+        kind,
+        task.robots,
+        _status(worst.name, worst.excess),
+        imports,
+        first,
+        second,
+        certify,
+        sharing,
+        write,
+        found.duration,
+        peak,
+        found.certificate.certified,
+        worst.name,
+        worst.excess,
+        rate,
+    )
+
+
+def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> Measurement:
+    from benchmarks.rival import RivalError
+    from benchmarks.sampled import check_samples
+
+    solve = _solver_of(solver, task, seconds)
+    resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY), int(MEMORY)))
+    began = time.process_time()
+    try:
+        found = solve()
+    except MemoryError:
+        return Measurement(solver, kind, task.robots, f"failed: over {MEMORY / 1e9:g} GB")
+    except RivalError as error:
+        took = time.process_time() - began
+        return Measurement(solver, kind, task.robots, f"failed: {error}", first=took)
+    first, peak = time.process_time() - began, _peak()
+    rate = _rate(task, found.duration, most)
+    worst = check_samples(task, found.duration, found.sample, rate)[0]
+    return Measurement(
+        solver,
+        kind,
+        task.robots,
+        _status(worst.name, worst.excess),
+        first=first,
+        flight=found.duration,
+        peak=peak,
+        broken=worst.name,
+        excess=worst.excess,
+        rate=rate,
+    )
+
+
+def _solver_of(solver: str, task: Task, seconds: float) -> Callable[[], Solution]:
+    """Return the rival of that name, all that it needs imported."""
+    if solver == "toppra":
+        from benchmarks.naive_toppra import solve_toppra
+
+        return lambda: solve_toppra(task)
+    if solver == "rockit":
+        from benchmarks.rockit_rival import solve_rockit
+
+        return lambda: solve_rockit(task, seconds)
+    from benchmarks.plain_opti import COARSE, FINE, solve_opti
+
+    return lambda: solve_opti(task, FINE if solver == "opti fine" else COARSE, seconds)
+
+
+def _status(name: str, excess: float) -> str:
+    return "solved" if excess <= 0.0 else f"breaks {name}"
+
+
+def _rate(task: Task, duration: float, most: float) -> float:
+    """Return RATE, or what comes to ``most`` samples of all drones."""
+    return min(RATE, most / (2 * task.robots * duration))
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+if __name__ == "__main__":
+    main()

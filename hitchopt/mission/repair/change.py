@@ -1,0 +1,188 @@
+"""Changes of a problem, kinds of them by size, and those that are verified to mend it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from hitchopt.mission.problem import Problem
+
+DIGITS = 3
+"""Significant digits of a suggested value: what a person would type."""
+
+
+LEAST_LEFT = 0.1
+"""Share of a quantity that is left where it is lowered the most."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What to write into a problem file.
+
+    Attributes
+    ----------
+    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``.
+    value: number, word, list or mapping, in the file's units.
+    """
+
+    key: str
+    value: object
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One quantity of a problem changed.
+
+    Attributes
+    ----------
+    key: path of the quantity in the problem file.
+    words: what it is, where the key does not tell.
+    old, new: its values [unit].
+    unit: such as ``m``; ``times`` for a factor, nothing for words.
+    relative: size of the change over that of the quantity, with its sign.
+    problem: with the change.
+    edits: what to write into the problem's file for it.
+    """
+
+    key: str
+    words: str
+    old: float | str
+    new: float | str
+    unit: str
+    relative: float
+    problem: Problem
+    edits: tuple[Edit, ...]
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
+        words = f"{self.words}, " if self.words else ""
+        percent = 100.0 * self.relative
+        share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
+        return f"{self.key} {values[0]} -> {values[1]}{unit} ({words}{share} %)"
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """A change with which the problem has been planned and certified.
+
+    Attributes
+    ----------
+    change: the only one that is needed.
+    duration: of the certified plan [s].
+    """
+
+    change: Change
+    duration: float
+
+    def __str__(self) -> str:
+        return f"mended by: {self.change}, verified: plan of {self.duration:.3g} s certified"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the suggestion as plain values, for JSON."""
+        change = self.change
+        return {
+            "key": change.key,
+            "old": change.old,
+            "new": change.new,
+            "unit": change.unit,
+            "relative": change.relative,
+            "duration": self.duration,
+            "edits": [vars(edit) for edit in change.edits],
+            "message": str(self),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Changes of one quantity one way, by their size.
+
+    Attributes
+    ----------
+    covers: constraints that it can mend; where others are broken too it is not tried.
+    of_size: the change of a relative size, rounded up to DIGITS; raises InputError where there
+        is none.
+    least: sizes below are known not to do.
+    most: sizes above make no sense.
+    relaxes: it takes nothing away, so that no size can do where ``most`` does not.
+    family: the first one that does stands for all kinds of this name, such as those of one cable.
+    """
+
+    covers: frozenset[str]
+    of_size: Callable[[float], Change]
+    least: float = 0.0
+    most: float = math.inf
+    relaxes: bool = False
+    family: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Edited:
+    """A problem with another value, and how a file says so."""
+
+    problem: Problem
+    edits: tuple[Edit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A number of a problem that can be changed.
+
+    Attributes
+    ----------
+    key, words, old, unit: as of Change.
+    put: gives the problem with another value.
+    extent: what sizes are relative to [unit]; the old value unless given.
+    """
+
+    key: str
+    old: float
+    unit: str
+    put: Callable[[float], Edited]
+    words: str = ""
+    extent: float | None = None
+
+    def moved(self, size: float, sign: int) -> Change:
+        """Return the change up (sign 1) or down (sign -1) by ``size``, rounded away from old."""
+        extent = self.extent or self.old
+        value = self.old + sign * size * extent
+        new = tidy(value, sign, self.extent or abs(value))
+        edited = self.put(new)
+        relative = (new - self.old) / extent
+        return Change(
+            self.key,
+            self.words,
+            self.old,
+            new,
+            self.unit,
+            relative,
+            edited.problem,
+            edited.edits,
+        )
+
+
+def raised(
+    quantity: Quantity,
+    covers: frozenset[str],
+    least: float = 0.0,
+    most: float = math.inf,
+    relaxes: bool = False,
+) -> Kind:
+    """Return the kind of changes that raise a quantity; the rest as of Kind."""
+    return Kind(covers, partial(quantity.moved, sign=1), least, most, relaxes)
+
+
+def lowered(quantity: Quantity, covers: frozenset[str], relaxes: bool = False) -> Kind:
+    """Return the kind of changes that lower a quantity, but never to nothing."""
+    most = 1.0 - LEAST_LEFT
+    return Kind(covers, partial(quantity.moved, sign=-1), 0.0, most, relaxes)
+
+
+def tidy(value: float, sign: int, scale: float) -> float:
+    """Return ``value`` rounded up (sign 1) or down (sign -1) to DIGITS digits of ``scale``."""
+    step = 10.0 ** (math.floor(math.log10(scale)) + 1 - DIGITS)
+    steps = value / step  # a value that is tidy already is not to be moved by its rounding error
+    rounded = math.ceil(steps - 1e-9) if sign > 0 else math.floor(steps + 1e-9)
+    return float(f"{rounded * step:.12g}")

@@ -1,0 +1,55 @@
+"""Legs spread where others were given, as changes of one size only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.geometry import Outline
+from hitchopt.hitch.fitting import balanced_legs, fitting_polygon
+from hitchopt.mission.ends import shared_hitch
+from hitchopt.mission.motions import Kept
+from hitchopt.mission.outlines import outline_after
+from hitchopt.mission.problem import LegSharing, Problem
+from hitchopt.mission.repair.change import Change
+from hitchopt.mission.repair.constraints import SPACE, broken_constraints
+from hitchopt.mission.repair.editing import with_spread_legs, with_spread_start
+
+COVERS = SPACE | {"crossing", "arena"}
+
+
+def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
+    """Yield the changes from given or balanced legs to spread ones, at the start and after steps.
+
+    Their relative size is the farthest that a drone goes, over its cable's length.
+    """
+    if not broken_constraints(error) <= COVERS:
+        return
+    outline = fitting_polygon(problem.team, problem.start.polygon)
+    places = [("start.hitch.legs", problem.start.legs, outline, with_spread_start(problem))]
+    for i, step in enumerate(problem.mission):
+        outline = outline_after(problem.team, outline, step)
+        legs = getattr(step, "legs", None)
+        if legs is not None:
+            key = f"mission[{i}].{step.name}.legs"
+            places.append((key, legs, outline, with_spread_legs(problem, i)))
+    for key, legs, shape, edited in places:
+        if isinstance(legs, str) and legs == "spread":
+            continue
+        try:
+            relative = _farthest(problem, shape, legs)
+        except InfeasibleError:  # no cable is left for any legs
+            continue
+        words = legs if isinstance(legs, str) else "as given"
+        yield Change(key, "", words, "spread", "", relative, edited.problem, edited.edits)
+
+
+def _farthest(problem: Problem, outline: Outline, legs: LegSharing) -> float:
+    """Return how far a leg is from the spread ones at most, over its cable's length."""
+    team = problem.team
+    kept = Kept(problem.limits, problem.separation, problem.arena)
+    given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
+    spread = shared_hitch(team, outline, problem.start.altitude, "spread", kept)
+    return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

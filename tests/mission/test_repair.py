@@ -1,0 +1,206 @@
+"""Suggestions: each plans when it is written into the file, and less does not."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from problem_cases import INFEASIBLE, UNSUPPORTED, triangle
+
+import hitchopt as ho
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.repair import Edit
+from hitchopt.mission.repair.change import tidy
+from hitchopt.mission.repair.editing import with_outlines_scaled, with_thrust
+from hitchopt.mission.repair.mapping import edited
+from hitchopt.mission.yaml_file import read_yaml
+
+CASES = {path.stem: path for path in INFEASIBLE if path not in UNSUPPORTED}
+
+SMALLEST = {
+    "drones_too_close": "team.cable_length",
+    "paper_experiment_1": "team.cable_length",
+    "tilt_too_small": "team.tension",
+    "plan_too_long": "mission[0].hold.seconds",
+    "points_too_fast": "mission[0].follow_vertex.path",
+    "above_the_arena": "arena.upper[2]",
+    "star_tip": "mission[0].morph.legs",
+}
+
+
+def mapping(path: Path) -> dict[str, Any]:
+    data: Any = read_yaml(path)
+    return dict(data)
+
+
+@cache
+def suggested(stem: str) -> tuple[ho.Suggestion, ...]:
+    return ho.suggestions(CASES[stem])
+
+
+def plans(data: dict[str, Any]) -> bool:
+    try:
+        ho.solve(problem_from_dict(data))
+    except ho.InfeasibleError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("stem", SMALLEST)
+def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
+    data = mapping(CASES[stem])
+    found = suggested(stem)
+    assert found[0].change.key == SMALLEST[stem]
+    assert 1 <= len(found) <= 3
+    sizes = [abs(suggestion.change.relative) for suggestion in found]
+    assert sizes == sorted(sizes)
+    for suggestion in found:
+        plan = ho.solve(problem_from_dict(edited(data, suggestion.change.edits)))
+        assert plan.certificate.certified
+        assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
+
+
+@pytest.mark.parametrize("stem", ["drones_too_close", "paper_experiment_1"])
+def test_cables_a_little_shorter_than_suggested_do_not_do(stem: str) -> None:
+    data = mapping(CASES[stem])
+    change = next(s.change for s in suggested(stem) if s.change.key == "team.cable_length")
+    assert isinstance(change.new, float)
+    assert plans(edited(data, [Edit("team.cable_length", change.new)]))
+    assert not plans(edited(data, [Edit("team.cable_length", 0.985 * change.new)]))
+
+
+@pytest.mark.parametrize(
+    ("stem", "key", "needed"),
+    [
+        # A pull of T on m g tilts by atan(T / (m g)): the file's numbers, by hand.
+        ("tilt_too_small", "limits.tilt_deg", math.degrees(math.atan(0.4 / (0.132 * 9.81)))),
+        ("tilt_too_small", "team.tension", 0.132 * 9.81 * math.tan(math.radians(15.0))),
+        ("tension_too_high", "team.tension", 0.132 * 9.81),
+        ("plan_too_long", "limits.duration", 3.0),
+    ],
+)
+def test_suggestions_are_just_beyond_what_statics_need(stem: str, key: str, needed: float) -> None:
+    found = {s.change.key: s.change for s in suggested(stem)}
+    change = found[key]
+    assert isinstance(change.new, float)
+    assert isinstance(change.old, float)
+    assert (change.new - needed) * (change.new - change.old) >= 0.0  # beyond it, away from old
+    assert change.new == pytest.approx(needed, rel=0.015)
+
+
+def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
+    with pytest.raises(ho.InfeasibleError) as told:
+        ho.solve(CASES["paper_experiment_1"])
+    apart = 2.0 * 0.12 * told.value.violations[0].value
+    words = f"({apart:.3g} m apart, {0.24 - apart:.3g} m too close) at the start"
+    assert words in str(told.value)
+    change = suggested("paper_experiment_1")[0].change
+    assert change.key == "team.cable_length"
+    assert change.new == pytest.approx(2.2, abs=0.04)  # the file's header, found by hand
+
+
+def test_repair_gives_the_plan_of_the_smallest_change() -> None:
+    plan = ho.repair(CASES["drones_too_close"])
+    best = suggested("drones_too_close")[0]
+    assert plan.certificate.certified
+    assert plan.title == f"Drones too close with {best.change}"
+    assert np.unique(plan.motion.team.cable_length) == pytest.approx([best.change.new])
+
+
+def test_what_can_be_met_needs_no_repair() -> None:
+    good = ho.Problem(
+        ho.Team(3, [2.4, 2.5, 2.6]),
+        ho.HitchStart(ho.ConvexPolygon([[2, 0.2], [1.6, 1.7], [2.4, 1.7]]), 1.3),
+        (ho.Hold(0.7),),
+        title="Good",
+    )
+    assert ho.suggestions(good) == ()
+    assert ho.repair(good).title == "Good"
+
+
+def test_what_nothing_mends_is_refused_as_before_and_says_so() -> None:
+    path = CASES["points_begin_elsewhere"]
+    with pytest.raises(ho.InfeasibleError) as before:
+        ho.solve(path)
+    with pytest.raises(ho.InfeasibleError, match="no single change was found") as after:
+        ho.repair(path)
+    assert after.value.violations == before.value.violations
+    assert ho.suggestions(path) == ()
+
+
+def test_no_time_gives_no_suggestion() -> None:
+    assert ho.suggestions(CASES["drones_too_close"], budget=0.0) == ()
+
+
+def test_unequal_cables_and_tensions_change_by_a_factor() -> None:
+    data = mapping(CASES["drones_too_close"])
+    data["team"] |= {"cable_length": [1.2, 1.25, 1.2, 1.22]}
+    found = {s.change.words: s.change for s in ho.suggestions(problem_from_dict(data))}
+    change = found["all cables"]
+    assert isinstance(change.new, float)
+    assert change.unit == "times"
+    assert change.edits[0].value == pytest.approx(
+        (change.new * np.array([1.2, 1.25, 1.2, 1.22])).tolist()
+    )
+    assert plans(edited(data, change.edits))
+
+
+def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
+    data = triangle()
+    factor = 0.83
+    changed = with_outlines_scaled(problem_from_dict(data), factor)
+    written = problem_from_dict(edited(data, changed.edits))
+    for problem in (changed.problem, written):
+        before, after = outlines(problem_from_dict(data)), outlines(problem)
+        for old, new in zip(before, after, strict=True):
+            assert new.edge_lengths == pytest.approx(factor * old.edge_lengths, abs=1e-7)
+    old, new = outlines(problem_from_dict(data)), outlines(written)
+    assert new[0].centroid == pytest.approx(old[0].centroid, abs=1e-8)
+    assert new[-1].centroid == pytest.approx([2.0, 1.2], abs=1e-8)  # where transport goes
+
+
+def outlines(problem: ho.Problem) -> list[Any]:
+    from hitchopt.mission.outlines import outline_after
+
+    found: list[Any] = [problem.start.polygon]
+    for step in problem.mission:
+        found.append(outline_after(problem.team, found[-1], step))
+    return found
+
+
+def test_edits_say_what_the_changed_problem_is() -> None:
+    data = triangle()
+    changed = with_thrust(problem_from_dict(data), 1.25)
+    written = problem_from_dict(edited(data, changed.edits))
+    assert written.team.max_thrust == pytest.approx(
+        1.25 * np.repeat([2.6, 2.6, 2.8], 2)  # the file's, and the default where it has none
+    )
+    assert written.team.quadrotors == changed.problem.team.quadrotors
+
+
+@pytest.mark.parametrize(
+    ("value", "sign", "rounded"),
+    [(2.1612, 1, 2.17), (2.1612, -1, 2.16), (0.34519, -1, 0.345), (-0.6503, -1, -0.651)],
+)
+def test_tidy_rounds_away_from_the_old_value(value: float, sign: int, rounded: float) -> None:
+    assert tidy(value, sign, abs(value)) == rounded
+    assert tidy(rounded, sign, abs(rounded)) == rounded  # what is tidy stays
+
+
+def test_tidy_counts_digits_from_the_extent() -> None:
+    assert tidy(104.0123, 1, 3.0) == 104.02
+
+
+def test_edits_make_sections_that_are_missing() -> None:
+    data = {"limits": None, "mission": [{"hold": {"seconds": 1.0}}]}
+    edits = [Edit("limits.leg", 0.1), Edit("mission[0].hold.seconds", 2.0), Edit("arena", {})]
+    assert edited(data, edits) == {
+        "limits": {"leg": 0.1},
+        "mission": [{"hold": {"seconds": 2.0}}],
+        "arena": {},
+    }
+    assert data["limits"] is None
