@@ -29,6 +29,7 @@ from hitchopt.mission.problem import (
     leg_sharing,
 )
 from hitchopt.mission.solving import Kept, solve_steps
+from hitchopt.model.motion import Motion
 from hitchopt.plan import Plan
 
 Legs = str | Sequence[float] | ArrayLike
@@ -45,7 +46,7 @@ def morph(
     duration: float | None = None,
     optimize: bool = False,
     tension: tuple[float, float] | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan from one hitch to another.
 
     Vertices go straight where that keeps all limits; where it does not, an optimised way is
@@ -83,7 +84,7 @@ def move_vertex(
     arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which one vertex goes elsewhere.
 
     Only the four drones move that the paper names, unless a limit binds; the phase's remark then
@@ -116,7 +117,7 @@ def move_edge(
     arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which both ends of an edge go elsewhere.
 
     Four drones move where the ends slide along their neighbours' lines, else six, unless a limit
@@ -145,7 +146,7 @@ def adjust(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which cables slide through their clasps and vertices stay.
 
     Parameters
@@ -171,7 +172,7 @@ def follow_vertex(
     separation: Separation | None = None,
     arena: Arena | None = None,
     legs: Legs | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which one vertex meets timed points at their times.
 
     Parameters
@@ -199,7 +200,7 @@ def transport(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which the whole hitch is carried and turned, rigidly.
 
     Parameters
@@ -224,7 +225,7 @@ def hold(
     limits: Limits | None = None,
     separation: Separation | None = None,
     arena: Arena | None = None,
-) -> Plan:
+) -> Plan[Motion]:
     """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
 
     Raises
@@ -248,7 +249,7 @@ def _planned(
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,
-) -> Plan:
+) -> Plan[Motion]:
     outline_after(start.team, start.polygon, step)  # what is wrong in itself is told first
     kept = Kept(limits or Limits(), separation or Separation(), arena)
     found = solve_steps(start, (step,), kept)

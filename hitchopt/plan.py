@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Generic
 
 from numpy.typing import ArrayLike
+from typing_extensions import TypeVar
 
 from hitchopt.certificate import Certificate, certify
 from hitchopt.errors import InfeasibleError
@@ -17,14 +19,17 @@ from hitchopt.mission.loading import load_problem
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import Flying, Motion, Phase
 
 Progress = Callable[[str], None]
 
+M = TypeVar("M", bound=Flying, default=Any)
+"""What flies: a hitch's Motion or a SwarmMotion; left open where a file decides."""
+
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """A certified motion of a hitch.
+class Plan(Generic[M]):
+    """A certified motion of a hitch, or of a swarm without cables.
 
     Attributes
     ----------
@@ -33,7 +38,7 @@ class Plan:
     title: what the problem is called.
     """
 
-    motion: Motion
+    motion: M
     certificate: Certificate
     title: str = ""
 
@@ -73,16 +78,17 @@ class Plan:
         """
         from hitchopt.view.summary import save_summary
 
-        def draw(path: Path) -> None:
-            save_summary(path, self.motion, self.certificate, self.title)
+        motion = self.motion
+        pictures = {}
+        if isinstance(motion, Motion):
+            hitch = motion
+            pictures[SUMMARY] = lambda path: save_summary(path, hitch, self.certificate, self.title)
 
         def share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        return save_plan(
-            directory, self.motion, self.certificate, self.title, rate, {SUMMARY: draw}, share
-        )
+        return save_plan(directory, motion, self.certificate, self.title, rate, pictures, share)
 
 
 def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:

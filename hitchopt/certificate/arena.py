@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import ROUNDING, position_margin
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 
 Array = NDArray[np.float64]
 
 
-def check(motion: Motion) -> Check | None:
+def check(motion: Flying) -> Check | None:
     """Return the smallest distance of any drone to a wall, negative outside; None without arena."""
     arena = motion.arena
     if arena is None:

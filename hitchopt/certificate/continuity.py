@@ -7,32 +7,37 @@ import numpy as np
 from hitchopt.certificate.bodies import PART_NAMES
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import derivative_margin, position_margin
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 LIMIT = 1e-6
 """[m], [m/s], [m/s²]: below anything that a drone could tell from none."""
 
 
-def check(motion: Motion) -> Check:
+def check(motion: Flying) -> Check:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
-    Of drones, vertices and legs; the unit is given as m, whichever of the three it is. A jump of a
-    vector is measured by its norm. ``where`` names the drone, the vertex or the leg.
+    Of drones, and of vertices and legs while the hitch exists; the unit is given as m, whichever of
+    the three it is. A jump of a vector is measured by its norm. ``where`` names the drone, the
+    vertex or the leg.
     """
-    n = motion.team.robots
-    legs = PiecewisePolynomial(
-        motion.legs.breaks, motion.legs.coefficients.reshape(motion.legs.pieces, 2 * n, 1, -1)
-    )
-    leg_names = tuple(f"{name} {k}" for k in range(n) for name in PART_NAMES[0::2])
-    parts = (
-        (motion.drones, motion.team.drone_names),
-        (motion.vertices, motion.team.point_names),
-        (legs, leg_names),
-    )
+    parts = [(motion.drones, motion.team.drone_names)]
+    for span in motion.spans(formed=True) if isinstance(motion, Motion) else ():
+        legs = span.legs
+        each = legs.coefficients.reshape(legs.pieces, -1, 1, legs.degree + 1)
+        cables = range(span.team.robots)
+        parts += [
+            (span.vertices, span.team.point_names),
+            (
+                PiecewisePolynomial(legs.breaks, each),
+                tuple(f"{name} {k}" for k in cables for name in PART_NAMES[0::2]),
+            ),
+        ]
     worst, time = 0.0, float(motion.drones.breaks[0])
     where: tuple[str, ...] = ()
-    for part, names in parts if motion.drones.pieces > 1 else ():
+    for part, names in parts:
+        if part.pieces == 1:
+            continue
         for derivative in range(3):
             left, right = part.ends(derivative)
             jump = np.linalg.norm(left[1:] - right[:-1], axis=-1)

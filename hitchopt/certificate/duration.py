@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from hitchopt.certificate.report import Check
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying
 
 RESOLUTION = 1e-12
 """Relative: what the sum of a thousand steps' durations may be off by rounding."""
 
 
-def check(motion: Motion) -> Check | None:
+def check(motion: Flying) -> Check | None:
     """Return the plan's duration; None where no limit is set.
 
     No margin: it is one difference of two stored numbers. A sum of steps that exceeds the limit by

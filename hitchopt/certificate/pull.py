@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hitchopt.certificate.bodies import pull_vectors
 from hitchopt.certificate.rounding import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
 
@@ -25,19 +25,23 @@ NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
 
 
-def thrust_cells(motion: Motion, unit: Array) -> Cells:
+def thrust_cells(motion: Flying, unit: Array) -> Cells:
     """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
 
     Parameters
     ----------
-    unit: (2n,) [N], what each drone's forces are divided by.
+    unit: (drones,) [N], what each drone's forces are divided by.
     """
-    team = motion.team
-    mass = (team.mass / unit)[:, None]
+    mass = (motion.team.mass / unit)[:, None]
     free = motion.drones.differentiated(2).coefficients * mass[..., None]
-    free[:, :, 2] += mass * GRAVITY + (team.cable_weight / unit)[:, None]
-    legs = pull_vectors(motion)
-    tension = lowered(np.repeat(motion.tensions.coefficients, 2, axis=1) / unit[:, None])
+    free[:, :, 2] += mass * GRAVITY
+    if isinstance(motion, Motion):
+        free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
+        legs = pull_vectors(motion)
+        tension = lowered(np.repeat(motion.tensions.coefficients, 2, axis=1) / unit[:, None])
+    else:  # no cable, no pull, whichever way it points
+        legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
+        tension = np.zeros((*free.shape[:2], 1))
     pull = np.max(np.abs(tension), axis=-1)
     slop = derivative_margin(motion.drones, 2) * mass[:, 0]
     slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)

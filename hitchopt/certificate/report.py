@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +64,16 @@ class Check:
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
         holds = worst >= limit if sense == "min" else worst <= limit
         return cls(name, bool(holds), worst, float(limit), sense, unit, float(time), where)
+
+
+def most_pressing(checks: Sequence[Check]) -> Check | None:
+    """Return, of one quantity's checks over several spans of time, the worst; None of none."""
+
+    def beyond(check: Check) -> float:
+        excess = check.worst - check.limit
+        return -excess if check.sense == "min" else excess
+
+    return max(checks, key=beyond, default=None)
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,22 @@ from hitchopt.certificate.bodies import drone_points
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import position_margin
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying
 
 
-def check(motion: Motion) -> Check:
+def check(motion: Flying) -> Check | None:
     """Return the smallest ratio over all pairs of drones; ``where`` names the two.
 
-    Where every axis is scaled by ``Separation.scale`` the ratio is a distance.
+    Where every axis is scaled by ``Separation.scale`` the ratio is a distance. None for one drone.
     """
+    names = motion.team.drone_names
+    if len(names) < 2:
+        return None
     scale = motion.separation.scale
     drones = Bodies(drone_points(motion).corners * scale[:, None])
     margin = position_margin(motion) * float(np.max(scale))
     found = smallest_distance(
         motion.drones.breaks, drones, None, lambda i, _: np.ones(len(i), dtype=np.bool_), margin
     )
-    names = motion.team.drone_names
     where = tuple(names[i] for i in sorted(divmod(found.item, len(names))))
     return Check.of("separation", found.worst, 1.0, "min", "ratio", found.time, where)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from hitchopt.certificate.rates import largest_rate
 from hitchopt.certificate.report import Check
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying
 
 
-def check(motion: Motion) -> Check:
+def check(motion: Flying) -> Check:
     """Return the largest speed of any drone, which ``where`` names."""
     found = largest_rate(motion.drones, 1)
     where = (motion.team.drone_names[found.item],)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hitchopt.certificate.report import Certificate
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
-    from hitchopt.model.motion import Motion
+    from hitchopt.model.motion import Flying
 
 MAX_RATE = 10_000.0
 """[Hz] No flight controller takes setpoints faster."""
@@ -169,7 +169,7 @@ def init(name: str) -> None:
     say(f"wrote {path}; try: hitchopt solve {path}")
 
 
-def _show(title: str, motion: Motion, certificate: Certificate) -> None:
+def _show(title: str, motion: Flying, certificate: Certificate) -> None:
     from hitchopt.cli.tables import certificate_table, phase_table
 
     if title:

@@ -15,7 +15,7 @@ from hitchopt.export.plan_file import write_plan
 from hitchopt.export.setpoints import Progress, write_setpoints
 from hitchopt.export.vertices import write_vertices
 from hitchopt.mission.repair import Suggestion
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion
 
 PLAN = "plan.npz"
 SETPOINTS = "setpoints.csv"
@@ -32,7 +32,7 @@ DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"
 
 def save_plan(
     directory: Path | str,
-    motion: Motion,
+    motion: Flying,
     certificate: Certificate,
     title: str = "",
     rate: float = 100.0,
@@ -44,7 +44,7 @@ def save_plan(
     Parameters
     ----------
     directory: made if it is missing.
-    motion: the plan.
+    motion: the plan; that of a swarm without cables has no table of vertices.
     certificate: of that plan.
     title: what the problem is called.
     rate: samples a second in the tables [Hz].
@@ -61,10 +61,11 @@ def save_plan(
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, motion, title),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
-        VERTICES: lambda path: write_vertices(path, motion, rate),
         **(pictures or {}),
         CERTIFICATE: lambda path: _write_json(path, certificate.to_dict()),
     }
+    if isinstance(motion, Motion):
+        writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.export.archive import read_arrays
-from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm, Team
 from hitchopt.hitch.values import finite
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import JOINT, Flying, Motion, Phase, SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -23,10 +23,14 @@ Array = NDArray[np.float64]
 FORMAT = "hitchopt-plan/1"
 
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
-"""Bernstein coefficients (pieces, *shape, degree + 1) under these names, common ``breaks``."""
+"""Bernstein coefficients (pieces, *shape, degree + 1) under these names, common ``breaks``.
 
-PER_ROBOT = ("cable_length", "tension", "mass", "max_thrust")
-"""(n,) each, of the team."""
+Of a swarm without cables the drones alone."""
+
+PER_ROBOT = ("mass", "max_thrust", "cable_length", "tension")
+"""(n,) each, of the team; of a swarm the first two, (N,)."""
+
+SWARM_POLYNOMIALS, PER_DRONE = POLYNOMIALS[:1], PER_ROBOT[:2]
 
 BROKEN = (
     OSError,
@@ -48,11 +52,8 @@ BROKEN = (
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
-JOINT = 1e-6
-"""[s] Phases meet within this."""
 
-
-def write_plan(path: Path, motion: Motion, title: str = "") -> None:
+def write_plan(path: Path, motion: Flying, title: str = "") -> None:
     """Write the plan; the same plan gives the same bytes.
 
     Raises
@@ -60,35 +61,40 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     OSError: the file cannot be written.
     """
     team, arena = motion.team, motion.arena
-    settings = {
-        "title": title,
-        "team": {
+    arrays: dict[str, NDArray[Any]] = {
+        "mass": np.array([kind.mass for kind in team.quadrotors]),
+        "max_thrust": np.array([kind.max_thrust for kind in team.quadrotors]),
+        "breaks": motion.drones.breaks,
+    }
+    if isinstance(team, Team):
+        who: dict[str, Any] = {
             "robots": team.robots,
             "topology": team.topology,
             "cable_density": team.cable_density,
             "cable_friction": team.cable_friction,
-        },
+        }
+        arrays |= {"cable_length": team.cable_length, "tension": team.tension}
+    else:
+        who = {"drones": team.drones}
+    for name in POLYNOMIALS if isinstance(motion, Motion) else SWARM_POLYNOMIALS:
+        arrays[name] = getattr(motion, name).coefficients
+    settings = {
+        "title": title,
+        "team": who,
         "limits": vars(motion.limits),
         "separation": vars(motion.separation),
         "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
         "phases": [vars(phase) for phase in motion.phases],
     }
-    arrays: dict[str, NDArray[Any]] = {
+    head = {
         "format": np.array(FORMAT),
         "settings": np.array(json.dumps(settings, allow_nan=False)),
-        "cable_length": team.cable_length,
-        "tension": team.tension,
-        "mass": np.array([kind.mass for kind in team.quadrotors]),
-        "max_thrust": np.array([kind.max_thrust for kind in team.quadrotors]),
-        "breaks": motion.drones.breaks,
     }
-    for name in POLYNOMIALS:
-        arrays[name] = getattr(motion, name).coefficients
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        np.savez(file, allow_pickle=False, **head, **arrays)
 
 
-def read_plan(path: Path) -> Motion:
+def read_plan(path: Path) -> Flying:
     """Return the plan of a file that hitchopt wrote.
 
     Raises
@@ -115,48 +121,49 @@ def read_title(path: Path) -> str:
 
 
 def _contents(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    arrays = read_arrays(path, ("format", "settings", "breaks", *PER_ROBOT, *POLYNOMIALS))
-    if str(arrays["format"]) != FORMAT:
-        raise InputError("format", str(arrays["format"]), FORMAT, "use a plan that hitchopt wrote")
-    for name in ("breaks", *PER_ROBOT, *POLYNOMIALS):
-        if arrays[name].dtype != np.float64:
-            raise InputError(name, arrays[name].dtype, "of double precision", "do not convert it")
-    settings = json.loads(str(arrays["settings"]))
+    head = read_arrays(path, ("format", "settings"))
+    if str(head["format"]) != FORMAT:
+        raise InputError("format", str(head["format"]), FORMAT, "use a plan that hitchopt wrote")
+    settings = json.loads(str(head["settings"]))
     if not isinstance(settings, dict):
         raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
+    swarm = "drones" in settings["team"]
+    names = (*PER_DRONE, *SWARM_POLYNOMIALS) if swarm else (*PER_ROBOT, *POLYNOMIALS)
+    arrays = read_arrays(path, ("breaks", *names))
+    for name, array in arrays.items():
+        if array.dtype != np.float64:
+            raise InputError(name, array.dtype, "of double precision", "do not convert it")
     return settings, arrays
 
 
-def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion:
+def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying:
     given = dict(settings["team"])
     kinds = [
         Quadrotor(float(mass), float(max_thrust))
         for mass, max_thrust in zip(arrays["mass"], arrays["max_thrust"], strict=True)
     ]
-    team = Team(
-        given.pop("robots"),
-        arrays["cable_length"],
-        tension=arrays["tension"],
-        quadrotor=kinds,
-        **given,
-    )
-    for name in POLYNOMIALS:
+    names = [name for name in POLYNOMIALS if name in arrays]
+    for name in names:
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
-    parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in POLYNOMIALS}
-    motion = Motion(
-        team,
-        Limits(**settings["limits"]),
-        Separation(**settings["separation"]),
-        None if settings["arena"] is None else Arena(**settings["arena"]),
-        phases=tuple(_phase(**entry) for entry in settings["phases"]),
-        **parts,
-    )
+    parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in names}
+    limits, separation = Limits(**settings["limits"]), Separation(**settings["separation"])
+    arena = None if settings["arena"] is None else Arena(**settings["arena"])
+    phases = tuple(_phase(**entry) for entry in settings["phases"])
+    motion: Flying
+    if "vertices" in parts:
+        robots = given.pop("robots")
+        lengths, tensions = arrays["cable_length"], arrays["tension"]
+        team = Team(robots, lengths, tension=tensions, quadrotor=kinds, **given)
+        motion = Motion(team, limits, separation, arena, phases=phases, **parts)
+    else:
+        swarm = Swarm(given["drones"], quadrotor=kinds)
+        motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases)
     _check_phases(motion)
     return motion
 
 
-def _check_phases(motion: Motion) -> None:
+def _check_phases(motion: Flying) -> None:
     """Raise InputError unless the phases cover the plan's time, from 0 on, one after the other."""
     ends = [0.0, *(phase.end for phase in motion.phases)]
     starts = [*(phase.start for phase in motion.phases), motion.duration]
@@ -171,12 +178,23 @@ def _check_phases(motion: Motion) -> None:
         )
 
 
-def _phase(name: object, step: object, start: float, end: float, remark: object = "") -> Phase:
+def _phase(
+    name: object,
+    step: object,
+    start: float,
+    end: float,
+    remark: object = "",
+    formed: object = True,
+) -> Phase:
     if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
         raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
     if not isinstance(remark, str):
         raise InputError("phases", remark, "a remark in words", "do not edit them")
-    return Phase(name, step, finite("phases.start", start), finite("phases.end", end), remark)
+    if not isinstance(formed, bool):
+        raise InputError("phases", formed, "formed as true or false", "do not edit them")
+    return Phase(
+        name, step, finite("phases.start", start), finite("phases.end", end), remark, formed
+    )
 
 
 def _reason(error: BaseException) -> str:

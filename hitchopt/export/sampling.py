@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.values import not_negative, positive
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -33,18 +34,20 @@ class States:
     Attributes
     ----------
     t: (…) [s], from the plan's start.
-    positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m].
+    formed: (…) whether the hitch exists; of a swarm without cables it never does.
+    positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
     velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
         pieces join, those of the later piece.
     cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: ``-T_k`` along its leg (its
         edge, at a chain's end), and down by half of the cable's weight.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
-        chain.
+        chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
     """
 
     t: Array
+    formed: NDArray[np.bool_]
     positions: Array
     velocities: Array
     accelerations: Array
@@ -55,7 +58,7 @@ class States:
     legs: Array
     tensions: Array
 
-    def thrusts(self, team: Team) -> Array:
+    def thrusts(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N] the thrust vectors ``m (a + g ẑ) - cable force``."""
         upward = np.array([0.0, 0.0, GRAVITY])
         thrusts: Array = team.mass[:, None] * (self.accelerations + upward) - self.cable_forces
@@ -89,7 +92,7 @@ def sample_times(duration: float, rate: float) -> Array:
     return times
 
 
-def states_at(motion: Motion, t: ArrayLike) -> States:
+def states_at(motion: Flying, t: ArrayLike) -> States:
     """Return the states at times t (…) [s], at least one, counted from the plan's start.
 
     After its end a plan stays at rest where it ended.
@@ -107,8 +110,8 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
 
-    def whole(name: str) -> Array:
-        values: Array = np.concatenate([getattr(block, name) for block in blocks])[back]
+    def whole(name: str) -> NDArray[Any]:
+        values: NDArray[Any] = np.concatenate([getattr(block, name) for block in blocks])[back]
         return values.reshape((*times.shape, *values.shape[1:]))
 
     states = {field.name: whole(field.name) for field in fields(States)}
@@ -118,40 +121,50 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     return States(**{**states, "t": asked})
 
 
-def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
+def iterate_states(motion: Flying, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``.
 
     A block lies within one piece, so that its values are one matrix product per quantity.
     """
     starts = motion.drones.breaks - motion.drones.breaks[0]
+    formed = motion.formed if isinstance(motion, Motion) else np.zeros(len(starts) - 1, np.bool_)
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
     for piece in np.flatnonzero(np.diff(bounds)):
         for first in range(bounds[piece], bounds[piece + 1], size):
             t = times[first : min(first + size, bounds[piece + 1])]
-            yield _states_within(motion, int(piece), t, t - starts[piece])
+            yield _states_within(motion, int(piece), t, t - starts[piece], bool(formed[piece]))
 
 
-def _states_within(motion: Motion, piece: int, t: Array, elapsed: Array) -> States:
+def _states_within(motion: Flying, piece: int, t: Array, elapsed: Array, formed: bool) -> States:
     h = motion.drones.durations[piece]
     x = np.clip(elapsed / h, 0.0, 1.0)
     drones = motion.drones.coefficients[piece]
-    vertices = motion.vertices.coefficients[piece]
     velocities = bernstein.differentiate(drones) / h
     accelerations = bernstein.differentiate(velocities) / h
     jerks = bernstein.differentiate(accelerations) / h
-    positions, p = _values(drones, x), _values(vertices, x)
-    tensions = _values(motion.tensions.coefficients[piece], x)
+    positions = _values(drones, x)
+    if isinstance(motion, Motion):
+        vertices = motion.vertices.coefficients[piece]
+        p, tensions = _values(vertices, x), _values(motion.tensions.coefficients[piece], x)
+        forces = _cable_forces(motion.team, positions, p, tensions)
+        vertex_velocities = _values(bernstein.differentiate(vertices) / h, x)
+        legs = _values(motion.legs.coefficients[piece], x)
+    else:
+        forces = np.zeros_like(positions)
+        p = vertex_velocities = np.zeros((len(t), 0, 3))
+        legs, tensions = np.zeros((len(t), 0, 2)), np.zeros((len(t), 0))
     return States(
         t,
+        np.full(len(t), formed),
         positions,
         _values(velocities, x),
         _values(accelerations, x),
         _values(jerks, x),
-        _cable_forces(motion.team, positions, p, tensions),
+        forces,
         p,
-        _values(bernstein.differentiate(vertices) / h, x),
-        _values(motion.legs.coefficients[piece], x),
+        vertex_velocities,
+        legs,
         tensions,
     )
 

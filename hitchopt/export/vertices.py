@@ -14,7 +14,7 @@ HEADER = "t,vertex,x,y,z,tension"
 
 
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
-    """Write one row per sample and vertex; row k carries the tension of cable k.
+    """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
     The last row of an open chain, which has one point more than cables, leaves it empty.
 
@@ -42,5 +42,6 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
             values[..., 0] = states.t[:, None]
             values[..., 1:4] = states.vertices
             values[:, :n, 4] = states.tensions
-            given = values.reshape(len(values), -1)[:, filled] + 0.0  # no negative zeros
+            given = values[states.formed].reshape(-1, 5 * points)[:, filled]
+            given = given + 0.0  # no negative zeros
             file.write(rows * len(given) % tuple(given.ravel().tolist()))

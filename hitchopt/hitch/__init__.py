@@ -2,6 +2,7 @@
 
 from hitchopt.hitch.configuration import Hitch
 from hitchopt.hitch.limits import Arena, Limits, Separation
+from hitchopt.hitch.swarm import Swarm
 from hitchopt.hitch.team import GRAVITY, Quadrotor, Team
 
-__all__ = ["GRAVITY", "Arena", "Hitch", "Limits", "Quadrotor", "Separation", "Team"]
+__all__ = ["GRAVITY", "Arena", "Hitch", "Limits", "Quadrotor", "Separation", "Swarm", "Team"]

@@ -1,15 +1,20 @@
-"""A hitch in motion: the polynomials of a plan and what they have to keep, nothing else."""
+"""What flies: the polynomials of a plan and what they have to keep, nothing else."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch import Arena, Limits, Separation, Swarm, Team
 from hitchopt.trajectory import PiecewisePolynomial, joined
+
+JOINT = 1e-6
+"""[s] Phases meet within this, and the hitch is formed or released within this of a break."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,7 @@ class Phase:
     step: index of the mission's step that it belongs to.
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
+    formed: whether the hitch exists; else the cables hang free, or slack in one another.
     """
 
     name: str
@@ -29,11 +35,15 @@ class Phase:
     start: float
     end: float
     remark: str = ""
+    formed: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Where drones, vertices, legs and tensions are at every time, and within which limits.
+
+    While no hitch exists, vertices, legs and tensions stand for nothing: they are kept so that one
+    plan has one set of arrays, and tensions are 0.
 
     Parameters
     ----------
@@ -46,7 +56,8 @@ class Motion:
 
     Raises
     ------
-    InputError: shapes that do not fit the team, or breaks that are not the same for all.
+    InputError: shapes that do not fit the team, breaks that are not the same for all, or a hitch
+        that is formed or released within a piece.
     """
 
     team: Team
@@ -69,11 +80,96 @@ class Motion:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if not np.array_equal(part.breaks, self.drones.breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
+        changes = np.array(
+            [b.start for a, b in pairwise(self.phases) if a.formed != b.formed], dtype=np.float64
+        )
+        apart = np.abs(changes[:, None] - self.drones.breaks)
+        if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
+            raise InputError(
+                "phases", changes.tolist(), "breaks where the hitch forms", "split the pieces there"
+            )
 
     @property
     def duration(self) -> float:
         """Of all phases together [s]."""
         return self.drones.duration
+
+    @property
+    def formed(self) -> NDArray[np.bool_]:
+        """(pieces,): whether the hitch exists on each piece; it does where there are no phases."""
+        if not self.phases:
+            return np.ones(self.drones.pieces, dtype=np.bool_)
+        middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
+        ends = np.array([phase.end for phase in self.phases[:-1]])
+        states = np.array([phase.formed for phase in self.phases], dtype=np.bool_)
+        here: NDArray[np.bool_] = states[np.searchsorted(ends, middles)]
+        return here
+
+    def spans(self, *, formed: bool) -> tuple[Motion, ...]:
+        """Return the longest runs of pieces on which the hitch exists, or does not.
+
+        Each at its own times, as a motion of the phases that it overlaps.
+        """
+        wanted = self.formed == formed
+        if np.all(wanted):
+            return (self,)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
+        return tuple(
+            self._run(slice(int(first), int(last))) for first, last in edges.reshape(-1, 2)
+        )
+
+    def _run(self, pieces: slice) -> Motion:
+        breaks = self.drones.breaks[pieces.start : pieces.stop + 1]
+        overlapping = tuple(
+            phase
+            for phase in self.phases
+            if phase.end > breaks[0] + JOINT and phase.start < breaks[-1] - JOINT
+        )
+        return replace(
+            self,
+            drones=self.drones.taken(pieces),
+            vertices=self.vertices.taken(pieces),
+            legs=self.legs.taken(pieces),
+            tensions=self.tensions.taken(pieces),
+            phases=overlapping,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SwarmMotion:
+    """Where single drones are at every time, and within which limits.
+
+    Parameters
+    ----------
+    team, limits, separation, arena: who flies, and what must be kept.
+    drones: of shape (N, 3) [m], in the order d0, d1, ….
+    phases: one after the other, covering all of the time.
+
+    Raises
+    ------
+    InputError: a shape that does not fit the team.
+    """
+
+    team: Swarm
+    limits: Limits
+    separation: Separation
+    arena: Arena | None
+    drones: PiecewisePolynomial
+    phases: tuple[Phase, ...]
+
+    def __post_init__(self) -> None:
+        shape = (self.team.drones, 3)
+        if self.drones.shape != shape:
+            raise InputError("drones", self.drones.shape, f"of shape {shape}", "one row per drone")
+
+    @property
+    def duration(self) -> float:
+        """Of all phases together [s]."""
+        return self.drones.duration
+
+
+Flying = Motion | SwarmMotion
+"""Whatever has drones on polynomials of time."""
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:

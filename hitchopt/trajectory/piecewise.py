@@ -154,6 +154,11 @@ class PiecewisePolynomial:
         first = self.breaks[0]
         return PiecewisePolynomial(first + factor * (self.breaks - first), self.coefficients)
 
+    def taken(self, pieces: slice) -> PiecewisePolynomial:
+        """Return a run of pieces (at least one), at the same times."""
+        first, last, _ = pieces.indices(self.pieces)
+        return PiecewisePolynomial(self.breaks[first : last + 1], self.coefficients[first:last])
+
     def reversed(self) -> PiecewisePolynomial:
         """Return the same curves flown backwards, over the same span of time."""
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])

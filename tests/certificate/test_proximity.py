@@ -10,8 +10,7 @@ from certificate_sampling import sampled, segment_to_segment
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.certificate import certify, proximity
-from hitchopt.certificate.certify import CHECKS
+from hitchopt.certificate import cable_clearance, certify, crossing, proximity, separation
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.geometry import regular_polygon
 from hitchopt.geometry.broadphase import Pairs, close_pairs, few_close_pairs
@@ -144,8 +143,8 @@ def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPat
             pieces=4,
         )
         listed.clear()
-        for name in ("separation", "cable_clearance", "crossing"):
-            CHECKS[name](motion)
+        for looked_at in (separation, cable_clearance, crossing):
+            looked_at.check(motion)
         return sum(listed)
 
     few, many = count(100), count(800)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Team
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Swarm, Team
+from hitchopt.model.motion import Motion, Phase, SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -63,6 +63,15 @@ def made_motion() -> Motion:
         through([h.legs for h in hitches]),
         PiecewisePolynomial.constant(BREAKS, team.tension, 2),
         (Phase("morph", 0, 0.0, 1.9), Phase("hold", 1, 1.9, 2.53)),
+    )
+
+
+def made_swarm() -> SwarmMotion:
+    """Return the drones of made_motion without their cables."""
+    motion = made_motion()
+    swarm = Swarm(8, quadrotor=[Quadrotor(0.13 + 0.01 * i, 2.5 + 0.1 * i) for i in range(8)])
+    return SwarmMotion(
+        swarm, motion.limits, motion.separation, motion.arena, motion.drones, motion.phases
     )
 
 

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from handmade import made_motion
+from handmade import made_motion, made_swarm
 
 from hitchopt.errors import InputError
 from hitchopt.export import setpoints
@@ -104,3 +105,24 @@ def test_a_rate_of_zero_is_refused(motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="rate"):
         write_setpoints(tmp_path / "s.csv", motion, 0.0)
     assert not (tmp_path / "s.csv").exists()
+
+
+def test_vertices_are_written_while_the_hitch_exists(motion: Motion, tmp_path: Path) -> None:
+    first, second = motion.phases
+    later = replace(motion, phases=(replace(first, formed=False), second))
+    write_vertices(tmp_path / "v.csv", later, RATE)
+    write_vertices(tmp_path / "all.csv", motion, RATE)
+    rows = [row for row in rows_of(tmp_path / "all.csv") if float(row["t"]) >= second.start]
+    assert rows
+    assert rows_of(tmp_path / "v.csv") == rows
+
+
+def test_a_swarm_pulls_at_nothing(tmp_path: Path) -> None:
+    swarm = made_swarm()
+    write_setpoints(tmp_path / "s.csv", swarm, RATE)
+    rows = rows_of(tmp_path / "s.csv")
+    assert [row["drone"] for row in rows[:9]] == [*(f"d{i}" for i in range(8)), "d0"]
+    assert {row[f"cable_{axis}"] for row in rows for axis in "xyz"} == {"0"}
+    table = np.array([[float(row[c]) for c in ("x", "y", "z")] for row in rows])
+    times = sample_times(swarm.duration, RATE)
+    np.testing.assert_allclose(table, swarm.drones.at(times).reshape(-1, 3), atol=1e-9)

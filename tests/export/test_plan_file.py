@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from handmade import made_motion
+from handmade import made_motion, made_swarm
 
 from hitchopt.errors import FileError
 from hitchopt.export.plan_file import read_plan, read_title, write_plan
 from hitchopt.hitch import Limits
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion, SwarmMotion
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,8 @@ def bits(array: Any) -> tuple[tuple[int, ...], bytes]:
     return values.shape, values.tobytes()
 
 
-def assert_same(a: Motion, b: Motion) -> None:
+def assert_same(a: Flying, b: Motion) -> None:
+    assert isinstance(a, Motion)
     for name in ("drones", "vertices", "legs", "tensions"):
         for part in ("breaks", "coefficients"):
             x, y = (getattr(getattr(motion, name), part) for motion in (a, b))
@@ -260,4 +261,32 @@ def test_an_array_given_twice_is_refused(path: Path) -> None:
     ):
         file.writestr("mass.npy", header((4,)) + np.ones(4).tobytes())
     with pytest.raises(FileError, match="'mass' is in it 2 times"):
+        read_plan(path)
+
+
+def test_the_plan_of_a_swarm_comes_back(tmp_path: Path) -> None:
+    swarm = made_swarm()
+    write_plan(tmp_path / "plan.npz", swarm, TITLE)
+    again = read_plan(tmp_path / "plan.npz")
+    assert isinstance(again, SwarmMotion)
+    assert again.team.quadrotors == swarm.team.quadrotors
+    assert (again.limits, again.separation) == (swarm.limits, swarm.separation)
+    assert again.phases == swarm.phases
+    assert bits(again.drones.coefficients) == bits(swarm.drones.coefficients)
+    assert bits(again.drones.breaks) == bits(swarm.drones.breaks)
+    assert read_title(tmp_path / "plan.npz") == TITLE
+
+
+def test_whether_the_hitch_is_formed_comes_back(motion: Motion, tmp_path: Path) -> None:
+    phases = (dataclasses.replace(motion.phases[0], formed=False), motion.phases[1])
+    write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, phases=phases))
+    assert read_plan(tmp_path / "plan.npz").phases == phases
+
+
+def test_formed_is_yes_or_no(path: Path) -> None:
+    def spoilt(settings: dict[str, Any]) -> None:
+        settings["phases"][0]["formed"] = "yes"
+
+    resettled(path, spoilt)
+    with pytest.raises(FileError, match="formed"):
         read_plan(path)

@@ -1,0 +1,65 @@
+"""A team of single quadrotors, without cables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.hitch.team import MAX_ROBOTS, Quadrotor
+
+MAX_DRONES = 2 * MAX_ROBOTS
+"""More are refused before any memory is spent on them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Swarm:
+    """N single quadrotors.
+
+    Parameters
+    ----------
+    drones: their number N.
+    quadrotor: one kind for all, or one per drone.
+
+    Raises
+    ------
+    InputError: a count that is wrong in itself.
+    """
+
+    drones: int
+    quadrotors: tuple[Quadrotor, ...] = field(repr=False)
+
+    def __init__(
+        self, drones: int, *, quadrotor: Quadrotor | Sequence[Quadrotor] | None = None
+    ) -> None:
+        if isinstance(drones, bool) or not isinstance(drones, int | np.integer):
+            raise InputError("drones", drones, "a whole number", "count the drones")
+        if not 1 <= drones <= MAX_DRONES:
+            raise InputError("drones", drones, f"from 1 to {MAX_DRONES}", "split the swarm")
+        n = int(drones)
+        kind = Quadrotor() if quadrotor is None else quadrotor
+        kinds = (kind,) * n if isinstance(kind, Quadrotor) else tuple(kind)
+        if len(kinds) != n:
+            raise InputError(
+                "quadrotor", len(kinds), f"one kind, or a list of {n}", "give one per drone"
+            )
+        object.__setattr__(self, "drones", n)
+        object.__setattr__(self, "quadrotors", kinds)
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """(N,) [kg]."""
+        return np.array([kind.mass for kind in self.quadrotors])
+
+    @property
+    def max_thrust(self) -> NDArray[np.float64]:
+        """(N,) [N]."""
+        return np.array([kind.max_thrust for kind in self.quadrotors])
+
+    @property
+    def drone_names(self) -> tuple[str, ...]:
+        """(N,): d0, d1, …."""
+        return tuple(f"d{i}" for i in range(self.drones))

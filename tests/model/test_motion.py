@@ -1,0 +1,168 @@
+"""Motions in parts: where a hitch exists, and swarms that have none."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hitchopt.certificate import certify
+from hitchopt.certificate.report import Check, most_pressing
+from hitchopt.errors import InputError
+from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Swarm, Team
+from hitchopt.model.motion import Motion, Phase, SwarmMotion
+from hitchopt.trajectory import PiecewisePolynomial
+
+BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
+POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])
+
+
+def resting(formed: tuple[bool, ...]) -> Motion:
+    """Return a hitch at rest whose phases are the pieces."""
+    team = Team(3, [2.4, 2.5, 2.6])
+    hitch = Hitch.balanced(team, POINTS, 1.2)
+    parts = {
+        "drones": hitch.drones,
+        "vertices": hitch.vertices,
+        "legs": hitch.legs,
+        "tensions": team.tension,
+    }
+    phases = tuple(
+        Phase(f"part {i}", 0, a, b, formed=f)
+        for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
+    )
+    constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
+    return Motion(team, Limits(), Separation(), None, phases=phases, **constant)
+
+
+@pytest.mark.parametrize(
+    ("formed", "runs"),
+    [
+        ((True,) * 4, [(0, 4)]),
+        ((False,) * 4, []),
+        ((False, True, True, False), [(1, 3)]),
+        ((True, False, True, True), [(0, 1), (2, 4)]),
+    ],
+)
+def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[int, int]]) -> None:
+    motion = resting(formed)
+    np.testing.assert_array_equal(motion.formed, formed)
+    spans = motion.spans(formed=True)
+    assert [(s.drones.breaks[0], s.drones.breaks[-1]) for s in spans] == [
+        (BREAKS[a], BREAKS[b]) for a, b in runs
+    ]
+    for span, (a, b) in zip(spans, runs, strict=True):
+        assert span.phases == motion.phases[a:b]
+        assert np.all(span.formed)
+        np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
+    others = motion.spans(formed=False)
+    assert sum(s.duration for s in (*spans, *others)) == pytest.approx(motion.duration)
+
+
+def test_what_is_broken_where_no_hitch_is_breaks_nothing() -> None:
+    motion = resting((False, True, True, False))
+    assert certify(motion).certified
+    for piece, certified in ((0, True), (1, False), (3, True)):
+        legs = np.array(motion.legs.coefficients)
+        legs[piece] += 0.3
+        shifted = replace(motion, legs=PiecewisePolynomial(BREAKS, legs))
+        assert certify(shifted).certified is certified
+
+
+def test_the_worst_of_several_spans_is_told() -> None:
+    motion = resting((True, False, True, True))
+    vertices = np.array(motion.vertices.coefficients)
+    vertices[0, 1] *= 1.001
+    worse = certify(replace(motion, vertices=PiecewisePolynomial(BREAKS, vertices)))
+    assert not worse["cable_length"].holds
+    assert worse["cable_length"].time <= BREAKS[1]
+    assert worse["convexity"].worst > 0.0
+
+
+def test_the_most_pressing_check_depends_on_its_sense() -> None:
+    low, high = (Check.of("x", worst, 1.0, "min", "m", 0.0, ()) for worst in (0.5, 2.0))
+    assert most_pressing([high, low]) is low
+    low, high = (Check.of("x", worst, 1.0, "max", "m", 0.0, ()) for worst in (0.5, 2.0))
+    assert most_pressing([high, low]) is high
+    assert most_pressing([]) is None
+
+
+def test_a_hitch_forms_at_a_break() -> None:
+    motion = resting((False, True, True, False))
+    late = (motion.phases[0], replace(motion.phases[1], start=0.6), *motion.phases[2:])
+    with pytest.raises(InputError, match="phases"):
+        replace(motion, phases=late)
+
+
+def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> SwarmMotion:
+    """Return three drones in a row, ``apart`` metres, that move by 0.5 m in y in 2 s."""
+    x = np.zeros((3, 3, 2))
+    x[:, 0] = apart * np.arange(3.0)[:, None]
+    x[:, 1, 1] = 0.5
+    x[:, 2] = 1.0
+    drones = PiecewisePolynomial.hermite(
+        [0.0, 2.0], *(np.stack([x[None, ..., end], *np.zeros((3, 1, 3, 3))]) for end in (0, 1))
+    )
+    arena = Arena([-1.0, -1.0, 0.0], [3.0, 2.0, 1.5])
+    team = Swarm(3, quadrotor=kinds)
+    return SwarmMotion(
+        team, Limits(), Separation(), arena, drones, (Phase("separate", 0, 0.0, 2.0),)
+    )
+
+
+def test_a_swarm_is_certified_by_the_checks_of_drones() -> None:
+    certificate = certify(swarm_motion())
+    assert certificate.certified
+    assert [check.name for check in certificate.checks] == [
+        "separation",
+        "speed",
+        "acceleration",
+        "jerk",
+        "thrust",
+        "tilt",
+        "arena",
+        "continuity",
+    ]
+    assert certificate["separation"].worst == pytest.approx(1.0 / 0.24)
+    assert certificate["arena"].worst == pytest.approx(0.5)
+    # The septic from rest to rest is fastest half way, at 35/16 of its mean speed.
+    assert certificate["speed"].worst == pytest.approx(0.25 * 35 / 16)
+    t = np.linspace(0.0, 2.0, 20001)
+    acceleration = swarm_motion().drones.at(t, 2)
+    upward = acceleration + np.array([0.0, 0.0, 9.81])
+    assert certificate["thrust"].worst == pytest.approx(
+        0.132 * np.max(np.linalg.norm(upward, axis=-1)), rel=2e-4
+    )
+    tilt = np.degrees(np.max(np.arctan2(np.abs(upward[..., 1]), upward[..., 2])))
+    assert certificate["tilt"].worst == pytest.approx(tilt, rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("apart", "weak", "broken"), [(0.2, 2.6, "separation"), (1, 1.2, "thrust")]
+)
+def test_a_swarm_that_breaks_a_limit_is_told(apart: float, weak: float, broken: str) -> None:
+    certificate = certify(swarm_motion(apart, Quadrotor(max_thrust=weak)))
+    assert [check.name for check in certificate.violated] == [broken]
+    assert set(certificate[broken].where) <= {"d0", "d1", "d2"}
+
+
+def test_a_single_drone_has_no_separation() -> None:
+    motion = swarm_motion()
+    one = PiecewisePolynomial(motion.drones.breaks, motion.drones.coefficients[:, :1])
+    certificate = certify(replace(motion, team=Swarm(1), drones=one))
+    assert certificate.certified
+    assert "separation" not in [check.name for check in certificate.checks]
+
+
+@pytest.mark.parametrize("drones", [0, -1, 2.0, True, "3", 10**9])
+def test_counts_of_drones_are_checked(drones: object) -> None:
+    with pytest.raises(InputError, match="drones"):
+        Swarm(drones)  # type: ignore[arg-type]
+
+
+def test_one_kind_per_drone() -> None:
+    with pytest.raises(InputError, match="quadrotor"):
+        Swarm(3, quadrotor=[Quadrotor()] * 2)
+    heavy = Swarm(2, quadrotor=[Quadrotor(0.1), Quadrotor(0.2, 5.0)])
+    np.testing.assert_array_equal(heavy.mass, [0.1, 0.2])
+    np.testing.assert_array_equal(heavy.max_thrust, [2.6, 5.0])
