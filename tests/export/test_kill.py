@@ -144,8 +144,10 @@ os.fsync = lambda descriptor: None  # the more often it is killed in between
 chance = random.Random(11)
 prepare(1)
 whole = {}
-for round in range(60):
+round = 0
+while round < 60 or len(whole) <= 20:  # on a busy machine the killed one may not get far
     first = 2 * round
+    round += 1
     child = os.fork()
     if child == 0:
         for i in range(100000):
@@ -160,7 +162,6 @@ for round in range(60):
     whole[tag] = True
 save(7)
 check_others(final=True)
-assert len(whole) > 20, whole
 print("ok")
 """
 
