@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,12 @@ them by other means, has the rest to itself."""
 
 SPANS = 8
 """Of a piece, on which its rates are enclosed: within about 0.1 %."""
+
+ENCLOSING = 8
+"""Coefficients on a span: those of the drones' septic pieces."""
+
+CHUNK = 60_000
+"""Coefficients of drones that are looked at in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,17 +204,17 @@ def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
     coefficients, which lie close to it on a short span of time.
     """
-    breaks = flight.drones.breaks
+    breaks, h = flight.drones.breaks, flight.drones.durations
+    inner = np.linspace(0.0, 1.0, SPANS * ENCLOSING)
+    size = max(1, CHUNK // (len(inner) * len(path.team.mass)))
     factors = []
-    for piece in range(flight.drones.pieces):  # one at a time: a thousand robots fill the memory
-        h = breaks[piece + 1] - breaks[piece]
-        drones = _rates(flight.drones.coefficients[piece], h)
-        vertices = _rates(flight.vertices.coefficients[piece], h)
-        at = breaks[piece] + h * np.linspace(0.0, 1.0, len(drones))
+    for first in range(0, len(h), size):  # a thousand robots fill the memory
+        span = slice(first, first + size)
+        at = breaks[:-1][span, None] + h[span, None] * inner
         demands = Demands(
-            drones,
-            np.max(np.linalg.norm(vertices[..., 1], axis=-1), axis=1),
-            _loads(path, flight, at),
+            np.stack([_rates(flight.drones, span, order) for order in range(4)], axis=-1),
+            np.max(np.linalg.norm(_rates(flight.vertices, span, 1), axis=-1), axis=1),
+            _loads(path, flight, at.ravel()),
             path.team.mass,
             path.team.max_thrust,
             limits,
@@ -217,18 +224,28 @@ def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
     return max(factors)
 
 
-def _rates(coefficients: Array, h: float) -> Array:
-    """Return (SPANS · 8, items, 3, 4): coefficients of value, velocity, acceleration and jerk.
+def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
+    """Return the coefficients (pieces · SPANS · ENCLOSING, items, 3) of a derivative by time.
 
-    Of one piece of h seconds, (items, 3, 8), on each of its SPANS spans in turn.
+    Of each of the pieces, on each of its SPANS spans in turn.
     """
-    orders = [coefficients]
-    for _ in range(3):
-        orders.append(bernstein.differentiate(orders[-1]) / h)
-    same = np.stack([bernstein.elevate(c, 7) for c in orders])
-    starts = np.arange(SPANS).reshape(SPANS, 1, 1) / SPANS
-    spans = bernstein.restrict(same[:, None], starts, starts + 1.0 / SPANS)
-    return spans.transpose(1, 4, 2, 3, 0).reshape(-1, *coefficients.shape[:2], 4)
+    c, h = part.coefficients[pieces], part.durations[pieces]
+    for _ in range(order):
+        c = bernstein.differentiate(c)
+    c = c / h[:, None, None, None] ** order
+    rates = c @ _spans(bernstein.degree(c)).T
+    return np.moveaxis(rates, -1, 1).reshape(-1, *rates.shape[1:-1])
+
+
+@lru_cache
+def _spans(order: int) -> Array:
+    """(SPANS · ENCLOSING, order + 1): from coefficients on a piece to those on its spans."""
+    same = bernstein.elevate(np.eye(order + 1), ENCLOSING - 1)[:, None]
+    starts = np.arange(SPANS) / SPANS
+    spans: Array = bernstein.restrict(same, starts, starts + 1.0 / SPANS)
+    spans = spans.reshape(order + 1, -1).T
+    spans.setflags(write=False)
+    return spans
 
 
 def _loads(path: Path, flight: Flight, t: Array) -> Array:
