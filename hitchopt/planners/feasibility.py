@@ -8,8 +8,9 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Limits
+from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
-from hitchopt.planners.path import Path, drones_along, legs_along, polygons_along
+from hitchopt.planners.path import Path, legs_along, polygons_along
 
 FLATTEST = math.radians(0.01)
 """[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
@@ -74,7 +75,8 @@ def check_shapes(path: Path) -> None:
 def check_loads(path: Path, limits: Limits) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
     s = np.linspace(0.0, 1.0, PROBES)
-    demands = Demands.of(path.team, limits, path.flat(s), drones_along(path, s))
+    flat = path.flat(s)
+    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
     names = path.team.drone_names
     for name, unit, ratios, scale, remedy in (
         ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),

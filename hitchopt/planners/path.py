@@ -56,11 +56,7 @@ class LegLaw:
 
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, 4) of ``d`` for those of the slack."""
-        length, share = (
-            np.stack([part.at(s, order) for order in range(JET)], axis=-1)
-            for part in (self.length, self.share)
-        )
-        return length + jets.product(share, slack)
+        return self.length.jet(s, JET) + jets.product(self.share.jet(s, JET), slack)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +90,14 @@ class ShapePath:
 
     def flat(self, s: Array) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,)."""
-        vertices = np.stack([self.vertices.at(s, order) for order in range(JET)], axis=-1)
+        vertices = self.vertices.jet(s, JET)
         edges = self.team.layout.edges(vertices, axis=1)
         slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += self.team.cable_length
         tensions = np.zeros((len(s), self.team.robots, JET))
         tensions[..., 0] = self.team.tension
         if self.tensions is not None:
-            tensions = np.stack([self.tensions.at(s, order) for order in range(JET)], axis=-1)
+            tensions = self.tensions.jet(s, JET)
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
