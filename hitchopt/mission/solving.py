@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from hitchopt.certificate import Certificate, certify
+from hitchopt.certificate import Certificate, merged
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
-from hitchopt.mission.motions import Kept, check_at_rest
+from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import Planned, plan_blended, plan_step
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.step_records import FollowVertex, ShapeStep, Step
@@ -22,14 +22,6 @@ Progress = Callable[[str], None]
 
 RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
 """Checks that hold more easily where everything goes slower."""
-
-
-@dataclass(frozen=True, eq=False)
-class Certified:
-    """A motion and the certificate that holds for it."""
-
-    motion: Motion
-    certificate: Certificate
 
 
 def solve_problem(
@@ -65,6 +57,7 @@ def solve_steps(
     check_at_rest(start, kept, "at the start (t = 0)")
     hitch = start
     motions: list[Motion] = []
+    certificates: list[Certificate] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
         try:
@@ -73,8 +66,11 @@ def solve_steps(
             raise _in_step(error, first, group) from None
         motions.append(planned.motion)
         hitch = planned.end
+        if planned.certificate is None:
+            _tell(progress, f"certifying step {first} ({group[0].name})")
+        certificates.append(planned.certificate or certified(planned.motion).certificate)
     motion = joined_motions(motions)
-    certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
+    certificate = merged(motion, certificates)
     if not certificate.certified:
         broken = infeasible(certificate, kept.separation, motion.phases)
         raise _advised(broken, certificate, motion, steps)
