@@ -23,7 +23,7 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
 
-GRID = 240
+GRID = 160
 """Steps of toppra's grid along the path."""
 
 MODEL_ERROR = 1e-6
