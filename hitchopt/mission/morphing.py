@@ -13,6 +13,8 @@ from hitchopt.mission.motions import Certified, Kept, certified, flying
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight
 from hitchopt.planners.flown import fly_unhurried
+from hitchopt.planners.lead import leading
+from hitchopt.planners.leg_law import legs_clear
 from hitchopt.planners.optimise.search import candidates
 from hitchopt.planners.path import ShapePath
 
@@ -82,12 +84,21 @@ def _sound(motion: Motion, task: WayTask) -> Certified:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Passed:
+    """A path that a flight has been certified along."""
+
+    path: ShapePath
+    flight: Flight
+    certificate: Certificate
+
+
 class _Judge:
-    """Flies paths and believes the certificate alone, which it keeps."""
+    """Flies paths and believes the certificate alone; keeps what has passed."""
 
     def __init__(self, task: WayTask) -> None:
         self.task = task
-        self._passed: list[tuple[Flight, Certificate]] = []
+        self.passed: list[_Passed] = []
 
     def __call__(self, path: ShapePath) -> Flight | None:
         task = self.task
@@ -95,12 +106,8 @@ class _Judge:
         found = certified(flying(flight, task.start.team, task.kept, [task.phase]))
         if not found.certificate.certified:
             return None
-        self._passed.append((flight, found.certificate))
+        self.passed.append(_Passed(path, flight, found.certificate))
         return flight
-
-    def certificate(self, flight: Flight) -> Certificate:
-        """Return that of a flight that has passed."""
-        return next(certificate for passed, certificate in self._passed if passed is flight)
 
 
 def _optimised(task: WayTask) -> Certified | None:
@@ -109,16 +116,31 @@ def _optimised(task: WayTask) -> Certified | None:
     found = candidates(task.start, task.end, task.kept.distances, judge, task.tension)
     if not found:
         return None
-    flight, remark = found[0].flight, f"on an optimised way, first guess {found[0].name}: "
-    certificate = judge.certificate(flight)
+    passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
+    if task.optimize and passed.flight.duration > (task.duration or 0.0):
+        passed = _led(passed, judge)
+    flight, remark = passed.flight, f"on an optimised way, first guess {found[0].name}: "
     if task.duration is None:
         phase = replace(task.phase, end=flight.duration, remark=remark)
-        return Certified(flying(flight, task.start.team, task.kept, [phase]), certificate)
+        return Certified(flying(flight, task.start.team, task.kept, [phase]), passed.certificate)
     if task.duration < flight.duration:
         return None
     flight = flight.lasting(task.duration)
     phase = replace(task.phase, end=flight.duration, remark=remark)
     return certified(flying(flight, task.start.team, task.kept, [phase]))
+
+
+def _led(passed: _Passed, judge: _Judge) -> _Passed:
+    """Return what has passed, or a faster flight on which legs lead and lag."""
+    kept = judge.task.kept
+    for path in leading(passed.path, kept.limits):
+        try:
+            flight = judge(path) if legs_clear(path, kept.distances) else None
+        except HitchoptError:
+            continue
+        if flight is not None:
+            return min(passed, judge.passed[-1], key=lambda p: p.flight.duration)
+    return passed
 
 
 def _why(*, shut: bool) -> str:
