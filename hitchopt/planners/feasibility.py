@@ -10,7 +10,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
-from hitchopt.planners.path import Path, legs_along, polygons_along
+from hitchopt.planners.path import Path, shapes_along
 
 FLATTEST = math.radians(0.01)
 """[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
@@ -29,7 +29,8 @@ def check_shapes(path: Path) -> None:
     """Raise InfeasibleError where the path has no hitch to fly."""
     s = np.linspace(0.0, 1.0, PROBES)
     layout = path.team.layout
-    edges = layout.edges(polygons_along(path, s))
+    shapes = shapes_along(path, s)
+    edges = layout.edges(shapes.polygons)
     ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
     right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
     angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
@@ -53,7 +54,7 @@ def check_shapes(path: Path) -> None:
                 )
             ]
         )
-    legs = np.where(layout.has_leg, legs_along(path, s), np.inf)
+    legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         raise InfeasibleError(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands, loads_at_rest
@@ -151,7 +152,7 @@ def _ramp(profile: SpeedProfile, demands: Demands) -> float:
     Or as long as matters, where the jerk never lets it come to its limits: for the largest speed
     that is reached, and for the longest way of a drone.
     """
-    rates = np.linalg.norm(demands.drones[..., 1], axis=-1)
+    rates = length(demands.drones[..., 1])
     speed = float(np.max(rates * profile.speed[:, None]))
     steps = np.diff(profile.s)[:, None]
     longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
@@ -213,7 +214,7 @@ def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
         at = breaks[:-1][span, None] + h[span, None] * inner
         demands = Demands(
             np.stack([_rates(flight.drones, span, order) for order in range(4)], axis=-1),
-            np.max(np.linalg.norm(_rates(flight.vertices, span, 1), axis=-1), axis=1),
+            np.max(length(_rates(flight.vertices, span, 1)), axis=1),
             _loads(path, flight, at.ravel()),
             path.team.mass,
             path.team.max_thrust,
@@ -252,7 +253,7 @@ def _loads(path: Path, flight: Flight, t: Array) -> Array:
     """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
     p, drones = flight.vertices.at(t), flight.drones.at(t)
     outward = drones - p[:, path.team.layout.pulled_to]
-    directions = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
+    directions = outward / length(outward)[..., None]
     forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
     forces[..., 2] -= path.team.cable_weight
     return loads_at_rest(path.team, forces)

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
@@ -51,8 +52,7 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     slopes = _slopes(path)
     ends = np.array([0.0, 1.0])
     usual, led = (
-        np.max(np.linalg.norm(drones_along(p, ends).positions[..., 1], axis=-1))
-        for p in (path, _slid(path, slopes))
+        np.max(length(drones_along(p, ends).positions[..., 1])) for p in (path, _slid(path, slopes))
     )
     if led > HELPS * usual:
         return

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.robot import JET
@@ -108,12 +109,25 @@ def legs_along(path: Path, s: Array) -> Array:
 
     Negative where a cable is too short; zero where a chain's end has no leg.
     """
-    flat, layout = path.flat(s), path.team.layout
-    edges = np.linalg.norm(layout.edges(flat.vertices[..., 0]), axis=-1)
-    return layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
+    return shapes_along(path, s).legs
 
 
 def polygons_along(path: Path, s: Array) -> Array:
     """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
-    polygons: Array = path.flat(s).vertices[:, :, :2, 0]
-    return polygons
+    return shapes_along(path, s).polygons
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Polygons (J, points, 2) in plan view, and legs ``d``, ``e`` (J, n, 2) [m]."""
+
+    polygons: Array
+    legs: Array
+
+
+def shapes_along(path: Path, s: Array) -> Shapes:
+    """Return what ``polygons_along`` and ``legs_along`` do, at once."""
+    flat, layout = path.flat(s), path.team.layout
+    edges = length(layout.edges(flat.vertices[..., 0]))
+    legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
+    return Shapes(flat.vertices[:, :, :2, 0], legs)

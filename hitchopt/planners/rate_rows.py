@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.demands import LIMIT_SHARE, Demands
 
 Array = NDArray[np.float64]
@@ -50,9 +51,9 @@ class ClockedPath:
         level = np.hypot(f[..., 0], f[..., 1])
         return np.stack(
             [
-                np.linalg.norm(a, axis=-1) / limits.acceleration,
-                np.linalg.norm(j, axis=-1) / limits.jerk,
-                np.linalg.norm(f, axis=-1) / self.demands.max_thrust,
+                length(a) / limits.acceleration,
+                length(j) / limits.jerk,
+                length(f) / self.demands.max_thrust,
                 np.arctan2(level, f[..., 2]) / limits.tilt,
             ]
         )
@@ -102,7 +103,7 @@ class RateRows:
         most = demands.max_thrust[drones[THRUST]]
         F, load = (mass / most)[..., None, None] * F, load / most[..., None]
         G, pull, mass = linear(TILT)
-        weight = np.linalg.norm(pull, axis=-1)
+        weight = length(pull)
         G, pull = (mass / weight)[..., None, None] * G, pull / weight[..., None]
         slope = np.tan(LIMIT_SHARE * limits.tilt)
         rise, lift = slope * G[..., 2:, :], slope * pull[..., 2:]
@@ -124,8 +125,8 @@ class RateRows:
                     -one,
                     -share,
                     flat,
-                    np.sum(load**2, axis=-1) - share,
-                    np.sum(pull**2, axis=-1) - np.sum(lift**2, axis=-1),
+                    dot(load, load) - share,
+                    dot(pull, pull) - dot(lift, lift),
                 ],
                 axis=1,
             ),
