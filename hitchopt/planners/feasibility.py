@@ -21,8 +21,8 @@ SHORTEST_EDGE = 1e-3
 SHORTEST_LEG = 1e-3
 """[m] A shorter leg on the way has no direction to speak of."""
 
-PROBES = 401
-"""Points of the path at which it is looked at before it is timed."""
+PROBES, LOAD_PROBES = 401, 161
+"""Points of the path at which its shapes, and loads at rest, are looked at before it is timed."""
 
 
 def check_shapes(path: Path) -> None:
@@ -75,7 +75,7 @@ def check_shapes(path: Path) -> None:
 
 def check_loads(path: Path, limits: Limits) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
-    s = np.linspace(0.0, 1.0, PROBES)
+    s = np.linspace(0.0, 1.0, LOAD_PROBES)
     flat = path.flat(s)
     demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
     names = path.team.drone_names

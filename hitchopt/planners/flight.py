@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,14 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.demands import Demands, loads_at_rest
+from hitchopt.planners.demands import Demands
 from hitchopt.planners.jets import chained
 from hitchopt.planners.mesh import time_mesh
 from hitchopt.planners.path import Path
+from hitchopt.planners.stretch import needed_stretch
 from hitchopt.planners.timing import SpeedProfile, fastest_profile, path_grid
 from hitchopt.planners.warp import Clock, first_clock, jerk_limited
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -32,19 +32,6 @@ MODEL_ERROR = 1e-6
 
 FINEST = 400
 """Pieces at which refining for the model's sake ends."""
-
-FINAL_SHARE = 0.9995
-"""Share of the limits that the polynomials' enclosures may use; the certificate, which bounds
-them by other means, has the rest to itself."""
-
-SPANS = 8
-"""Of a piece, on which its rates are enclosed: within about 0.1 %."""
-
-ENCLOSING = 8
-"""Coefficients on a span: those of the drones' septic pieces."""
-
-CHUNK = 60_000
-"""Coefficients of drones that are looked at in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +112,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
         if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    flight = flight.stretched(_needed_stretch(path, limits, flight))
+    flight = flight.stretched(needed_stretch(path, limits, flight))
     if duration is None:
         return flight
     if duration < flight.duration:
@@ -197,66 +184,6 @@ def _cable_error(path: Path, flight: Flight) -> float:
     legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
     length = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
     return float(np.max(np.abs(length / path.team.cable_length - 1.0)))
-
-
-def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
-    """Return how many times slower the flight must be to keep its limits.
-
-    Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
-    coefficients, which lie close to it on a short span of time.
-    """
-    breaks, h = flight.drones.breaks, flight.drones.durations
-    inner = np.linspace(0.0, 1.0, SPANS * ENCLOSING)
-    size = max(1, CHUNK // (len(inner) * len(path.team.mass)))
-    factors = []
-    for first in range(0, len(h), size):  # a thousand robots fill the memory
-        span = slice(first, first + size)
-        at = breaks[:-1][span, None] + h[span, None] * inner
-        demands = Demands(
-            np.stack([_rates(flight.drones, span, order) for order in range(4)], axis=-1),
-            np.max(length(_rates(flight.vertices, span, 1)), axis=1),
-            _loads(path, flight, at.ravel()),
-            path.team.mass,
-            path.team.max_thrust,
-            limits,
-            FINAL_SHARE,
-        )
-        factors.append(demands.stretch())
-    return max(factors)
-
-
-def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
-    """Return the coefficients (pieces · SPANS · ENCLOSING, items, 3) of a derivative by time.
-
-    Of each of the pieces, on each of its SPANS spans in turn.
-    """
-    c, h = part.coefficients[pieces], part.durations[pieces]
-    for _ in range(order):
-        c = bernstein.differentiate(c)
-    c = c / h[:, None, None, None] ** order
-    rates = c @ _spans(bernstein.degree(c)).T
-    return np.moveaxis(rates, -1, 1).reshape(-1, *rates.shape[1:-1])
-
-
-@lru_cache
-def _spans(order: int) -> Array:
-    """(SPANS · ENCLOSING, order + 1): from coefficients on a piece to those on its spans."""
-    same = bernstein.elevate(np.eye(order + 1), ENCLOSING - 1)[:, None]
-    starts = np.arange(SPANS) / SPANS
-    spans: Array = bernstein.restrict(same, starts, starts + 1.0 / SPANS)
-    spans = spans.reshape(order + 1, -1).T
-    spans.setflags(write=False)
-    return spans
-
-
-def _loads(path: Path, flight: Flight, t: Array) -> Array:
-    """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
-    p, drones = flight.vertices.at(t), flight.drones.at(t)
-    outward = drones - p[:, path.team.layout.pulled_to]
-    directions = outward / length(outward)[..., None]
-    forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
-    forces[..., 2] -= path.team.cable_weight
-    return loads_at_rest(path.team, forces)
 
 
 def _probes(breaks: Array, count: int) -> Array:

@@ -40,7 +40,7 @@ def differentiate(coefficients: Array) -> Array:
     order = degree(coefficients)
     if order == 0:
         return np.zeros_like(coefficients)
-    return order * np.diff(coefficients, axis=-1)
+    return order * (coefficients[..., 1:] - coefficients[..., :-1])
 
 
 def elevate(coefficients: Array, order: int) -> Array:
