@@ -27,12 +27,12 @@ from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.optimise.guesses import mean_turn
+from hitchopt.planners.optimise.screening import end_margin
 from hitchopt.planners.optimise.search import (
     ROUNDS,
     Candidate,
     Search,
     candidates,
-    end_margin,
     searched,
 )
 from hitchopt.planners.optimise.way import Way

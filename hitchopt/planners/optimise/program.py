@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import GRAVITY, Arena, Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.model.planar import planar_function
+from hitchopt.planners.optimise.between import between_rows
+from hitchopt.planners.optimise.bounds import Bounds, variable_box
 from hitchopt.planners.optimise.layout import Layout
 from hitchopt.planners.optimise.pairs import pair_rows
 from hitchopt.planners.optimise.way import Way
@@ -36,57 +38,41 @@ TIME_ENERGY = 1e-3
 FLATTEST = math.radians(3.0)
 """[rad] Vertices stay this sharp on the way, or half as sharp as at its ends if that is less."""
 
-INSET = 5e-3
-"""[m] From walls and shortest legs, for what the spline does between knots."""
-
-TENSION_INSET = 0.02
-"""Of a range of tensions, kept free at both its ends for what the spline does between knots."""
-
-STATIC_SHARE = 0.97
-"""Of thrust and tilt that holding the hitch at rest may take, so that it can still be moved."""
-
 LOOSE = 0.02
 """Weight of the tensions' squares where they are free, which gives thrust back to motion."""
 
-STEP = 0.17
-"""[m] How far a coordinate of a vertex or drone may go from the way that the program is built
-around: two bodies then come nearer by less than REACH in ``pairs``."""
+BETWEEN = 0.5
+"""Of a step's reach, for pairs between the knots, which the knots keep apart as well."""
 
-RAMP = 4.0
-"""Knots in which the margin rises from what an end has: a step there would bend the way."""
+LAGGING = 0.5
+"""Of the longest stretch of a step; shorter ones are not asked how long they take: they would have
+to grow by more than a stride."""
 
 ITERATIONS = 100
 FASTEST_ITERATIONS = 40
 """For the time: it converges in about 20 or, where all drones bind at once, not at all."""
 
 
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """What a way has to keep.
+@dataclass(frozen=True)
+class Step:
+    """One step of the optimiser, from a way to a better one.
 
     Attributes
     ----------
-    limits, separation, arena: as of the problem.
-    tension: smallest and largest [N] where tensions are free, or None.
-    margin: how many times their limits distances are kept at the knots.
-    end_margins: how many times their limits they are kept by the first and the last hitch.
+    stride: [m], how far a coordinate of a vertex or drone may go.
+    parts: into how many parts a step between knots is divided, at whose ends distances are kept as
+        well; 1 for at the knots alone.
+    fastest: minimise the time, not the energy.
     """
 
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
-    tension: tuple[float, float] | None
-    margin: float
-    end_margins: tuple[float, float]
+    stride: float
+    parts: int = 1
+    fastest: bool = False
 
-    def margins(self, inner: int) -> Array:
-        """Return (inner,): the margin at every knot, near an end at most what that end has."""
-        rise = np.minimum((np.arange(inner) + 1.0) / RAMP, 1.0)
-        first, last = (min(m, self.margin) for m in self.end_margins)
-        margins: Array = np.minimum(
-            first + rise * (self.margin - first), last + rise[::-1] * (self.margin - last)
-        )
-        return margins
+    @property
+    def reach(self) -> float:
+        """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
+        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,28 +101,21 @@ class WayProgram:
     iterations: int
 
 
-def build_program(way: Way, bounds: Bounds, *, fastest: bool = False) -> WayProgram:
+def build_program(way: Way, bounds: Bounds, step: Step) -> WayProgram:
     """Return the program around a way: its near pairs and their normals are the way's."""
     team, limits = way.team, bounds.limits
     layout = Layout(team.robots)
     table = layout.table(way)
-    inner = len(table) - 2
+    inner, steps = len(table) - 2, len(table) - 1
     x = ca.MX.sym("x", layout.size * inner)
     knots = ca.reshape(x, layout.size, inner)
     rows = _Rows()
     _tie_drones(rows, layout, knots, way)
-    margins = bounds.margins(inner)
-    pairs = pair_rows(layout, table, bounds.separation, margins)
-    if len(pairs.first):
-        across = x[pairs.first[:, 0].tolist()] - x[pairs.second[:, 0].tolist()]
-        along = x[pairs.first[:, 1].tolist()] - x[pairs.second[:, 1].tolist()]
-        rows.add(across**2 + along**2, pairs.apart**2, np.inf)
-    if len(pairs.least):
-        rows.add(ca.DM(pairs.rows) @ x, pairs.least, np.inf)
-    lower, upper = _box(layout, team, bounds, table[1:-1])
+    start = table[1:-1].ravel()
+    _keep_apart(rows, x, way, bounds, step)
+    lower, upper = variable_box(layout, team, bounds, table, step.stride)
 
     whole = ca.horzcat(table[0], knots, table[-1])
-    steps = len(table) - 1
     speed = np.repeat(
         [1.0 / limits.vertex_speed, 1.0 / limits.speed], [2 * team.robots, 4 * team.robots]
     )
@@ -146,59 +125,57 @@ def build_program(way: Way, bounds: Bounds, *, fastest: bool = False) -> WayProg
     energy = steps * ca.sumsqr(travel) / team.robots
     curvature = steps**3 * ca.sumsqr(bend) / team.robots
     loose = _loose(layout, whole, team, bounds)
-    start = table[1:-1].ravel()
-    if not fastest:
+    if not step.fastest:
         f = energy + BEND * curvature + loose
     else:
         times = ca.MX.sym("time", steps)
-        squared = travel[0::2, :] ** 2 + travel[1::2, :] ** 2
-        rows.add(ca.vec(squared - ca.repmat((times**2).T, 3 * team.robots, 1)), -np.inf, 0.0)
+        moved = np.diff(table[:, layout.nodes] * speed.reshape(-1, 2), axis=0)
+        lengths = np.linalg.norm(moved, axis=-1)
+        longest = np.max(lengths, axis=1)
+        at, node = np.nonzero(lengths > LAGGING * longest[:, None])
+        flat = ca.vec(travel)
+        place = 6 * team.robots * at + 2 * node
+        squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
+        rows.add(squared - times[at.tolist()] ** 2, -np.inf, 0.0)
         f = ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * curvature + loose
         x = ca.vertcat(x, times)
-        moved = np.diff(table[:, layout.nodes] * speed.reshape(-1, 2), axis=0)
-        longest = np.max(np.linalg.norm(moved, axis=-1), axis=1)
         start = np.append(start, 1.01 * longest)
         lower, upper = np.append(lower, np.zeros(steps)), np.append(upper, np.full(steps, np.inf))
     least, most = rows.bounds()
     g = ca.vertcat(*rows.values)
-    iterations = FASTEST_ITERATIONS if fastest else ITERATIONS
+    iterations = FASTEST_ITERATIONS if step.fastest else ITERATIONS
     return WayProgram(x, f, g, start, lower, upper, least, most, layout, way, iterations)
 
 
-def solve_program(program: WayProgram) -> Way | None:
-    """Return the way that IPOPT finds, or None where it does not converge.
+def _keep_apart(rows: _Rows, x: ca.MX, way: Way, bounds: Bounds, step: Step) -> None:
+    """Keep all near pairs apart, at the knots and between them.
 
-    Its word is not taken for more than that: what the way keeps is measured on its path.
+    Where they are too near by more than a stride, it is a stride that is asked for.
     """
-    solver = ca.nlpsol(
-        "way",
-        "ipopt",
-        {"x": program.x, "f": program.f, "g": program.g},
-        {
-            "print_time": False,
-            "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "max_iter": program.iterations,
-                "tol": 1e-5,
-                "acceptable_tol": 1e-4,
-            },
-        },
-    )
-    solution = solver(
-        x0=program.start,
-        lbx=program.lower,
-        ubx=program.upper,
-        lbg=program.least,
-        ubg=program.most,
-    )
-    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
-        return None
-    table = program.layout.table(program.way)
-    inner = table[1:-1]
-    solved = x[: inner.size].reshape(inner.shape)
-    return program.layout.way(np.concatenate([table[:1], solved, table[-1:]]), program.way)
+    layout, count = Layout(way.team.robots), len(way.polygons) - 1
+    table = layout.table(way)
+    now = table[1:-1].ravel()
+    margins = bounds.margins(count)[1:-1]
+    pairs = pair_rows(layout, table, bounds.separation, margins, step.reach)
+    if len(pairs.first):
+        across = x[pairs.first[:, 0].tolist()] - x[pairs.second[:, 0].tolist()]
+        along = x[pairs.first[:, 1].tolist()] - x[pairs.second[:, 1].tolist()]
+        apart = np.linalg.norm(now[pairs.first] - now[pairs.second], axis=1)
+        rows.add(across**2 + along**2, np.minimum(pairs.apart, apart + step.stride) ** 2, np.inf)
+    linear = [(pairs.rows, pairs.least)]
+    if step.parts > 1:
+        finer = layout.table(way.resampled(step.parts * count + 1))
+        between = between_rows(
+            layout,
+            (table, finer),
+            bounds.separation,
+            bounds.margins(count, step.parts),
+            BETWEEN * step.reach,
+        )
+        linear.append((between.rows, between.least))
+    for matrix, least in linear:
+        if len(least):
+            rows.add(ca.DM(matrix) @ x, np.minimum(least, matrix @ now + step.stride), np.inf)
 
 
 class _Rows:
@@ -242,42 +219,6 @@ def _tie_drones(rows: _Rows, layout: Layout, knots: ca.MX, way: Way) -> None:
     rows.add(ca.vec(place - lifted), 0.0, 0.0)
     sharpest = [np.min(ConvexPolygon(way.polygons[end]).exterior_angles) for end in (0, -1)]
     rows.add(ca.vec(turn), math.sin(min(FLATTEST, 0.5 * float(min(sharpest)))), np.inf)
-
-
-def _box(layout: Layout, team: Team, bounds: Bounds, table: Array) -> tuple[Array, Array]:
-    """Return bounds of the variables: legs, walls, a step, tensions that can be held at rest."""
-    inner = len(table)
-    lower = np.full(layout.size, -np.inf)
-    upper = np.full(layout.size, np.inf)
-    if bounds.arena is not None:
-        lower[layout.drones] = bounds.arena.lower[:2] + INSET
-        upper[layout.drones] = bounds.arena.upper[:2] - INSET
-    if bounds.tension is None:
-        lower[layout.tensions] = upper[layout.tensions] = team.tension
-    else:
-        least, most = bounds.tension
-        inset = TENSION_INSET * (most - least)
-        lower[layout.tensions] = least + inset
-        upper[layout.tensions] = np.minimum(most - inset, _static_tension(team, bounds))
-        upper = np.maximum(lower, upper)
-    lower, upper = np.tile(lower, (inner, 1)), np.tile(upper, (inner, 1))
-    rise = (bounds.margins(inner) - 1.0) / max(bounds.margin - 1.0, 1e-9)
-    legs = bounds.limits.leg + INSET * np.clip(rise, 0.0, 1.0)
-    lower[:, layout.q_legs] = lower[:, layout.r_legs] = legs[:, None]
-    places = layout.nodes.ravel()
-    lower[:, places] = np.maximum(lower[:, places], table[:, places] - STEP)
-    upper[:, places] = np.minimum(upper[:, places], table[:, places] + STEP)
-    # A guess may stand outside the arena: then the walls are what it is pulled towards.
-    return np.minimum(lower, upper).ravel(), np.maximum(lower, upper).ravel()
-
-
-def _static_tension(team: Team, bounds: Bounds) -> Array:
-    """Return (n,) [N]: the largest pull against which both drones of each robot can hover."""
-    lift = team.mass * GRAVITY + team.cable_weight
-    by_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
-    by_tilt = lift * math.tan(STATIC_SHARE * bounds.limits.tilt)
-    largest: Array = np.min(np.minimum(by_thrust, by_tilt).reshape(-1, 2), axis=1)
-    return largest
 
 
 def _loose(layout: Layout, whole: ca.MX, team: Team, bounds: Bounds) -> ca.MX:

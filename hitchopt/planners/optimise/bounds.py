@@ -1,0 +1,105 @@
+"""What a way has to keep, and the box of the variables around one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import GRAVITY, Arena, Limits, Separation, Team
+from hitchopt.planners.optimise.layout import Layout
+
+Array = NDArray[np.float64]
+
+INSET = 5e-3
+"""[m] From walls and shortest legs, for what the spline does between knots."""
+
+TENSION_INSET = 0.02
+"""Of a range of tensions, kept free at both its ends for what the spline does between knots."""
+
+STATIC_SHARE = 0.97
+"""Of thrust and tilt that holding the hitch at rest may take, so that it can still be moved."""
+
+RAMP = 4.0
+"""Knots in which the margin rises from what an end has: a step there would bend the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """What a way has to keep.
+
+    Attributes
+    ----------
+    limits, separation, arena: as of the problem.
+    tension: smallest and largest [N] where tensions are free, or None.
+    margin: how many times their limits distances are kept at the knots.
+    end_margins: how many times their limits they are kept by the first and the last hitch.
+    """
+
+    limits: Limits
+    separation: Separation
+    arena: Arena | None
+    tension: tuple[float, float] | None
+    margin: float
+    end_margins: tuple[float, float]
+
+    def margins(self, steps: int, parts: int = 1) -> Array:
+        """Return (steps · parts + 1,): the margin at every knot and at instants between them.
+
+        Near an end it is at most what that end has.
+        """
+        knot = np.arange(steps * parts + 1) / parts
+        rise = np.minimum(knot / RAMP, 1.0)
+        first, last = (min(m, self.margin) for m in self.end_margins)
+        margins: Array = np.minimum(
+            first + rise * (self.margin - first), last + rise[::-1] * (self.margin - last)
+        )
+        return margins
+
+
+def variable_box(
+    layout: Layout, team: Team, bounds: Bounds, table: Array, stride: float
+) -> tuple[Array, Array]:
+    """Return bounds of the variables: legs, walls, a stride, tensions that hold at rest.
+
+    Parameters
+    ----------
+    layout, team, bounds: of the way.
+    table: (knots, size), the way around which the box is.
+    stride: [m], how far a coordinate of a vertex or drone may go.
+    """
+    margins, table = bounds.margins(len(table) - 1)[1:-1], table[1:-1]
+    inner = len(table)
+    lower = np.full(layout.size, -np.inf)
+    upper = np.full(layout.size, np.inf)
+    if bounds.arena is not None:
+        lower[layout.drones] = bounds.arena.lower[:2] + INSET
+        upper[layout.drones] = bounds.arena.upper[:2] - INSET
+    if bounds.tension is None:
+        lower[layout.tensions] = upper[layout.tensions] = team.tension
+    else:
+        least, most = bounds.tension
+        inset = TENSION_INSET * (most - least)
+        lower[layout.tensions] = least + inset
+        upper[layout.tensions] = np.minimum(most - inset, _static_tension(team, bounds))
+        upper = np.maximum(lower, upper)
+    lower, upper = np.tile(lower, (inner, 1)), np.tile(upper, (inner, 1))
+    rise = (margins - 1.0) / max(bounds.margin - 1.0, 1e-9)
+    legs = bounds.limits.leg + INSET * np.clip(rise, 0.0, 1.0)
+    lower[:, layout.q_legs] = lower[:, layout.r_legs] = legs[:, None]
+    places = layout.nodes.ravel()
+    lower[:, places] = np.maximum(lower[:, places], table[:, places] - stride)
+    upper[:, places] = np.minimum(upper[:, places], table[:, places] + stride)
+    # A guess may stand outside the arena: then the walls are what it is pulled towards.
+    return np.minimum(lower, upper).ravel(), np.maximum(lower, upper).ravel()
+
+
+def _static_tension(team: Team, bounds: Bounds) -> Array:
+    """Return (n,) [N]: the largest pull against which both drones of each robot can hover."""
+    lift = team.mass * GRAVITY + team.cable_weight
+    by_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
+    by_tilt = lift * math.tan(STATIC_SHARE * bounds.limits.tilt)
+    largest: Array = np.min(np.minimum(by_thrust, by_tilt).reshape(-1, 2), axis=1)
+    return largest
