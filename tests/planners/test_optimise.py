@@ -19,8 +19,9 @@ from hitchopt.planners.optimise.between import between_rows
 from hitchopt.planners.optimise.bounds import Bounds
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.model_rows import Step
 from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
-from hitchopt.planners.optimise.program import Step, WayProgram, build_program
+from hitchopt.planners.optimise.program import WayProgram, build_program
 from hitchopt.planners.optimise.search import Candidate, candidates
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.way import Way

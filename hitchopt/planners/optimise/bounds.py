@@ -22,7 +22,7 @@ TENSION_INSET = 0.02
 STATIC_SHARE = 0.97
 """Of thrust and tilt that holding the hitch at rest may take, so that it can still be moved."""
 
-RAMP = 4.0
+RAMP = 2.0
 """Knots in which the margin rises from what an end has: a step there would bend the way."""
 
 

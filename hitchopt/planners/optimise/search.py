@@ -12,7 +12,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.optimise.guesses import guesses, widened
 from hitchopt.planners.optimise.judging import Candidate, Judge, Search, clear, judged, promise
-from hitchopt.planners.optimise.program import Step
+from hitchopt.planners.optimise.model_rows import Step
 from hitchopt.planners.optimise.screening import end_margin, loose, same, sound
 from hitchopt.planners.optimise.settling import iterates
 from hitchopt.planners.optimise.way import Way
@@ -141,8 +141,11 @@ def _refined(way: Way, search: Search) -> Candidate | None:
         if len(way.polygons) != how.finer * steps + 1:
             way = way.resampled(how.finer * steps + 1)
         bounds = search.bounds(how.margin)
-        way = _last(iterates(way, bounds, Step(LATER_STEP, how.parts), LATER_STEPS), way)
-        if not clear(way, search):
+        for moved in iterates(way, bounds, Step(LATER_STEP, how.parts), LATER_STEPS):
+            way = moved
+            if clear(way, search):
+                break
+        else:
             continue
         quick = Step(LATER_STEP, how.parts, fastest=True)
         faster = _last(iterates(way, bounds, quick, LATER_STEPS), way)

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from hitchopt.planners.optimise.bounds import Bounds
-from hitchopt.planners.optimise.program import Step, build_program
+from hitchopt.planners.optimise.model_rows import Step
+from hitchopt.planners.optimise.program import build_program
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.way import Way
 
-SETTLED = 0.05
-"""[m] A step of the optimiser that moves no vertex by more is the last one."""
+SETTLED = 0.3
+"""Of its stride: a step of the optimiser that moves no vertex by more is the last one."""
 
 
 def iterates(way: Way, bounds: Bounds, step: Step, most: int) -> Iterator[Way]:
@@ -28,5 +29,5 @@ def iterates(way: Way, bounds: Bounds, step: Step, most: int) -> Iterator[Way]:
         far = float(np.max(np.abs(moved.polygons - way.polygons)))
         way = moved
         yield way
-        if far < SETTLED:
+        if far < SETTLED * step.stride:
             return

@@ -8,6 +8,9 @@ import numpy as np
 from hitchopt.planners.optimise.program import WayProgram
 from hitchopt.planners.optimise.way import Way
 
+TOLERANCE = 1e-3
+"""Of the scaled conditions: a way is settled and measured anyway, and never believed."""
+
 
 def solve_program(program: WayProgram) -> Way | None:
     """Return the way that IPOPT finds, or None where it does not converge.
@@ -24,8 +27,8 @@ def solve_program(program: WayProgram) -> Way | None:
                 "print_level": 0,
                 "sb": "yes",
                 "max_iter": program.iterations,
-                "tol": 1e-5,
-                "acceptable_tol": 1e-4,
+                "tol": TOLERANCE,
+                "mu_strategy": "adaptive",
             },
         },
     )
