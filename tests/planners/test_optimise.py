@@ -15,7 +15,7 @@ from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.morph import straight_morph
-from hitchopt.planners.optimise.between import between_rows
+from hitchopt.planners.optimise.between import between_rows, instants
 from hitchopt.planners.optimise.bounds import Bounds
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.layout import Layout
@@ -183,12 +183,13 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     first = random_convex_polygon(n, 1.1, rng)
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
     way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
-    layout, margins = Layout(n), rng.uniform(1.0, 1.1, 5 * parts + 1)
-    table, finer = layout.table(way), layout.table(way.resampled(5 * parts + 1))
-    found = between_rows(layout, (table, finer), ho.Separation(), margins, 0.3)
-    between = np.flatnonzero(np.arange(5 * parts + 1) % parts)
-    nodes = finer[between][:, layout.nodes]
-    pairs = near_pairs(nodes, ho.Separation(), margins[between], 0.3)
+    layout, places = Layout(n), instants(5, parts)
+    assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
+    bounds = Bounds(ho.Limits(), ho.Separation(), None, None, 1.05, (1.2, 1.01))
+    table = layout.table(way)
+    found = between_rows(way, bounds, places, 0.3)
+    nodes = layout.table(way.at(places / 5.0))[:, layout.nodes]
+    pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
     excess = np.full(len(pairs.kept), np.inf)
     pair, _, _ = pairs.sides()
     np.minimum.at(excess, pair, found.rows @ table[1:-1].ravel() - found.least)
@@ -203,8 +204,7 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     np.testing.assert_allclose(excess + pairs.kept, gaps, atol=2e-3)
     assert np.all(excess + pairs.kept <= np.array(gaps) + 1e-9)  # samples are never nearer
     # The inner knots all moved alike: pairs within a step between inner knots stay as they are.
-    step = between[pairs.frame[pair]] // parts
-    inner = (step > 0) & (step < 4)
+    inner = np.abs(places[pairs.frame[pair]] - 2.5) < 1.5
     moved = table[1:-1].copy()
     moved[:, layout.nodes] += rng.normal(size=2)
     before, after = found.rows @ table[1:-1].ravel(), found.rows @ moved.ravel()

@@ -45,16 +45,15 @@ class Bounds:
     margin: float
     end_margins: tuple[float, float]
 
-    def margins(self, steps: int, parts: int = 1) -> Array:
-        """Return (steps · parts + 1,): the margin at every knot and at instants between them.
+    def margins(self, steps: int, places: Array) -> Array:
+        """Return (K,): the margin at places (K,) of a way, in steps from its start.
 
         Near an end it is at most what that end has.
         """
-        knot = np.arange(steps * parts + 1) / parts
-        rise = np.minimum(knot / RAMP, 1.0)
         first, last = (min(m, self.margin) for m in self.end_margins)
+        out, back = (np.minimum(a / RAMP, 1.0) for a in (places, steps - places))
         margins: Array = np.minimum(
-            first + rise * (self.margin - first), last + rise[::-1] * (self.margin - last)
+            first + out * (self.margin - first), last + back * (self.margin - last)
         )
         return margins
 
@@ -70,7 +69,7 @@ def variable_box(
     table: (knots, size), the way around which the box is.
     stride: [m], how far a coordinate of a vertex or drone may go.
     """
-    margins, table = bounds.margins(len(table) - 1)[1:-1], table[1:-1]
+    margins, table = bounds.margins(len(table) - 1, np.arange(1.0, len(table) - 1.0)), table[1:-1]
     inner = len(table)
     lower = np.full(layout.size, -np.inf)
     upper = np.full(layout.size, np.inf)

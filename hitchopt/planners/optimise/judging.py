@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.sharing import measured
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flight import Flight
-from hitchopt.planners.leg_law import KeptDistances, legs_clear
+from hitchopt.planners.leg_law import CLEAR, KeptDistances, sharing_task
 from hitchopt.planners.optimise.bounds import Bounds
 from hitchopt.planners.optimise.way import Way
-from hitchopt.planners.path import ShapePath, drones_along
+from hitchopt.planners.path import ShapePath, drones_along, legs_along
 from hitchopt.planners.timing import TimingError, fastest_profile
 from hitchopt.planners.warp import WarpError
 from hitchopt.trajectory import bernstein
@@ -29,6 +30,13 @@ HALVINGS = 3
 
 GRID = 101
 """Points at which ways are timed to be compared."""
+
+PROBES = 65
+"""Points of the path at which distances are looked at before the judge looks at all of it, and
+again as many near its ends."""
+
+NEAR_END = 0.1
+"""Of the path."""
 
 Judge = Callable[[ShapePath], Flight | None]
 """Flies a path and looks at all of the time: the flight if it keeps every limit, else None."""
@@ -78,7 +86,7 @@ def clear(way: Way, search: Search) -> bool:
     path = way.path()
     try:
         check_shapes(path)
-        if not legs_clear(path, search.kept):
+        if not _distances_kept(path, search.kept):
             return False
         check_loads(path, search.kept.limits)
     except InfeasibleError:
@@ -106,6 +114,15 @@ def promise(way: Way, kept: KeptDistances) -> float:
         return fastest_profile(s, demands).duration
     except (InfeasibleError, TimingError):
         return math.inf
+
+
+def _distances_kept(path: ShapePath, kept: KeptDistances) -> bool:
+    """Return whether legs are long enough and distances kept, looked at closely near the ends."""
+    inner = np.linspace(0.0, 1.0, PROBES)
+    s = np.concatenate([inner, NEAR_END * inner[1:-1], 1.0 - NEAR_END * inner[1:-1]])
+    s = np.unique(s)
+    shortest = float(np.min(legs_along(path, s)[1:-1]))
+    return shortest >= kept.limits.leg and measured(sharing_task(path, kept, s, CLEAR)) >= CLEAR
 
 
 def _tensions_kept(flight: Flight, tension: tuple[float, float] | None) -> bool:

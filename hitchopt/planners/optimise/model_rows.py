@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.model.planar import planar_function
-from hitchopt.planners.optimise.between import between_rows
+from hitchopt.planners.optimise.between import between_rows, instants
 from hitchopt.planners.optimise.bounds import Bounds
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.layout import Layout
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 FLATTEST = math.radians(3.0)
 """[rad] Vertices stay this sharp on the way, or half as sharp as at its ends if that is less."""
 
-BETWEEN = 0.5
+BETWEEN = 0.35
 """Of a step's reach, for pairs between the knots, which the knots keep apart as well."""
 
 DEAR = 100.0
@@ -85,7 +85,8 @@ def keep_apart(draft: Draft, x: ca.MX, way: Way, bounds: Bounds, step: Step) -> 
     layout, count = Layout(way.team.robots), len(way.polygons) - 1
     table = layout.table(way)
     now = table[1:-1].ravel()
-    pairs = pair_rows(layout, table, bounds.separation, bounds.margins(count)[1:-1], step.reach)
+    margins = bounds.margins(count, np.arange(1.0, count))
+    pairs = pair_rows(layout, table, bounds.separation, margins, step.reach)
     if len(pairs.first):
         across = x[pairs.first[:, 0].tolist()] - x[pairs.second[:, 0].tolist()]
         along = x[pairs.first[:, 1].tolist()] - x[pairs.second[:, 1].tolist()]
@@ -95,10 +96,8 @@ def keep_apart(draft: Draft, x: ca.MX, way: Way, bounds: Bounds, step: Step) -> 
         draft.urge(value, scale * pairs.apart**2, scale * squared, DEAR)
     linear = [(pairs.rows, pairs.least)]
     if step.parts > 1:
-        finer = layout.table(way.resampled(step.parts * count + 1))
-        margins = bounds.margins(count, step.parts)
-        reach = BETWEEN * step.reach
-        between = between_rows(layout, (table, finer), bounds.separation, margins, reach)
+        places = instants(count, step.parts)
+        between = between_rows(way, bounds, places, BETWEEN * step.reach)
         linear.append((between.rows, between.least))
     for matrix, least in linear:
         if len(least):

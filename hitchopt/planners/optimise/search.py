@@ -48,7 +48,7 @@ FIRST_STEP, LATER_STEP = Step(0.17), 0.12
 FIRST_STEPS, LATER_STEPS = 12, 4
 """How many steps at most."""
 
-LENGTH = 0.6
+LENGTH = 0.9
 """[m] No vertex is to go farther from one of the first knots to the next, about."""
 
 FEWEST_KNOTS, MOST_KNOTS = 8, 16
