@@ -1,4 +1,4 @@
-"""Distances between the knots: rows on pairs that come near one another while no knot looks."""
+"""Between the knots: rows on pairs that come near one another, and on legs that get short there."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hitchopt.planners.optimise.pairs import near_pairs
 from hitchopt.planners.optimise.way import Way
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 FINER = 4
 """Times as many instants in the first and the last step, where a hitch that keeps its limits by a
@@ -34,6 +35,13 @@ class BetweenRows:
     least: Array
 
 
+LEG_INSET = 1e-3
+"""[m] By which legs are longer than their limit, or as long as at the ends."""
+
+LEG_REACH = 0.05
+"""[m] Legs longer than their limit and this are let go."""
+
+
 def instants(steps: int, parts: int) -> Array:
     """Return (K,) where between its knots a way is looked at, in steps from its start."""
     base = FINER * parts
@@ -44,7 +52,7 @@ def instants(steps: int, parts: int) -> Array:
 
 
 def between_rows(way: Way, bounds: Bounds, places: Array, reach: float) -> BetweenRows:
-    """Return rows that keep pairs apart between the knots, to first order in the way's change.
+    """Return rows that keep pairs apart and legs long between the knots, to first order.
 
     There the way is its chord from knot to knot and a bow, of which the bow is taken to stay.
 
@@ -55,31 +63,62 @@ def between_rows(way: Way, bounds: Bounds, places: Array, reach: float) -> Betwe
     reach: pairs farther apart than their limit and this [m] are let go.
     """
     layout, steps = Layout(way.team.robots), len(way.polygons) - 1
-    at_knots = layout.table(way)[:, layout.nodes]
-    nodes = layout.table(way.at(places / steps))[:, layout.nodes]
-    pairs = near_pairs(nodes, bounds.separation, bounds.margins(steps, places), reach)
+    at_knots, there = layout.table(way), layout.table(way.at(places / steps))
+    margins = bounds.margins(steps, places)
+    pairs = near_pairs(there[:, layout.nodes], bounds.separation, margins, reach)
     pair, a, b = pairs.sides()
-    normal, frame = pairs.normal[pair], pairs.frame[pair]
+    slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
+    variables = np.concatenate([layout.nodes[a], layout.nodes[b]], axis=1)
+    apart = _between(at_knots, there, places, (pairs.frame[pair], variables, slopes))
+
+    legs = np.concatenate([layout.q_legs, layout.r_legs])
+    short = there[:, legs] < bounds.limits.leg + LEG_REACH
+    frame, leg = np.nonzero(short)
+    single = (frame, legs[leg][:, None], np.ones((len(frame), 1)))
+    long = _between(at_knots, there, places, single)
+    ends = np.min(at_knots[[0, -1]][:, legs], axis=0)
+    shortest = np.minimum(bounds.limits.leg + LEG_INSET, ends)[leg]
+    least = np.concatenate([pairs.kept[pair] - apart.bow, shortest - long.bow])
+    return BetweenRows(sparse.csc_matrix(sparse.vstack([apart.rows, long.rows])), least)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chords:
+    """Sums of variables between the knots: ``rows @ x + bow``."""
+
+    rows: sparse.csc_matrix
+    bow: Array
+
+
+def _between(
+    at_knots: Array, there: Array, places: Array, sums: tuple[Index, Index, Array]
+) -> _Chords:
+    """Return sums of variables at places, by those at the knots around.
+
+    Parameters
+    ----------
+    at_knots, there: (J + 1, size) and (K, size), tables of the way.
+    places: (K,), in steps from the way's start.
+    sums: the place (r,), the variables and their weights (r, w) of each.
+    """
+    frame, variables, weights = sums
+    steps, size = len(at_knots) - 1, at_knots.shape[1]
     knot = places[frame].astype(np.intp)
     share = places[frame] - knot
-
-    least = pairs.kept[pair] - np.sum(normal * (nodes[frame, a] - nodes[frame, b]), axis=1)
-    row = np.arange(len(pair))
+    bow = np.sum(weights * there[frame[:, None], variables], axis=1)
     entries: list[Array] = []
-    rows: list[NDArray[np.intp]] = []
-    columns: list[NDArray[np.intp]] = []
-    for at, weight in ((knot, 1.0 - share), (knot + 1, share)):
-        slope = weight[:, None] * normal
-        least += np.sum(slope * (at_knots[at, a] - at_knots[at, b]), axis=1)
-        fixed = (at == 0) | (at == steps)
-        for node, sign in ((a, 1.0), (b, -1.0)):
-            least[fixed] -= np.sum(sign * slope * at_knots[at, node], axis=1)[fixed]
-            variables = layout.size * (at[:, None] - 1) + layout.nodes[node]
-            entries.append((sign * slope)[~fixed].ravel())
-            rows.append(np.repeat(row[~fixed], 2))
-            columns.append(variables[~fixed].ravel())
+    rows: list[Index] = []
+    columns: list[Index] = []
+    for at, part in ((knot, 1.0 - share), (knot + 1, share)):
+        slope = part[:, None] * weights
+        inner = np.flatnonzero((at > 0) & (at < steps))
+        own = variables[inner]
+        bow[inner] -= np.sum(slope[inner] * at_knots[at[inner, None], own], axis=1)
+        entries.append(slope[inner].ravel())
+        rows.append(np.repeat(inner, variables.shape[1]))
+        columns.append((size * (at[inner, None] - 1) + own).ravel())
     matrix = sparse.csc_matrix(
         (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))),
-        shape=(len(pair), layout.size * (steps - 1)),
+        shape=(len(frame), size * (steps - 1)),
     )
-    return BetweenRows(matrix, least)
+    return _Chords(matrix, bow)

@@ -45,8 +45,11 @@ FIRST_MARGIN = 1.02
 FIRST_STEP, LATER_STEP = Step(0.17), 0.12
 """Of the optimiser, from a guess; and the stride [m] from a way that it has found."""
 
-FIRST_STEPS, LATER_STEPS = 12, 4
+FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 """How many steps at most."""
+
+STILL = 0.15
+"""Of its stride: a step that moves no vertex by more will not clear a way either."""
 
 LENGTH = 0.9
 """[m] No vertex is to go farther from one of the first knots to the next, about."""
@@ -141,14 +144,14 @@ def _refined(way: Way, search: Search) -> Candidate | None:
         if len(way.polygons) != how.finer * steps + 1:
             way = way.resampled(how.finer * steps + 1)
         bounds = search.bounds(how.margin)
-        for moved in iterates(way, bounds, Step(LATER_STEP, how.parts), LATER_STEPS):
+        for moved in iterates(way, bounds, Step(LATER_STEP, how.parts), LATER_STEPS, STILL):
             way = moved
             if clear(way, search):
                 break
         else:
             continue
         quick = Step(LATER_STEP, how.parts, fastest=True)
-        faster = _last(iterates(way, bounds, quick, LATER_STEPS), way)
+        faster = _last(iterates(way, bounds, quick, FASTEST_STEPS), way)
         for choice in sorted((faster, way), key=lambda w: promise(w, search.kept)):
             found = judged(choice, search) if clear(choice, search) else None
             if found is not None:

@@ -16,11 +16,13 @@ SETTLED = 0.3
 """Of its stride: a step of the optimiser that moves no vertex by more is the last one."""
 
 
-def iterates(way: Way, bounds: Bounds, step: Step, most: int) -> Iterator[Way]:
+def iterates(
+    way: Way, bounds: Bounds, step: Step, most: int, settled: float = SETTLED
+) -> Iterator[Way]:
     """Yield the ways that one after another are reached in steps of the optimiser.
 
     Every step sees the pairs that come near on it, along normals that fit. The iterator ends where
-    a step fails, or after one that moves no vertex far.
+    a step fails, or after one that moves no vertex by ``settled`` times its stride.
     """
     for _ in range(most):
         moved = solve_program(build_program(way, bounds, step))
@@ -29,5 +31,5 @@ def iterates(way: Way, bounds: Bounds, step: Step, most: int) -> Iterator[Way]:
         far = float(np.max(np.abs(moved.polygons - way.polygons)))
         way = moved
         yield way
-        if far < SETTLED * step.stride:
+        if far < settled * step.stride:
             return
