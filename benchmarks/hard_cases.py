@@ -55,6 +55,11 @@ class Case:
         return True
 
 
+def random_name(n: int, seed: int) -> str:
+    """Return what a random morph is called."""
+    return f"n = {n}, seed {seed}"
+
+
 def random_case(n: int, seed: int) -> Case | None:
     """Return a random hard morph, or None where an end breaks a limit at rest."""
     problem = problem_from_dict(random_morph(n, seed, hard=True))
@@ -62,9 +67,7 @@ def random_case(n: int, seed: int) -> Case | None:
     if not isinstance(step, ho.Morph):
         raise TypeError("a random morph is one morph")
     kept = KeptDistances(problem.limits, problem.separation, problem.arena)
-    case = make_case(
-        f"n = {n}, seed {seed}", problem.team, problem.start.polygon, step.polygon, kept
-    )
+    case = make_case(random_name(n, seed), problem.team, problem.start.polygon, step.polygon, kept)
     return case if case.rests() else None
 
 

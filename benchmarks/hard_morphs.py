@@ -5,7 +5,8 @@ Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N â
 Random hard morphs (``hitchopt.mission.random_morph``, seeded): turned by any angle, scaled,
 shifted, reshaped. Every success is a certificate. Of those not solved, and of the named hard ones,
 M random restarts (turned either way, bent, swollen or shrunk on the way) tell what might be found.
-Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``.
+Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``; a morph that
+is in the former already is not done again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.environment import busy, environment
-from benchmarks.hard_cases import Case, named_cases, random_case
+from benchmarks.hard_cases import Case, named_cases, random_case, random_name
 from benchmarks.hard_restarts import CAP, restarts
 from hitchopt.planners.optimise.search import ROUNDS, candidates
 
@@ -82,17 +83,45 @@ def outcome(case: Case, robots: int, count: int) -> Outcome:
     return Outcome(case.name, robots, status, np.inf, seconds, "", *tried)
 
 
-def outcomes(robots: Sequence[int], seeds: int, count: int) -> Iterator[Outcome]:
-    """Yield what becomes of the random morphs and of the named ones."""
+def outcomes(
+    robots: Sequence[int], seeds: int, count: int, done: Sequence[Outcome]
+) -> Iterator[Outcome]:
+    """Yield what becomes of the random morphs and of the named ones, but those that are done."""
+    names = {one.morph for one in done}
     for n in robots:
         for seed in range(seeds):
+            if random_name(n, seed) in names:
+                continue
             case = random_case(n, seed)
             if case is None:
-                yield Outcome(f"n = {n}, seed {seed}", n, "ends")
+                yield Outcome(random_name(n, seed), n, "ends")
             else:
                 yield outcome(case, n, count)
     for case in named_cases():
-        yield outcome(case, 0, count)
+        if case.name not in names:
+            yield outcome(case, 0, count)
+
+
+def read(path: Path) -> list[Outcome]:
+    """Return the outcomes that a table holds; none where there is no table."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Outcome(
+                row["morph"],
+                int(row["robots"]),
+                row["status"],
+                float(row["duration"]),
+                float(row["search"]),
+                row["guess"],
+                int(row["restarts"]),
+                int(row["found"]),
+                int(row["capped"]),
+                float(row["best"]),
+            )
+            for row in csv.DictReader(file)
+        ]
 
 
 def report(done: Sequence[Outcome], load: float) -> list[str]:
@@ -153,12 +182,14 @@ def main() -> None:
     arguments = parser.parse_args()
     load = busy()
     print(f"{environment()}\nlimitations: {LIMITATIONS}", flush=True)
-    done: list[Outcome] = []
     arguments.output.mkdir(parents=True, exist_ok=True)
-    with (arguments.output / "hard_morphs.csv").open("w", newline="", encoding="utf-8") as file:
+    path = arguments.output / "hard_morphs.csv"
+    done = read(path)
+    with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Outcome)])
-        writer.writeheader()
-        for one in outcomes(arguments.robots, arguments.seeds, arguments.restarts):
+        if file.tell() == 0:
+            writer.writeheader()
+        for one in outcomes(arguments.robots, arguments.seeds, arguments.restarts, done):
             done.append(one)
             writer.writerow(asdict(one))
             file.flush()

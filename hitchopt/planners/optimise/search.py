@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,18 +151,14 @@ def _refined(way: Way, search: Search) -> Candidate | None:
         else:
             continue
         quick = Step(LATER_STEP, how.parts, fastest=True)
-        faster = _last(iterates(way, bounds, quick, FASTEST_STEPS), way)
-        for choice in sorted((faster, way), key=lambda w: promise(w, search.kept)):
-            found = judged(choice, search) if clear(choice, search) else None
+        steps_on = iterates(way, bounds, quick, FASTEST_STEPS, STILL)
+        faster = [moved for moved in steps_on if clear(moved, search)]
+        choices = sorted([*faster, way], key=lambda w: promise(w, search.kept))
+        for choice in dict.fromkeys([choices[0], way]):
+            found = judged(choice, search)
             if found is not None:
                 return found
     return None
-
-
-def _last(ways: Iterator[Way], otherwise: Way) -> Way:
-    for way in ways:
-        otherwise = way
-    return otherwise
 
 
 def _steps(way: Way) -> int:
