@@ -1,12 +1,12 @@
 """How often the optimiser finds a way where the straight one may be shut, and how good it is.
 
-Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [-o DIR]
+Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [--no-named] [-o DIR]
 
 Random hard morphs (``hitchopt.mission.random_morph``, seeded): turned by any angle, scaled,
 shifted, reshaped. Every success is a certificate. Of those not solved, and of the named hard ones,
 M random restarts (turned either way, bent, swollen or shrunk on the way) tell what might be found.
-Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``; a morph that
-is in the former already is not done again.
+Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``. A morph
+that is in the former already is not done again.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,7 @@ def outcome(case: Case, robots: int, count: int) -> Outcome:
 def outcomes(
     robots: Sequence[int], seeds: int, count: int, done: Sequence[Outcome]
 ) -> Iterator[Outcome]:
-    """Yield what becomes of the random morphs and of the named ones, but those that are done."""
+    """Yield what becomes of the random morphs, but those that are done."""
     names = {one.morph for one in done}
     for n in robots:
         for seed in range(seeds):
@@ -97,6 +98,11 @@ def outcomes(
                 yield Outcome(random_name(n, seed), n, "ends")
             else:
                 yield outcome(case, n, count)
+
+
+def named_outcomes(count: int, done: Sequence[Outcome]) -> Iterator[Outcome]:
+    """Yield what becomes of the named morphs, but those that are done."""
+    names = {one.morph for one in done}
     for case in named_cases():
         if case.name not in names:
             yield outcome(case, 0, count)
@@ -178,6 +184,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="random morphs for every n")
     parser.add_argument("--restarts", type=int, default=50)
     parser.add_argument("--robots", type=int, nargs="*", default=list(range(3, 13)))
+    parser.add_argument("--named", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/results"))
     arguments = parser.parse_args()
     load = busy()
@@ -189,7 +196,9 @@ def main() -> None:
         writer = csv.DictWriter(file, [field.name for field in fields(Outcome)])
         if file.tell() == 0:
             writer.writeheader()
-        for one in outcomes(arguments.robots, arguments.seeds, arguments.restarts, done):
+        count = arguments.restarts
+        random = outcomes(arguments.robots, arguments.seeds, count, done)
+        for one in chain(random, named_outcomes(count, done) if arguments.named else ()):
             done.append(one)
             writer.writerow(asdict(one))
             file.flush()
