@@ -1,6 +1,6 @@
 """How often the optimiser finds a way where the straight one may be shut, and how good it is.
 
-Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [--no-named] [-o DIR]
+Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [--no-named]
 
 Random hard morphs (``hitchopt.mission.random_morph``, seeded): turned by any angle, scaled,
 shifted, reshaped. Every success is a certificate. Of those not solved, and of the named hard ones,
@@ -28,7 +28,7 @@ from benchmarks.hard_restarts import CAP, restarts
 from hitchopt.planners.optimise.search import ROUNDS, candidates
 
 LIMITATIONS = (
-    "one machine, one run, one process, other jobs beside it; processor time, not the wall's; "
+    "one machine, one run, other jobs beside it; processor time, not the wall's; "
     "every success is a certificate; ends that break a limit at rest are counted apart; random "
     "morphs are restarted only where the default search finds nothing; 'believed infeasible' "
     f"means that no restart found a way, no proof; a restart is stopped after {CAP:.0f} s of "

@@ -18,11 +18,10 @@ from hitchopt.planners.optimise.between import (
     between_rows,
     instants,
 )
-from hitchopt.planners.optimise.bounds import Bounds
+from hitchopt.planners.optimise.bounds import Bounds, Step
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.layout import Layout
-from hitchopt.planners.optimise.model_rows import Step
 from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
 from hitchopt.planners.optimise.program import WayProgram, build_program
 from hitchopt.planners.optimise.solver import solve_program

@@ -1,4 +1,4 @@
-"""What a way has to keep, and the box of the variables around one."""
+"""What a way has to keep, how far a step may take it, and the box of its variables."""
 
 from __future__ import annotations
 
@@ -24,6 +24,28 @@ STATIC_SHARE = 0.97
 
 RAMP = 2.0
 """Knots in which the margin rises from what an end has: a step there would bend the way."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the optimiser, from a way to a better one.
+
+    Attributes
+    ----------
+    stride: [m], how far a coordinate of a vertex or drone may go.
+    parts: into how many parts a step between knots is divided, at whose ends distances are kept as
+        well; 1 for at the knots alone.
+    fastest: minimise the time, not the energy.
+    """
+
+    stride: float
+    parts: int = 1
+    fastest: bool = False
+
+    @property
+    def reach(self) -> float:
+        """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
+        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.model.planar import planar_function
 from hitchopt.planners.optimise.between import between_rows, instants
-from hitchopt.planners.optimise.bounds import Bounds
+from hitchopt.planners.optimise.bounds import Bounds, Step
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.layout import Layout
 from hitchopt.planners.optimise.pairs import pair_rows
@@ -28,28 +27,6 @@ BETWEEN = 0.35
 
 DEAR = 100.0
 """Per metre by which bodies stay too near: more than any way is worth that lets them."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the optimiser, from a way to a better one.
-
-    Attributes
-    ----------
-    stride: [m], how far a coordinate of a vertex or drone may go.
-    parts: into how many parts a step between knots is divided, at whose ends distances are kept as
-        well; 1 for at the knots alone.
-    fastest: minimise the time, not the energy.
-    """
-
-    stride: float
-    parts: int = 1
-    fastest: bool = False
-
-    @property
-    def reach(self) -> float:
-        """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
-        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
 
 
 def tie_drones(draft: Draft, layout: Layout, knots: ca.MX, way: Way) -> None:

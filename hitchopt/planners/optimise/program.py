@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.planners.optimise.bounds import Bounds, variable_box
+from hitchopt.planners.optimise.bounds import Bounds, Step, variable_box
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.layout import Layout
-from hitchopt.planners.optimise.model_rows import Step, keep_apart, tie_drones
+from hitchopt.planners.optimise.model_rows import keep_apart, tie_drones
 from hitchopt.planners.optimise.way import Way
 
 Array = NDArray[np.float64]
@@ -36,8 +36,7 @@ LOOSE = 0.02
 """Weight of the tensions' squares where they are free, which gives thrust back to motion."""
 
 LAGGING = 0.5
-"""Of the longest stretch of a step; shorter ones are not asked how long they take: they would have
-to grow by more than a stride."""
+"""Of the longest stretch of a step; shorter ones do not tell how long it takes."""
 
 ITERATIONS = 100
 FASTEST_ITERATIONS = 40

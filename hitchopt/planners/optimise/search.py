@@ -10,9 +10,9 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
 from hitchopt.planners.leg_law import KeptDistances
+from hitchopt.planners.optimise.bounds import Step
 from hitchopt.planners.optimise.guesses import guesses, widened
 from hitchopt.planners.optimise.judging import Candidate, Judge, Search, clear, judged, promise
-from hitchopt.planners.optimise.model_rows import Step
 from hitchopt.planners.optimise.screening import end_margin, loose, same, sound
 from hitchopt.planners.optimise.settling import iterates
 from hitchopt.planners.optimise.way import Way

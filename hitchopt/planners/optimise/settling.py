@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.planners.optimise.bounds import Bounds
-from hitchopt.planners.optimise.model_rows import Step
+from hitchopt.planners.optimise.bounds import Bounds, Step
 from hitchopt.planners.optimise.program import build_program
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.way import Way
