@@ -1,0 +1,145 @@
+"""The commands for fleets: export, lint."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hitchopt.cli.commands import MAX_RATE, PLAN_FILE, main
+from hitchopt.cli.failures import say
+from hitchopt.errors import FileError, InputError
+
+if TYPE_CHECKING:
+    from hitchopt.export.exporting import Export
+
+
+@main.command()
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--format", "name", metavar="NAME", required=True, help="One of those below.")
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    metavar="PATH",
+    type=click.Path(path_type=Path),
+    help="The folder to write; by default DIR's name, a dash and NAME, beside DIR.",
+)
+@click.option("--frame", metavar="FRAME", help="enu, nwu or ned; by default the format's usual.")
+@click.option(
+    "--origin",
+    metavar="X Y Z",
+    type=(float, float, float),
+    default=(0.0, 0.0, 0.0),
+    help="Where the plan's origin lies in the room: east, north, up [m].",
+)
+@click.option(
+    "--yaw-deg",
+    metavar="DEG",
+    type=float,
+    default=0.0,
+    help="How far the plan is turned in the room, counter-clockwise from above.",
+)
+@click.option(
+    "--fleet",
+    "fleet_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}",
+)
+@click.option("--rate", metavar="HZ", type=float, help="Samples per second, where it samples.")
+@click.option(
+    "--stretch",
+    metavar="FACTOR",
+    type=float,
+    default=1.0,
+    help="Fly it so many times as slowly, from 1 on.",
+)
+@click.option(
+    "--storage",
+    type=click.Choice(["mcap", "sqlite3"]),
+    default="mcap",
+    help="Of a ros2bag.",
+)
+def export(
+    directory: Path,
+    name: str,
+    folder: Path | None,
+    frame: str | None,
+    origin: tuple[float, float, float],
+    yaw_deg: float,
+    fleet_file: Path | None,
+    rate: float | None,
+    stretch: float,
+    storage: str,
+) -> None:
+    """Write the plan in DIR as fleets read it, and certify what was written.
+
+    Formats: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag; csv,
+    parquet, npz, json for scripts.
+    """
+    from hitchopt.export.formats.registry import format_of
+
+    kind = format_of(name)
+    if rate is not None and not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
+        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 is usual")
+    if rate is not None and kind.rate == 0.0:
+        raise InputError("--rate", rate, f"left out for {name}", "it does not sample")
+
+    from hitchopt.certificate import certify
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.export.exporting import export_plan, stretched
+    from hitchopt.export.fleet import placeholder_fleet, read_fleet
+    from hitchopt.export.formats.format import Task
+    from hitchopt.export.plan_file import read_plan, read_title
+    from hitchopt.export.room import Room
+
+    path = directory / PLAN_FILE
+    motion = read_plan(path)
+    roles = motion.team.drone_names
+    fleet = placeholder_fleet(roles) if fleet_file is None else read_fleet(fleet_file, roles)
+    room = Room(frame or kind.frames[0], origin, math.radians(yaw_deg))
+    task = Task(motion, read_title(path), room, fleet, rate or kind.rate, storage)
+    task = stretched(task, stretch)
+    if stretch != 1.0:  # a limit of the plan's duration is not one of what it is stretched to
+        limits = replace(task.motion.limits, duration=None)
+        task = replace(task, motion=replace(task.motion, limits=limits))
+    place = _place(directory, name) if folder is None else folder
+    if place.exists() and not place.is_dir():
+        raise FileError(f"{place}: is a file; an export is a folder, choose another with -o")
+    with LateProgress(sys.stderr, "certifying") as progress:
+        certificate = certify(task.motion, progress)
+        done = export_plan(kind, task, certificate, place, progress)
+    for part in done:
+        _show(part)
+
+
+def _place(directory: Path, name: str) -> Path:
+    resolved = directory.resolve()
+    return (
+        directory / ".." / f"{resolved.name}-{name}"
+        if not directory.name
+        else (directory.parent / f"{resolved.name}-{name}")
+    )
+
+
+def _show(part: Export) -> None:
+    from hitchopt.certificate import Certificate
+    from hitchopt.cli.tables import certificate_table
+
+    verdict = part.verdict
+    say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+    position, velocity = verdict.position, verdict.velocity
+    say(
+        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) and "
+        f"{1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+        "from the plan, over all time"
+    )
+    say(f"not carried: {verdict.not_carried}")
+    for note in part.notes:
+        say(f"note: {note}")
+    say(f"certified as exported; {len(part.files)} files in {part.folder}")

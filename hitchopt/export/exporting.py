@@ -1,0 +1,236 @@
+"""A certified plan, written as fleets read it, and judged by what was written.
+
+Files are read back from disk before they get their place: whoever loses a limit of what is flown
+by its rounding or refitting is refused, and nothing that was there before is touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hitchopt.certificate.report import Certificate, Check
+from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
+from hitchopt.export.atomic import Writer, replace_files
+from hitchopt.export.formats.format import Candidate, Format, Task
+from hitchopt.export.judging import Verdict, judge
+from hitchopt.export.manifest import (
+    FILE,
+    manifest_of,
+    manifest_of_parts,
+    owned_files,
+    part_folders,
+    write_manifest,
+)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was written.
+
+    Attributes
+    ----------
+    folder: where.
+    files: names of the files in it, without the manifest.
+    verdict: errors and checks of what the files say.
+    notes: what else is to be known of them.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    verdict: Verdict
+    notes: tuple[str, ...]
+
+
+class _LostError(Exception):
+    """What was written does not keep what the plan keeps."""
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__()
+        self.verdict = verdict
+
+
+def export_plan(
+    kind: Format,
+    task: Task,
+    certificate: Certificate,
+    folder: Path,
+    progress: Progress | None = None,
+) -> tuple[Export, ...]:
+    """Write the plan in a format; return what was written, part by part.
+
+    Parameters
+    ----------
+    kind: the format.
+    task: the plan, and how it is to be told.
+    certificate: of that plan.
+    folder: where to; made if it is missing. Only files of an earlier export there are replaced.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    CertificateError: the plan's certificate does not hold.
+    InputError: a frame that the format cannot be in.
+    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
+    FileError: the folder cannot be written to, or holds others' files of these names.
+    """
+    certificate.raise_if_violated()
+    if task.room.frame not in kind.frames:
+        raise InputError(
+            "--frame",
+            task.room.frame,
+            f"one of {', '.join(kind.frames)} for {kind.name}",
+            f"leave it out for {kind.frames[0]}",
+        )
+    parts = kind.parts(task)
+    if len(parts) == 1:
+        exported = (_export(kind, parts[0], certificate, folder, progress),)
+        _remove_parts(folder, ())
+        return exported
+    names = tuple(f"part{i + 1}" for i in range(len(parts)))
+    done = tuple(
+        _export(kind, part, certificate, folder / name, progress)
+        for part, name in zip(parts, names, strict=True)
+    )
+    _remove_parts(folder, names)
+    content = manifest_of_parts(kind, task, names)
+    replace_files(
+        folder,
+        {FILE: lambda path: write_manifest(path, content)},
+        {FILE, *owned_files(folder)},
+        seal=FILE,
+    )
+    return done
+
+
+def _export(
+    kind: Format, task: Task, certificate: Certificate, folder: Path, progress: Progress | None
+) -> Export:
+    refused: Verdict | None = None
+    for number, candidate in enumerate(kind.candidates(task), 1):
+        if progress is not None:
+            progress(f"writing {kind.name}" + (f", attempt {number}" if number > 1 else ""))
+        try:
+            return _written(kind, task, candidate, folder, progress)
+        except _LostError as lost:
+            refused = refused or lost.verdict
+    if refused is None:
+        raise FileError(f"{kind.name}: has nothing to write")
+    raise InfeasibleError(
+        violations_of(kind, refused, certificate),
+        f"{kind.name} is not written: what it rounds or refits costs more than the plan has left",
+    )
+
+
+def _written(
+    kind: Format, task: Task, candidate: Candidate, folder: Path, progress: Progress | None
+) -> Export:
+    files = tuple(candidate.writers)
+    owned = {FILE, *files, *owned_files(folder)}
+    _refuse_strangers(folder, files)
+    verdicts: list[Verdict] = []
+
+    def check(path: Path) -> None:
+        if progress is not None:
+            progress(f"reading {kind.name} back")
+        verdict = judge(task.motion, kind.read(path.parent, task), task.room, task.names)
+        if verdict.lost or verdict.position.worst > kind.accuracy:
+            raise _LostError(verdict)
+        write_manifest(path, manifest_of(kind, task, files, verdict, candidate.notes))
+        verdicts.append(verdict)
+
+    writers: dict[str, Writer] = {**candidate.writers, FILE: check}
+    replace_files(folder, writers, owned, seal=FILE)
+    return Export(folder, files, verdicts[-1], candidate.notes)
+
+
+def _refuse_strangers(folder: Path, files: Sequence[str]) -> None:
+    known = set(owned_files(folder))
+    for name in files:
+        if name not in known and (folder / name).exists():
+            raise FileError(
+                f"{folder / name}: is there already and not from an export; "
+                "choose another folder with -o"
+            )
+
+
+def _remove_parts(folder: Path, kept: Sequence[str]) -> None:
+    """Remove the folders of an earlier export that was cut into more parts."""
+    for name in part_folders(folder):
+        part = folder / name
+        if name in kept or not part.is_dir():
+            continue
+        for file in owned_files(part):
+            (part / file).unlink(missing_ok=True)
+        if not any(part.iterdir()):
+            part.rmdir()
+
+
+def violations_of(
+    kind: Format, verdict: Verdict, certificate: Certificate
+) -> tuple[Violation, ...]:
+    """Return what an export loses, each with what the plan itself keeps."""
+    planned = {check.name: check for check in certificate.checks}
+    found = [_violation(check, planned[check.name]) for check in verdict.lost]
+    position = verdict.position
+    if position.worst > kind.accuracy:
+        found.append(
+            Violation(
+                "position_error",
+                position.worst,
+                kind.accuracy,
+                "max",
+                "m",
+                (position.drone,),
+                f"at t = {position.time:.4g} s",
+                "choose another format, such as csv, or a higher --rate where it samples",
+            )
+        )
+    return tuple(found)
+
+
+def _violation(check: Check, planned: Check) -> Violation:
+    lost = abs(check.worst - planned.worst)
+    unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
+    return Violation(
+        check.name,
+        check.worst,
+        check.limit,
+        check.sense,
+        check.unit,
+        check.where,
+        f"at t = {check.time:.4g} s (the plan keeps {planned.worst:.6g}{unit}, "
+        f"the export loses {lost:.3g}{unit})",
+        REMEDIES.get(check.name, "plan with more room there, or choose another format"),
+    )
+
+
+REMEDIES = dict.fromkeys(
+    ("speed", "thrust", "tilt"),
+    "fly it slower with --stretch, plan below the limit, or choose another format",
+)
+"""Of the checks that a slower flight eases."""
+
+
+def stretched(task: Task, factor: float) -> Task:
+    """Return the same task flown ``factor`` times as slowly.
+
+    Raises
+    ------
+    InputError: a factor below 1.
+    """
+    if not 1.0 <= factor <= 100.0:
+        raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
+    if factor == 1.0:
+        return task
+    motion = task.motion
+    names = [n for n in ("drones", "vertices", "legs", "tensions") if hasattr(motion, n)]
+    parts = {name: getattr(motion, name).stretched(factor) for name in names}
+    phases = tuple(
+        replace(phase, start=factor * phase.start, end=factor * phase.end)
+        for phase in motion.phases
+    )
+    return replace(task, motion=replace(motion, phases=phases, **parts))
