@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,7 +91,8 @@ def export(
 
     from hitchopt.certificate import certify
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.export.exporting import export_plan, stretched
+    from hitchopt.export.cutting import stretched
+    from hitchopt.export.exporting import export_plan
     from hitchopt.export.fleet import placeholder_fleet, read_fleet
     from hitchopt.export.formats.format import Task
     from hitchopt.export.plan_file import read_plan, read_title
@@ -103,11 +103,8 @@ def export(
     roles = motion.team.drone_names
     fleet = placeholder_fleet(roles) if fleet_file is None else read_fleet(fleet_file, roles)
     room = Room(frame or kind.frames[0], origin, math.radians(yaw_deg))
-    task = Task(motion, read_title(path), room, fleet, rate or kind.rate, storage)
-    task = stretched(task, stretch)
-    if stretch != 1.0:  # a limit of the plan's duration is not one of what it is stretched to
-        limits = replace(task.motion.limits, duration=None)
-        task = replace(task, motion=replace(task.motion, limits=limits))
+    slower = stretched(motion, stretch)
+    task = Task(slower, read_title(path), room, fleet, rate or kind.rate, storage)
     place = _place(directory, name) if folder is None else folder
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is a file; an export is a folder, choose another with -o")

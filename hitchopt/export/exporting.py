@@ -6,6 +6,7 @@ by its rounding or refitting is refused, and nothing that was there before is to
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
 from hitchopt.export.atomic import Writer, replace_files
-from hitchopt.export.formats.format import Candidate, Format, Task
+from hitchopt.export.formats.format import Arrangement, Candidate, Format, Task
 from hitchopt.export.judging import Verdict, judge
 from hitchopt.export.manifest import (
     FILE,
@@ -85,18 +86,40 @@ def export_plan(
             f"one of {', '.join(kind.frames)} for {kind.name}",
             f"leave it out for {kind.frames[0]}",
         )
-    parts = kind.parts(task)
-    if len(parts) == 1:
-        exported = (_export(kind, parts[0], certificate, folder, progress),)
+    refusals = []
+    try:
+        for arrangement in kind.arrangements(task):
+            try:
+                return _arranged(kind, arrangement, certificate, folder, progress)
+            except InfeasibleError as error:
+                refusals.append(error)
+    except InfeasibleError as error:  # there is no other way to arrange it
+        refusals.append(error)
+    raise refusals[0]
+
+
+def _arranged(
+    kind: Format,
+    arrangement: Arrangement,
+    certificate: Certificate,
+    folder: Path,
+    progress: Progress | None,
+) -> tuple[Export, ...]:
+    tasks, note = arrangement.tasks, arrangement.note
+    if len(tasks) == 1:
+        exported = (_export(kind, tasks[0], certificate, folder, note, progress),)
         _remove_parts(folder, ())
         return exported
-    names = tuple(f"part{i + 1}" for i in range(len(parts)))
+    names = tuple(f"part{i + 1}" for i in range(len(tasks)))
+    with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
+        for part, name in zip(tasks, names, strict=True):
+            _export(kind, part, certificate, Path(trial) / name, note, progress)
     done = tuple(
-        _export(kind, part, certificate, folder / name, progress)
-        for part, name in zip(parts, names, strict=True)
+        _export(kind, part, certificate, folder / name, note, progress)
+        for part, name in zip(tasks, names, strict=True)
     )
     _remove_parts(folder, names)
-    content = manifest_of_parts(kind, task, names)
+    content = manifest_of_parts(kind, tasks[0], names)
     replace_files(
         folder,
         {FILE: lambda path: write_manifest(path, content)},
@@ -107,14 +130,20 @@ def export_plan(
 
 
 def _export(
-    kind: Format, task: Task, certificate: Certificate, folder: Path, progress: Progress | None
+    kind: Format,
+    task: Task,
+    certificate: Certificate,
+    folder: Path,
+    note: str,
+    progress: Progress | None,
 ) -> Export:
     refused: Verdict | None = None
     for number, candidate in enumerate(kind.candidates(task), 1):
         if progress is not None:
             progress(f"writing {kind.name}" + (f", attempt {number}" if number > 1 else ""))
         try:
-            return _written(kind, task, candidate, folder, progress)
+            notes = (*candidate.notes, *((note,) if note else ()))
+            return _written(kind, task, replace(candidate, notes=notes), folder, progress)
         except _LostError as lost:
             refused = refused or lost.verdict
     if refused is None:
@@ -213,24 +242,3 @@ REMEDIES = dict.fromkeys(
     "fly it slower with --stretch, plan below the limit, or choose another format",
 )
 """Of the checks that a slower flight eases."""
-
-
-def stretched(task: Task, factor: float) -> Task:
-    """Return the same task flown ``factor`` times as slowly.
-
-    Raises
-    ------
-    InputError: a factor below 1.
-    """
-    if not 1.0 <= factor <= 100.0:
-        raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
-    if factor == 1.0:
-        return task
-    motion = task.motion
-    names = [n for n in ("drones", "vertices", "legs", "tensions") if hasattr(motion, n)]
-    parts = {name: getattr(motion, name).stretched(factor) for name in names}
-    phases = tuple(
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    )
-    return replace(task, motion=replace(motion, phases=phases, **parts))

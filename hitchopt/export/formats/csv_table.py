@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.export.formats.format import Candidate, Task
+from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FEED_FORWARD,
@@ -32,7 +32,7 @@ READ = 20_000
 """Rows that are parsed at once."""
 
 
-class CsvTable:
+class CsvTable(Whole):
     """Text that everything reads."""
 
     name = "csv"
@@ -41,10 +41,6 @@ class CsvTable:
     rate = 100.0
     accuracy = 1e-3
     feed_forward = FEED_FORWARD
-
-    def parts(self, task: Task) -> Sequence[Task]:
-        """Return the task: a table holds plans of any length."""
-        return (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one table there is."""

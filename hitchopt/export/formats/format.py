@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -70,6 +70,28 @@ class Candidate:
     notes: tuple[str, ...] = field(default=())
 
 
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """A plan as a whole, or cut.
+
+    Attributes
+    ----------
+    tasks: one after the other.
+    note: why it is so, for the user; nothing for the usual.
+    """
+
+    tasks: tuple[Task, ...]
+    note: str = ""
+
+
+class Whole:
+    """What formats that hold plans of any length have in common."""
+
+    def arrangements(self, task: Task) -> Iterator[Arrangement]:
+        """Give the task as a whole."""
+        yield Arrangement((task,))
+
+
 class Format(Protocol):
     """One way of telling a fleet what to fly.
 
@@ -90,8 +112,13 @@ class Format(Protocol):
     accuracy: float
     feed_forward: str
 
-    def parts(self, task: Task) -> Sequence[Task]:
-        """Return the task, or parts of it to be flown one after the other, at rest in between."""
+    def arrangements(self, task: Task) -> Iterator[Arrangement]:
+        """Give the task as a whole, then in parts to be flown one after the other, at rest between.
+
+        Raises
+        ------
+        InfeasibleError: there is no other way to hold the plan.
+        """
         ...
 
     def candidates(self, task: Task) -> Iterator[Candidate]:

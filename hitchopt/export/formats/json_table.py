@@ -7,14 +7,14 @@ drone]}, …]}``; numbers have twelve significant digits.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.export.formats.format import Candidate, Task
+from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FEED_FORWARD,
@@ -39,7 +39,7 @@ MAX_LINE = 50_000_000
 """[characters] A sample of 20,000 drones takes 6 million."""
 
 
-class JsonTable:
+class JsonTable(Whole):
     """Text for whatever knows no table."""
 
     name = "json"
@@ -48,10 +48,6 @@ class JsonTable:
     rate = 100.0
     accuracy = 1e-3
     feed_forward = FEED_FORWARD
-
-    def parts(self, task: Task) -> Sequence[Task]:
-        """Return the task: the document holds plans of any length."""
-        return (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one document there is."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.export.archive import MAX_HEADER, read_arrays
-from hitchopt.export.formats.format import Candidate, Task
+from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import FEED_FORWARD, ROWS, SMOOTH, blocks_of, sample_count
 from hitchopt.export.plan_file import BROKEN
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
@@ -43,7 +43,7 @@ GROUPS = {
 FLOWN = ("positions", "velocities", "accelerations")
 
 
-class NpzTable:
+class NpzTable(Whole):
     """Arrays for numpy."""
 
     name = "npz"
@@ -52,10 +52,6 @@ class NpzTable:
     rate = 100.0
     accuracy = 1e-3
     feed_forward = FEED_FORWARD.replace("ff_*", "feed_forward").replace("cable_*", "cable_forces")
-
-    def parts(self, task: Task) -> Sequence[Task]:
-        """Return the task: arrays hold plans of any length."""
-        return (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one archive there is."""

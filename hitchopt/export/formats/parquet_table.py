@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.export.formats.extras import needed
-from hitchopt.export.formats.format import Candidate, Task
+from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FEED_FORWARD,
@@ -29,7 +29,7 @@ FRAME = b"hitchopt.frame"
 """Key of the schema's metadata."""
 
 
-class ParquetTable:
+class ParquetTable(Whole):
     """Columns for data frames; a row group holds whole samples."""
 
     name = "parquet"
@@ -38,10 +38,6 @@ class ParquetTable:
     rate = 100.0
     accuracy = 1e-3
     feed_forward = FEED_FORWARD
-
-    def parts(self, task: Task) -> Sequence[Task]:
-        """Return the task: a table holds plans of any length."""
-        return (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one table there is."""

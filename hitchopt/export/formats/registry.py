@@ -8,6 +8,8 @@ from hitchopt.errors import InputError
 from hitchopt.export.formats.format import Format
 
 HOMES = {
+    "crazyswarm2": "crazyswarm2:Crazyswarm2",
+    "compressed": "compressed:CompressedBytes",
     "csv": "csv_table:CsvTable",
     "parquet": "parquet_table:ParquetTable",
     "npz": "npz_table:NpzTable",
