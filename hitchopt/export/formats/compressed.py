@@ -62,8 +62,8 @@ class CompressedBytes:
     rate = 0.0
     accuracy = 2e-3
     feed_forward = (
-        "not in these files: the on-board controller differentiates the curve and adds gravity, but "
-        "not the cable's pull; its integral has to find it, or stream full states (ros2bag)"
+        "not in these files: the on-board controller differentiates the curve and adds gravity, "
+        "but not the cable's pull; its integral has to find it, or stream full states (ros2bag)"
     )
 
     def arrangements(self, task: Task) -> Iterator[Arrangement]:

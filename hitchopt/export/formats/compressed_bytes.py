@@ -3,8 +3,8 @@
 8 bytes of the start (int16 x, y, z in mm, yaw in 0.1°), then per segment 3 bytes of header (two
 bits per axis for its type, x lowest, yaw highest; uint16 duration in ms) and int16 Bézier control
 points of each axis in turn, the first one left out as the segment before ends there: none
-(constant), 1 (linear), 3 (cubic) or 7. A segment of no duration ends it: without one the drone flies
-on into what an earlier upload left in its memory. Everything is little-endian.
+(constant), 1 (linear), 3 (cubic) or 7. A segment of no duration ends it: without one the drone
+flies on into what an earlier upload left in its memory. Everything is little-endian.
 """
 
 from __future__ import annotations
@@ -115,7 +115,9 @@ def decoded(data: bytes, source: str = "trajectory") -> Compressed:
         raise FileError(f"{source}: has {len(data)} bytes, and the start alone takes {START_BYTES}")
     *last, yaw = struct.unpack_from("<hhhh", data)
     at, ended = START_BYTES, False
-    durations, segments, yaws = [], [], [yaw]
+    durations: list[int] = []
+    segments: list[list[list[int]]] = []
+    yaws = [yaw]
     while at < len(data):
         if at + HEADER_BYTES > len(data):
             raise FileError(f"{source}: stops within a segment's header, at byte {at}")

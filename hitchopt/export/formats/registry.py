@@ -10,6 +10,10 @@ from hitchopt.export.formats.format import Format
 HOMES = {
     "crazyswarm2": "crazyswarm2:Crazyswarm2",
     "compressed": "compressed:CompressedBytes",
+    "skybrush": "skybrush:SkybrushShow",
+    "skybrush_csv": "skybrush_csv:SkybrushCsv",
+    "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
+    "ros2bag": "ros2bag:Ros2Bag",
     "csv": "csv_table:CsvTable",
     "parquet": "parquet_table:ParquetTable",
     "npz": "npz_table:NpzTable",
