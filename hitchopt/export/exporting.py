@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hitchopt.certificate.report import Certificate, Check
-from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
+from hitchopt.certificate.report import Certificate
+from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.formats.format import Arrangement, Candidate, Format, Task
 from hitchopt.export.judging import Verdict, judge
@@ -24,6 +24,7 @@ from hitchopt.export.manifest import (
     part_folders,
     write_manifest,
 )
+from hitchopt.export.refusal import violations_of, with_slower
 
 Progress = Callable[[str], None]
 
@@ -60,6 +61,8 @@ def export_plan(
     certificate: Certificate,
     folder: Path,
     progress: Progress | None = None,
+    *,
+    suggest: bool = True,
 ) -> tuple[Export, ...]:
     """Write the plan in a format; return what was written, part by part.
 
@@ -70,6 +73,7 @@ def export_plan(
     certificate: of that plan.
     folder: where to; made if it is missing. Only files of an earlier export there are replaced.
     progress: called with what is being done now.
+    suggest: whether to look, after a refusal, for how much more slowly it could be flown.
 
     Raises
     ------
@@ -95,7 +99,14 @@ def export_plan(
                 refusals.append(error)
     except InfeasibleError as error:  # there is no other way to arrange it
         refusals.append(error)
-    raise refusals[0]
+    if not suggest:
+        raise refusals[0]
+
+    def trial(slower: Task) -> None:
+        with tempfile.TemporaryDirectory() as place:
+            export_plan(kind, slower, certificate, Path(place) / "trial", suggest=False)
+
+    raise with_slower(refusals[0], task, trial, progress)
 
 
 def _arranged(
@@ -196,49 +207,3 @@ def _remove_parts(folder: Path, kept: Sequence[str]) -> None:
             (part / file).unlink(missing_ok=True)
         if not any(part.iterdir()):
             part.rmdir()
-
-
-def violations_of(
-    kind: Format, verdict: Verdict, certificate: Certificate
-) -> tuple[Violation, ...]:
-    """Return what an export loses, each with what the plan itself keeps."""
-    planned = {check.name: check for check in certificate.checks}
-    found = [_violation(check, planned[check.name]) for check in verdict.lost]
-    position = verdict.position
-    if position.worst > kind.accuracy:
-        found.append(
-            Violation(
-                "position_error",
-                position.worst,
-                kind.accuracy,
-                "max",
-                "m",
-                (position.drone,),
-                f"at t = {position.time:.4g} s",
-                "choose another format, such as csv, or a higher --rate where it samples",
-            )
-        )
-    return tuple(found)
-
-
-def _violation(check: Check, planned: Check) -> Violation:
-    lost = abs(check.worst - planned.worst)
-    unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
-    return Violation(
-        check.name,
-        check.worst,
-        check.limit,
-        check.sense,
-        check.unit,
-        check.where,
-        f"at t = {check.time:.4g} s (the plan keeps {planned.worst:.6g}{unit}, "
-        f"the export loses {lost:.3g}{unit})",
-        REMEDIES.get(check.name, "plan with more room there, or choose another format"),
-    )
-
-
-REMEDIES = dict.fromkeys(
-    ("speed", "thrust", "tilt"),
-    "fly it slower with --stretch, plan below the limit, or choose another format",
-)
-"""Of the checks that a slower flight eases."""
