@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hitchopt.cli.commands import MAX_RATE, PLAN_FILE, main
-from hitchopt.cli.failures import say
+from hitchopt.cli.failures import UNMET, say
 from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
@@ -140,3 +140,48 @@ def _show(part: Export) -> None:
     for note in part.notes:
         say(f"note: {note}")
     say(f"certified as exported; {len(part.files)} files in {part.folder}")
+
+
+@main.command()
+@click.argument("path", metavar="PATH", type=click.Path(path_type=Path))
+@click.option("--speed", metavar="M/S", type=float, default=3.0, show_default=True, help="Limit.")
+@click.option(
+    "--acceleration", metavar="M/S²", type=float, default=10.0, show_default=True, help="Limit."
+)
+@click.option(
+    "--radius",
+    metavar="M",
+    type=float,
+    default=0.12,
+    show_default=True,
+    help="Of a drone's ellipsoid, across.",
+)
+@click.option(
+    "--height",
+    metavar="M",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="Of a drone's ellipsoid, up.",
+)
+def lint(path: Path, speed: float, acceleration: float, radius: float, height: float) -> None:
+    """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
+
+    PATH is a file or a folder of any format that `export` writes. Ends with 3 if there are errors.
+    """
+    from hitchopt.cli.lint_report import say_report
+    from hitchopt.export.lint.linting import lint as linted
+    from hitchopt.export.lint.together import Rules
+    from hitchopt.hitch import Separation
+    from hitchopt.hitch.values import positive
+
+    rules = Rules(
+        positive("--speed", speed),
+        positive("--acceleration", acceleration),
+        Separation(positive("--radius", radius), positive("--height", height)),
+    )
+    reports = linted(path, rules)
+    for report in reports:
+        say_report(report, rules)
+    if not all(report.sound for report in reports):
+        click.get_current_context().exit(UNMET)

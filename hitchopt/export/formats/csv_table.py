@@ -13,6 +13,7 @@ from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FEED_FORWARD,
+    FLOWN,
     Rows,
     blocks_of,
     first_names,
@@ -70,7 +71,7 @@ def write_csv(path: Path, task: Task) -> None:
 
 
 def read_csv(path: Path, frame: str = "") -> Recording:
-    """Return what a table of these columns says; further columns are not looked at.
+    """Return what a table of these columns says; other columns are not looked at.
 
     Raises
     ------
@@ -87,12 +88,12 @@ def _rows(path: Path) -> Iterator[Rows]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header = file.readline().rstrip("\r\n").split(",")
-            missing = [name for name in ("t", "drone", *COLUMNS) if name not in header]
+            missing = [name for name in ("t", "drone", *FLOWN) if name not in header]
             if missing:
                 raise FileError(
                     f"{path}: its first line has no column {missing[0]!r}; it must be {HEADER}"
                 )
-            numbers = [header.index(name) for name in ("t", *COLUMNS)]
+            numbers = [header.index(name) for name in ("t", *FLOWN)]
             drone = header.index("drone")
             line = 2
             while lines := list(islice(file, READ)):

@@ -34,6 +34,9 @@ COLUMNS = tuple(name for group in VECTORS for name in group)
 """The numbers of a row, after ``t`` and ``drone``: [m], [m/s], [m/s²], [m/s³], [rad], [N], [m/s²]
 by groups."""
 
+FLOWN = COLUMNS[:9]
+"""Those that say where the drones go; readers need no others."""
+
 SMOOTH = 2
 """Positions, velocities and accelerations are in the table: quintics run through them."""
 
@@ -53,7 +56,7 @@ class Block:
     Attributes
     ----------
     t: (S,) [s]
-    values: (S, D, C), the numbers of COLUMNS.
+    values: (S, D, C), the numbers of COLUMNS, or of FLOWN where that is all that was read.
     """
 
     t: Array
@@ -89,7 +92,7 @@ def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
 
 
 def samples_of(t: Array, values: Array) -> Samples:
-    """Return the samples of a block (S, D, C) of COLUMNS."""
+    """Return the samples of a block (S, D, C), FLOWN first."""
     return Samples(t, np.moveaxis(values[..., :9].reshape(*values.shape[:2], 3, 3), 2, 0))
 
 

@@ -14,6 +14,7 @@ from hitchopt.export.formats.format import Candidate, Task, Whole
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FEED_FORWARD,
+    FLOWN,
     Rows,
     blocks_of,
     first_names,
@@ -78,7 +79,7 @@ def write_parquet(path: Path, task: Task) -> None:
 
 
 def read_parquet(path: Path) -> Recording:
-    """Return what a table of these columns says; further columns are not looked at.
+    """Return what a table of these columns says; other columns are not looked at.
 
     Raises
     ------
@@ -101,7 +102,7 @@ def _opened(path: Path) -> Any:
     arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
     try:
         file = parquet.ParquetFile(path)
-        missing = [name for name in ("t", "drone", *COLUMNS) if name not in file.schema_arrow.names]
+        missing = [name for name in ("t", "drone", *FLOWN) if name not in file.schema_arrow.names]
     except (arrow.ArrowException, OSError) as error:
         raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
     if missing:
@@ -113,11 +114,11 @@ def _opened(path: Path) -> Any:
 
 def _rows(path: Path) -> Iterator[Rows]:
     arrow = needed("pyarrow")
-    wanted = ["t", "drone", *COLUMNS]
+    wanted = ["t", "drone", *FLOWN]
     try:
         with _opened(path) as file:
             for batch in file.iter_batches(columns=wanted):
-                values = np.column_stack([batch[name].to_numpy(False) for name in COLUMNS])
+                values = np.column_stack([batch[name].to_numpy(False) for name in FLOWN])
                 t = batch["t"].to_numpy(False).astype(np.float64)
                 yield Rows(t, [str(name) for name in batch["drone"].to_pylist()], values)
     except (arrow.ArrowException, OSError, ValueError, TypeError) as error:
