@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         UnsupportedError,
         Violation,
     )
+    from hitchopt.export.lint.linting import lint
     from hitchopt.export.sampling import States
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
     from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Team
@@ -85,6 +86,7 @@ _HOMES = {
     "certify": "certificate",
     "follow_vertex": "actions",
     "hold": "actions",
+    "lint": "export.lint.linting",
     "load": "plan",
     "load_problem": "mission.loading",
     "morph": "actions",
@@ -135,6 +137,7 @@ __all__ = [
     "certify",
     "follow_vertex",
     "hold",
+    "lint",
     "load",
     "load_problem",
     "morph",

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hitchopt.cli.commands import MAX_RATE, PLAN_FILE, main
+from hitchopt.cli.commands import PLAN_FILE, main
 from hitchopt.cli.failures import UNMET, say
-from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.export.exporting import Export
@@ -81,46 +80,28 @@ def export(
     Formats: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag; csv,
     parquet, npz, json for scripts.
     """
-    from hitchopt.export.formats.registry import format_of
-
-    kind = format_of(name)
-    if rate is not None and not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
-        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 is usual")
-    if rate is not None and kind.rate == 0.0:
-        raise InputError("--rate", rate, f"left out for {name}", "it does not sample")
-
-    from hitchopt.certificate import certify
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.export.cutting import stretched
-    from hitchopt.export.exporting import export_plan
-    from hitchopt.export.fleet import placeholder_fleet, read_fleet
-    from hitchopt.export.formats.format import Task
+    from hitchopt.export.asking import Wish, export_motion
+    from hitchopt.export.formats.registry import format_of
     from hitchopt.export.plan_file import read_plan, read_title
-    from hitchopt.export.room import Room
 
+    format_of(name)  # a wrong name before a long read
     path = directory / PLAN_FILE
-    motion = read_plan(path)
-    roles = motion.team.drone_names
-    fleet = placeholder_fleet(roles) if fleet_file is None else read_fleet(fleet_file, roles)
-    room = Room(frame or kind.frames[0], origin, math.radians(yaw_deg))
-    slower = stretched(motion, stretch)
-    task = Task(slower, read_title(path), room, fleet, rate or kind.rate, storage)
+    wish = Wish(name, frame, origin, math.radians(yaw_deg), fleet_file, rate, stretch, storage)
     place = _place(directory, name) if folder is None else folder
-    if place.exists() and not place.is_dir():
-        raise FileError(f"{place}: is a file; an export is a folder, choose another with -o")
     with LateProgress(sys.stderr, "certifying") as progress:
-        certificate = certify(task.motion, progress)
-        done = export_plan(kind, task, certificate, place, progress)
+        done = export_motion(read_plan(path), read_title(path), wish, place, progress)
     for part in done:
         _show(part)
 
 
 def _place(directory: Path, name: str) -> Path:
-    resolved = directory.resolve()
+    """Return the folder beside DIR that is called after both."""
+    own = directory.resolve().name or "plan"
     return (
-        directory / ".." / f"{resolved.name}-{name}"
-        if not directory.name
-        else (directory.parent / f"{resolved.name}-{name}")
+        directory / ".." / f"{own}-{name}"
+        if directory.name in {"", ".."}
+        else (directory.with_name(f"{own}-{name}"))
     )
 
 
