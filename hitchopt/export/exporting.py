@@ -117,9 +117,10 @@ def _arranged(
     progress: Progress | None,
 ) -> tuple[Export, ...]:
     tasks, note = arrangement.tasks, arrangement.note
+    before = part_folders(folder)  # the manifest that tells them is about to be replaced
     if len(tasks) == 1:
         exported = (_export(kind, tasks[0], certificate, folder, note, progress),)
-        _remove_parts(folder, ())
+        _remove_parts(folder, before)
         return exported
     names = tuple(f"part{i + 1}" for i in range(len(tasks)))
     with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
@@ -129,7 +130,7 @@ def _arranged(
         _export(kind, part, certificate, folder / name, note, progress)
         for part, name in zip(tasks, names, strict=True)
     )
-    _remove_parts(folder, names)
+    _remove_parts(folder, [name for name in before if name not in names])
     content = manifest_of_parts(kind, tasks[0], names)
     replace_files(
         folder,
@@ -197,11 +198,11 @@ def _refuse_strangers(folder: Path, files: Sequence[str]) -> None:
             )
 
 
-def _remove_parts(folder: Path, kept: Sequence[str]) -> None:
+def _remove_parts(folder: Path, names: Sequence[str]) -> None:
     """Remove the folders of an earlier export that was cut into more parts."""
-    for name in part_folders(folder):
+    for name in names:
         part = folder / name
-        if name in kept or not part.is_dir():
+        if not part.is_dir():
             continue
         for file in owned_files(part):
             (part / file).unlink(missing_ok=True)

@@ -48,14 +48,14 @@ def attitudes_of(task: Task, states: States) -> Attitudes:
     jerk = room.vectors(states.jerks) - change
     size = np.linalg.norm(specific, axis=-1, keepdims=True)
     z = specific / size
-    ahead = np.array([np.cos(room.heading), np.sin(room.heading), 0.0])
-    y = np.cross(z, ahead)
-    y /= np.linalg.norm(y, axis=-1, keepdims=True)
-    x = np.cross(y, z)
+    left = np.array([-np.sin(room.heading), np.cos(room.heading), 0.0])
+    x = np.cross(left, z)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    y = np.cross(z, x)
     turning = (jerk - np.sum(jerk * z, axis=-1, keepdims=True) * z) / size  # the rate of z
     roll, pitch = -np.sum(turning * y, axis=-1), np.sum(turning * x, axis=-1)
-    # Constant heading: y stays normal to `ahead`, so ω_z (x·ahead) = ω_x (z·ahead).
-    yaw = roll * (z @ ahead) / (x @ ahead)
+    # Constant heading: x stays normal to `left`, so ω_z (y·left) = ω_y (z·left).
+    yaw = pitch * (z @ left) / (y @ left)
     axes = np.stack([x, y, z], axis=-1)
     return Attitudes(_quaternions(axes), np.stack([roll, pitch, yaw], axis=-1))
 

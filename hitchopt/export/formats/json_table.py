@@ -113,7 +113,7 @@ def _head(path: Path) -> dict[str, Any]:
 
 
 def _blocks(path: Path, drones: int) -> Iterator[Block]:
-    size = max(1, 100 * ROWS // drones)
+    size = max(1, 20 * ROWS // drones)
     try:
         with path.open(encoding="utf-8") as file:
             file.readline(MAX_LINE)

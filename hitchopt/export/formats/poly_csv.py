@@ -124,7 +124,8 @@ def read_poly_csv(path: Path) -> PolyTable:
         raise FileError(
             f"{path}: has no row of numbers after its first line ({header[:40]!r}); it is truncated"
         )
-    table = np.array(rows, dtype=np.float64).astype(np.float32).astype(np.float64)
+    with np.errstate(over="ignore"):  # told below
+        table = np.array(rows, dtype=np.float64).astype(np.float32).astype(np.float64)
     if not np.all(np.isfinite(table)):
         raise FileError(f"{path}: a number is beyond single precision, which is what drones hold")
     if not np.all(table[:, 0] > 0.0):

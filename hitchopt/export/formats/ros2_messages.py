@@ -135,6 +135,9 @@ def bag_recording(path: Path) -> Recording:
         with highlevel.AnyReader([path], default_typestore=Messages().store) as bag:
             kinds = sorted({connection.msgtype for connection in bag.connections})
             wanted = [c for c in bag.connections if c.msgtype == Messages.TRAJECTORY]
+            if not wanted:  # of no connection the library gives all messages
+                told = ", ".join(kinds) or "nothing"
+                raise FileError(f"{path}: holds no {Messages.TRAJECTORY}, but {told}")
             for connection, _, data in bag.messages(wanted):
                 message = bag.deserialize(data, connection.msgtype)
                 frame = FRAMES.get(message.header.frame_id, "")
@@ -149,8 +152,7 @@ def bag_recording(path: Path) -> Recording:
     except Exception as error:  # the library has many of its own, without a common root
         raise FileError(f"{path}: is no bag, or a damaged one: {error}") from error
     if not found:
-        told = ", ".join(kinds) or "nothing"
-        raise FileError(f"{path}: holds no {Messages.TRAJECTORY}, but {told}")
+        raise FileError(f"{path}: its trajectories name no joint")
     names, tables = tuple(found), list(found.values())
     if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
         raise FileError(f"{path}: its trajectories have different times")
