@@ -30,7 +30,8 @@ COUNTS = (0, 1, 3, 7)
 def segments(data: bytes) -> tuple[list[int], list[tuple[int, list[list[int]]]], bytes]:
     """Start, segments (duration in ms, given points of x, y, z, yaw) and what follows the end."""
     start = list(struct.unpack_from("<4h", data))
-    at, found = 8, []
+    at = 8
+    found: list[tuple[int, list[list[int]]]] = []
     while True:
         kind, duration = struct.unpack_from("<BH", data, at)
         at += 3

@@ -32,7 +32,7 @@ def test_ends_are_the_plan_s(kind: Kind) -> None:
 @given(st.integers(0, 20))
 def test_polynomials_of_the_degree_are_met_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    whole = PiecewisePolynomial([0.0, 2.0], rng.normal(size=(1, 2, 3, 8)))
+    whole = PiecewisePolynomial(np.array([0.0, 2.0]), rng.normal(size=(1, 2, 3, 8)))
     fit = fitted(whole, np.array([0.0, 0.3, 1.1, 2.0]), SEPTIC)
     t = rng.uniform(0.0, 2.0, 40)
     np.testing.assert_allclose(fit.at(t), whole.at(t), atol=1e-9)
@@ -133,5 +133,5 @@ def test_what_is_round_already_stays() -> None:
     rng = np.random.default_rng(1)
     c = rng.integers(-2000, 2000, size=(3, 2, 3, 8)).astype(np.float64)
     c[1:, ..., 0] = c[:-1, ..., -1]
-    curves = PiecewisePolynomial([0.0, 0.4, 1.0, 1.3], c * 1e-3)
+    curves = PiecewisePolynomial(np.array([0.0, 0.4, 1.0, 1.3]), c * 1e-3)
     assert np.array_equal(rounded(curves, 1e-3, Scale()).coefficients, curves.coefficients)

@@ -29,7 +29,7 @@ def test_rotations_keep_lengths_and_turn_the_right_way(room: Room) -> None:
 @given(ROOMS)
 def test_there_and_back(room: Room) -> None:
     rng = np.random.default_rng(0)
-    part = PiecewisePolynomial([0.0, 1.0, 1.5], rng.normal(size=(2, 4, 3, 5)))
+    part = PiecewisePolynomial(np.array([0.0, 1.0, 1.5]), rng.normal(size=(2, 4, 3, 5)))
     back = room.in_plan(room.placed(part))
     np.testing.assert_allclose(back.coefficients, part.coefficients, atol=1e-12)
     t = np.array([0.2, 1.4])
