@@ -7,6 +7,7 @@ import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -196,7 +197,7 @@ def test_far_away_polynomials_are_noted(tmp_path: Path) -> None:
     assert rules_of(found, NOTE) == {"range", "duration"}
 
 
-def show(folder: Path, edit: Callable[[dict[str, object], list[object]], object]) -> Report:
+def show(folder: Path, edit: Callable[[dict[str, Any], list[Any]], object]) -> Report:
     exported(swarm_plan(), "skybrush", folder)
     path = folder / "show.skyc"
     with zipfile.ZipFile(path) as archive:
@@ -213,8 +214,8 @@ def test_shows_away_from_home_or_finer_than_a_millisecond(tmp_path: Path) -> Non
     found = show(tmp_path / "a", lambda settings, _: settings.update(home=[0.0, 0.0, 0.0]))
     assert rules_of(found, WARNING) == {"start"}
 
-    def split(_: object, points: list[object]) -> None:
-        (t, place, _controls) = points[0]  # type: ignore[misc]
+    def split(_: object, points: list[Any]) -> None:
+        t, place, _controls = points[0]
         points.insert(1, [t + 1e-4, place, []])
 
     assert "duration" in rules_of(show(tmp_path / "b", split), ERROR)
