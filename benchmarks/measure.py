@@ -162,7 +162,9 @@ def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> M
     try:
         found = solve()
     except MemoryError:
-        return Measurement(solver, kind, task.robots, f"failed: over {MEMORY / 1e9:g} GB")
+        took = time.process_time() - began
+        status = f"failed: over {MEMORY / 1e9:g} GB"
+        return Measurement(solver, kind, task.robots, status, first=took)
     except RivalError as error:
         took = time.process_time() - began
         return Measurement(solver, kind, task.robots, f"failed: {error}", first=took)
