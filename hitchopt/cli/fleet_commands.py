@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--format", "name", metavar="NAME", required=True, help="One of those below.")
+@click.option("--format", "name", metavar="NAME", required=True, help="One of those above.")
 @click.option(
     "-o",
     "--output",

@@ -115,6 +115,12 @@ def test_usage_that_is_wrong_ends_with_2(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_help_names_every_format() -> None:
+    told = run("export", "--help").stdout
+    assert all(name in told for name in HOMES)
+    assert "Formats:" in told
+
+
 def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
     assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
     Path("taken").write_text("mine")

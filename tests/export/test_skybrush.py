@@ -73,6 +73,7 @@ def test_a_zip_of_csv_is_the_plan(motion: Flying, tmp_path: Path) -> None:
     (part,) = exported(motion, "skybrush_csv", tmp_path)
     assert part.verdict.position.worst <= 2e-3
     with zipfile.ZipFile(tmp_path / "show.zip") as archive:
+        assert archive.comment == b"frame: nwu"
         assert archive.namelist() == [f"{name}.csv" for name in motion.team.drone_names]
         for i, name in enumerate(archive.namelist()):
             header, *rows = archive.read(name).decode().splitlines()

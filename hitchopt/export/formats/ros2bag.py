@@ -66,7 +66,11 @@ class Ros2Bag(Whole):
             data: lambda path: write_bag(path, task),
             METADATA: lambda path: None,  # noqa: ARG005  written with the data
         }
-        yield Candidate(writers, (f"play it with: ros2 bag play (topics /{task.names[0]}/… )",))
+        notes = (
+            f"ros2 bag play FOLDER sends /{task.names[0]}/cmd_full_state and the like",
+            f"{task.rate:g} Hz to every drone: one radio streams to about four Crazyflies",
+        )
+        yield Candidate(writers, notes)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories."""

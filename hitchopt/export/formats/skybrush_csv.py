@@ -68,6 +68,7 @@ def write_zip(path: Path, task: Task) -> None:
     milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate)).astype(np.int64)
     t = np.minimum(milliseconds * 1e-3, float(drones.breaks[-1]))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.comment = f"frame: {task.room.frame}".encode()
         for i, name in enumerate(task.names):
             curve = PiecewisePolynomial(drones.breaks, drones.coefficients[:, i])
             places = task.room.points(curve.at(t)) + 0.0
