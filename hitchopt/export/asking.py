@@ -81,7 +81,15 @@ def export_motion(
     roles = motion.team.drone_names
     fleet = placeholder_fleet(roles) if wish.fleet is None else read_fleet(wish.fleet, roles)
     room = Room(wish.frame or kind.frames[0], wish.origin, wish.yaw)
-    task = Task(stretched(motion, wish.stretch), title, room, fleet, rate, wish.storage)
+    task = Task(
+        stretched(motion, wish.stretch),
+        title,
+        room,
+        fleet,
+        rate,
+        wish.storage,
+        wish.rate is not None,
+    )
     place = Path(folder)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is a file; an export is a folder, choose another one")

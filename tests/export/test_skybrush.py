@@ -5,20 +5,27 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import exported, hitch_plan, swarm_plan
+from exported_plans import exported, hitch_plan, swarm_plan, task_of
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError
+from hitchopt.certificate import Certificate
+from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.export.exporting import export_plan
+from hitchopt.export.formats.registry import format_of
 from hitchopt.export.formats.skybrush_csv import HEADER, lines_of, read_zip
 from hitchopt.export.formats.skybrush_show import drones_of_show
+from hitchopt.export.judging import flown_checks
 from hitchopt.export.sampling import states_at
-from hitchopt.model.motion import Flying
+from hitchopt.hitch import Limits, Separation, Swarm
+from hitchopt.model.motion import Flying, Phase
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -84,6 +91,32 @@ def test_a_zip_of_csv_is_the_plan(motion: Flying, tmp_path: Path) -> None:
             np.testing.assert_allclose(table[:, 1:4], places, atol=1e-6)
             assert np.all(np.diff(t) == pytest.approx(0.05))
             assert 0.0 <= t[-1] - motion.duration < 0.05
+
+
+def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> None:
+    """Two drones on one circle, always opposite, at just their distance: lines cut corners."""
+    angles = np.linspace(0.0, 4.0 * np.pi, 200)
+    around = 0.1201 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=-1)
+    slopes = np.gradient(around, angles, axis=0)
+    t = 4.0 * angles / angles[-1]
+    ends = np.stack([np.stack([s, -s], axis=1) for s in (around, slopes * np.pi)])
+    ends[0] += [0.0, 0.0, 1.0]
+    swarm = swarm_plan()
+    pair = replace(
+        swarm,
+        team=Swarm(2),
+        limits=Limits(speed=5.0, acceleration=1e3, jerk=1e6),
+        separation=Separation(),
+        drones=PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
+        phases=(Phase("circle", 0, 0.0, 4.0),),
+    )
+    certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
+    kind = format_of("skybrush_csv")
+    (part,) = export_plan(kind, task_of(pair, "skybrush_csv"), certificate, tmp_path)
+    assert [note.split(":")[0] for note in part.notes] in (["at 40 Hz"], ["at 100 Hz"])
+    asked = replace(task_of(pair, "skybrush_csv"), rate_given=True)
+    with pytest.raises(InfeasibleError, match=r"separation: 0\.9"):
+        export_plan(kind, asked, certificate, tmp_path / "out", suggest=False)
 
 
 def edited(folder: Path, edit: Callable[[dict[str, Any]], object]) -> Path:

@@ -34,6 +34,9 @@ from hitchopt.export.recording import Recording, lasted, recording_of_curves
 from hitchopt.export.refit.breaks import greedy_breaks, span_error
 from hitchopt.export.refit.pieces import Kind, Scale, fitted
 from hitchopt.export.refit.rounding import rounded
+from hitchopt.export.refit.settling import Keeping, settled, settling_times
+from hitchopt.export.sampling import states_at
+from hitchopt.hitch import GRAVITY
 from hitchopt.model.motion import Flying
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -46,6 +49,9 @@ SMOOTH = 1
 
 BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
 """Of the refit over Scale, the best first: long pieces fit worse and suffer less from rounding."""
+
+ACCURACY = 2e-3
+"""[m]"""
 
 SCALE = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
 """Of rounding."""
@@ -60,7 +66,7 @@ class CompressedBytes:
     summary = "compressed trajectories for Crazyflies, as bytes"
     frames = ("enu", "nwu")
     rate = 0.0
-    accuracy = 2e-3
+    accuracy = ACCURACY
     feed_forward = (
         "not in these files: the on-board controller differentiates the curve and adds gravity, "
         "but not the cable's pull; its integral has to find it, or stream full states (ros2bag)"
@@ -117,11 +123,22 @@ def compressed(task: Task, bound: float = BOUNDS[0]) -> dict[str, bytes]:
     if breaks is None:  # every piece may be one quantum
         raise FileError("compressed: a plan of no duration has no pieces")
     fit = fitted(lasted(curves, float(breaks[-1])), breaks, KIND)
-    whole = rounded(task.room.placed(fit), MILLI, SCALE)
+    placed = task.room.placed(fit)
+    whole = settled(rounded(placed, MILLI, SCALE), placed, MILLI, _keeping(task, breaks))
     durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
     points = np.rint(whole.coefficients / MILLI).astype(np.int64)
     heading = task.room.heading
     return {n: encoded(durations, points[:, i], heading) for i, n in enumerate(task.names)}
+
+
+def _keeping(task: Task, breaks: Array) -> Keeping:
+    """Return the limits that rounding may break: speed and thrust, in the file's axes."""
+    motion = task.motion
+    t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
+    mass = motion.team.mass
+    weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
+    load = task.room.vectors(weight - states_at(motion, t).cable_forces)
+    return Keeping(motion.limits.speed, mass, motion.team.max_thrust, load, ACCURACY)
 
 
 def read_compressed(path: Path) -> PiecewisePolynomial:

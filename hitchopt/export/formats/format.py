@@ -32,6 +32,7 @@ class Task:
     fleet: who flies its drones.
     rate: samples a second of the formats that sample [Hz].
     storage: of a bag, mcap or sqlite3.
+    rate_given: whether the user asked for that rate; else a format may sample more often.
     """
 
     motion: Flying
@@ -40,6 +41,7 @@ class Task:
     fleet: Fleet
     rate: float
     storage: str = "mcap"
+    rate_given: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:

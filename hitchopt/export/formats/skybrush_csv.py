@@ -10,6 +10,8 @@ import io
 import zipfile
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from math import ceil
 from pathlib import Path
 
@@ -44,8 +46,12 @@ class SkybrushCsv(Whole):
     feed_forward = "not in these files: they hold positions alone"
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the one zip there is."""
-        yield Candidate({FILE: lambda path: write_zip(path, task)})
+        """Give the zip at the usual rate, then at higher ones; only at one that was asked for."""
+        yield Candidate({FILE: partial(write_zip, task=task)})
+        for rate in () if task.rate_given else (40.0, 100.0):
+            more = replace(task, rate=rate)
+            note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
+            yield Candidate({FILE: partial(write_zip, task=more)}, (note,))
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the lines through the positions."""

@@ -1,0 +1,159 @@
+"""Rounded control points moved by a unit here and there, where rounding breaks a limit of the plan.
+
+A plan that flies at a limit has nothing left for rounding. But of the many roundings within the
+accuracy some keep it: single inner control points, and pairs of them, are moved by one quantum as
+long as that lowers what is beyond the limits. Limits are looked at in points; whether the result
+will do is for the certificate to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+POINTS = 33
+"""Of a piece, at which limits are looked at."""
+
+MARGIN = 3e-4
+"""Relative: what is kept off the limits, for what lies between the points and for the bounds."""
+
+MOST = 500
+"""Pieces of single drones that are settled, at some 10 ms each; with more, limits are too tight."""
+
+STEPS = 12
+"""Moves of one piece."""
+
+NEAR = 0.85
+"""Of the accuracy: errors beyond cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Keeping:
+    """What is to be kept.
+
+    Attributes
+    ----------
+    speed: of every drone [m/s].
+    mass, max_thrust: (D,) [kg], [N].
+    load: (pieces, POINTS, D, 3) [N]: what thrust carries besides acceleration, ``m g ẑ - F``.
+    accuracy: of positions [m].
+    """
+
+    speed: float
+    mass: Array
+    max_thrust: Array
+    load: Array
+    accuracy: float
+
+
+def settling_times(breaks: Array) -> Array:
+    """Return (pieces, POINTS) [s]: when limits are looked at."""
+    x = np.linspace(0.0, 1.0, POINTS)
+    times: Array = breaks[:-1, None] + x * np.diff(breaks)[:, None]
+    return times
+
+
+def settled(
+    curves: PiecewisePolynomial, wanted: PiecewisePolynomial, quantum: float, keeping: Keeping
+) -> PiecewisePolynomial:
+    """Return the curves (D, 3), moved by quanta within pieces; their ends stay.
+
+    Parameters
+    ----------
+    curves: whose control points are multiples of ``quantum``.
+    wanted: what they were rounded from, on the same pieces.
+    quantum: [m]
+    keeping: the limits.
+    """
+    c = np.array(curves.coefficients)
+    beyond = np.stack([_beyond(c[p], h, keeping, p) for p, h in enumerate(curves.durations)])
+    pieces, drones = np.nonzero(beyond > 0.0)
+    if len(pieces) > MOST:
+        return curves
+    for p, d in zip(pieces.tolist(), drones.tolist(), strict=True):
+        h = float(curves.durations[p])
+        c[p, d] = _one_settled(c[p, d], wanted.coefficients[p, d], h, quantum, keeping, p, d)
+    return PiecewisePolynomial(curves.breaks, np.rint(c / quantum) * quantum)
+
+
+def _one_settled(
+    c: Array, wanted: Array, h: float, quantum: float, keeping: Keeping, piece: int, drone: int
+) -> Array:
+    """Return the control points (3, N + 1) of one drone's piece after the moves that help most."""
+    moves = quantum * _moves(bernstein.degree(c))
+    basis, slopes, _ = _bases(bernstein.degree(c))
+    goal, pace = basis @ wanted.T, slopes @ wanted.T / h
+    for _ in range(STEPS):
+        each = c + moves  # (moves, 3, N + 1)
+        beyond = _beyond(each, h, keeping, piece, drone)
+        if beyond[0] == 0.0:  # the first one moves nothing
+            break
+        off = np.max(np.linalg.norm(np.einsum("tn,mdn->mtd", basis, each) - goal, axis=-1), axis=1)
+        wild = np.einsum("tn,mdn->mtd", slopes, each) / h - pace
+        cost = (
+            1e5 * beyond
+            + 2e1 * np.maximum(off / keeping.accuracy - NEAR, 0.0)
+            + np.max(np.linalg.norm(wild, axis=-1), axis=1) / keeping.speed
+        )
+        best = int(np.argmin(cost))
+        if best == 0:
+            break
+        c = each[best]
+    return c
+
+
+def _beyond(
+    each: Array, h: float, keeping: Keeping, piece: int, drone: int | slice = slice(None)
+) -> Array:
+    """Return by how much pieces (m, 3, N + 1) are beyond their limits, relative to these, (m,).
+
+    The root of the mean of squares over the points: a move that helps one of several is told so.
+    """
+    _, slopes, bends = _bases(bernstein.degree(each))
+    speed = np.linalg.norm(np.einsum("tn,mdn->mtd", slopes, each) / h, axis=-1)
+    pull = np.einsum("tn,mdn->mtd", bends, each) / h**2
+    mass, load = keeping.mass[drone], keeping.load[piece, :, drone]
+    if isinstance(drone, slice):
+        thrust = mass[:, None, None] * pull + np.moveaxis(load, 1, 0)
+    else:
+        thrust = mass * pull + load
+    pushed = np.linalg.norm(thrust, axis=-1) / np.reshape(keeping.max_thrust[drone], (-1, 1))
+    most = 1.0 - MARGIN
+    squares = np.maximum(speed / keeping.speed - most, 0.0) ** 2
+    squares += np.maximum(pushed - most, 0.0) ** 2
+    beyond: Array = np.sqrt(np.mean(squares, axis=1))
+    return beyond
+
+
+@lru_cache
+def _bases(degree: int) -> tuple[Array, Array, Array]:
+    """(POINTS, degree + 1) each: the basis and its derivatives by the local parameter."""
+    x = np.linspace(0.0, 1.0, POINTS)
+    rows = np.eye(degree + 1)
+    found = []
+    for _ in range(3):
+        found.append(bernstein.basis(x, rows.shape[-1] - 1) @ rows.T)
+        rows = bernstein.differentiate(rows)
+    return found[0], found[1], found[2]
+
+
+@lru_cache
+def _moves(degree: int) -> Array:
+    """Return (moves, 3, degree + 1): none, a run of inner control points, any two of them."""
+    runs = []
+    for first, last in combinations(range(1, degree + 1), 2):
+        for axis in range(3):
+            run = np.zeros((3, degree + 1))
+            run[axis, first:last] = 1.0
+            runs += [run, -run]
+    single = [run for run in runs if np.abs(run).sum() == 1.0]
+    pairs = [a + b for a, b in combinations(single, 2)]
+    return np.array([np.zeros((3, degree + 1)), *runs, *pairs])
