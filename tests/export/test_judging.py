@@ -155,3 +155,19 @@ def test_other_drones_are_refused() -> None:
         judge(motion, recording, Room(), motion.team.drone_names)
     with pytest.raises(FileError, match="more of them"):
         judge(motion, recording, Room(), ("a", "b"))
+
+
+def test_cables_are_judged_while_the_hitch_exists() -> None:
+    """A drone far off its leg during a span without a hitch: only the drones' own checks see it."""
+    motion = hitch_plan()
+    first, pause, last = motion.phases
+    free = replace(motion, phases=(first, replace(pause, formed=False), last))
+    coefficients = np.array(motion.drones.coefficients)
+    middles = 0.5 * (motion.drones.breaks[1:] + motion.drones.breaks[:-1])
+    within = (middles > pause.start) & (middles < pause.end)
+    coefficients[within, 0, 2] += 0.3
+    curves = PiecewisePolynomial(motion.drones.breaks, coefficients)
+    assert "cable_length" in {check.name for check in judged(motion, curves).lost}
+    verdict = judged(free, curves)
+    assert "cable_length" not in {check.name for check in verdict.lost}
+    assert verdict.position.worst == pytest.approx(0.3, rel=1e-3)
