@@ -34,6 +34,9 @@ MODE = 70
 
 SMOOTH = 2
 
+SAME_TIME = 1e-6
+"""[s] Within which the drones' rows are of one time."""
+
 BLOCK = 50_000
 """Rows that are formatted at once."""
 
@@ -163,7 +166,7 @@ def recording_of_tables(
     """
     t = tables[0][:, 0]
     for name, table in zip(names, tables, strict=True):
-        if not np.array_equal(table[:, 0], t):
+        if len(table) != len(t) or np.max(np.abs(table[:, 0] - t)) > SAME_TIME:
             raise FileError(f"{name}: its times are not those of {names[0]}")
     values = np.stack(tables, axis=1)[..., 1:]  # (S, D, 9)
     derivatives = np.moveaxis(values.reshape(*values.shape[:2], 3, 3), 2, 0).copy()
