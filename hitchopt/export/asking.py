@@ -23,6 +23,9 @@ MAX_RATE = 10_000.0
 STORAGES = ("mcap", "sqlite3")
 """Of a bag."""
 
+FILES = (".csv", ".parquet", ".npz", ".json", ".skyc", ".zip", ".mcap", ".db3", ".bin", ".yaml")
+"""Endings of what goes into an export's folder: whoever names a file so did not mean a folder."""
+
 
 @dataclass(frozen=True)
 class Wish:
@@ -91,6 +94,8 @@ def export_motion(
         wish.rate is not None,
     )
     place = Path(folder)
+    if place.suffix.lower() in FILES and not place.is_dir():
+        raise InputError("-o", str(place), "a folder", "an export is one; leave the ending out")
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is a file; an export is a folder, choose another one")
     return export_plan(kind, task, certify(task.motion, progress), place, progress)

@@ -23,6 +23,9 @@ from hitchopt.errors import FileError, InputError
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")
 """What is a file's name, a ROS topic and a key of YAML alike."""
 
+WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
+"""Names that YAML 1.1, as ROS reads it, takes for something else."""
+
 PER_RADIO = 15
 """Drones that one radio serves with trajectories uploaded."""
 
@@ -110,11 +113,11 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
         for role in roles
     )
     for member in members:
-        if not NAME.match(member.name):
+        if not NAME.match(member.name) or member.name.lower() in WORDS:
             raise InputError(
                 f"drones.{member.role}.name",
                 member.name,
-                "letters, digits and underscores, a letter first",
+                "letters, digits and underscores, a letter first, and no word of YAML",
                 "files and topics are called so",
             )
     for key in ("name", "uri"):

@@ -127,6 +127,10 @@ def test_the_help_names_every_format() -> None:
 
 def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
     assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
+    ending = run("export", plan, "--format", "csv", "-o", "table.csv")
+    assert ending.exit_code == 2
+    assert "-o = 'table.csv': must be a folder" in ending.stderr
+    assert not Path("table.csv").exists()
     Path("taken").write_text("mine")
     done = run("export", plan, "--format", "csv", "-o", "taken")
     assert done.exit_code == 2

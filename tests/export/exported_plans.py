@@ -85,7 +85,7 @@ def swarm_plan() -> SwarmMotion:
 
 
 @lru_cache
-def long_plan(times: int = 6) -> Motion:
+def long_plan(times: int = 3) -> Motion:
     """There and back, again and again: rests in between."""
     there = hitch_plan()
     end = there.duration

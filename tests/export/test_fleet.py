@@ -52,6 +52,7 @@ def changed(role: str, **keys: object) -> dict[str, object]:
         (changed("q0", name=None), r"drones.q0.name = '\(missing\)'"),
         (changed("q0", name="cf 7"), "drones.q0.name = 'cf 7': must be letters"),
         (changed("q0", name="../up"), "drones.q0.name"),
+        (changed("q0", name="On"), "no word of YAML"),
         (changed("q0", name="CF9"), "must be of one drone only"),
         (changed("q0", uri="radio://1/90/2M/E7E7E7E709"), "uri = .* must be of one drone only"),
         (changed("q0", uri="E7E7E7E707"), "drones.q0.uri = 'E7E7E7E707': must be an address"),

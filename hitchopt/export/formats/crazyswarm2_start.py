@@ -51,7 +51,7 @@ def settings_text(task: Task, first: Array) -> str:
         lines += [
             f"  {member.name}:",
             "    enabled: true",
-            f"    uri: {member.uri}",
+            f"    uri: {json.dumps(member.uri)}",
             f"    initial_position: [{point[0]:.6g}, {point[1]:.6g}, 0.0]",
             f"    type: {json.dumps(member.type)}  # the plan's {member.role}",
         ]
