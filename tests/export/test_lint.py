@@ -229,6 +229,14 @@ def test_gaps_between_streamed_setpoints(tmp_path: Path) -> None:
     assert "rate" in rules_of(report(tmp_path), ERROR)
 
 
+def test_bags_that_are_too_slow_to_stream(tmp_path: Path) -> None:
+    exported(swarm_plan(), "ros2bag", tmp_path / "slow", rate=25.0)
+    found = report(tmp_path / "slow")
+    assert rules_of(found, WARNING) == {"rate"}
+    exported(swarm_plan(), "ros2bag", tmp_path / "fast", rate=30.0)
+    assert report(tmp_path / "fast").findings == ()
+
+
 def test_setpoints_of_different_lengths(tmp_path: Path) -> None:
     exported(swarm_plan(), "mavsdk_drone_show", tmp_path)
     path = tmp_path / "Drone 2.csv"

@@ -75,6 +75,17 @@ def test_a_show_is_the_plan(motion: Flying, tmp_path: Path) -> None:
             assert apart <= part.verdict.position.worst + 1e-9
 
 
+def test_a_tight_limit_takes_more_points(tmp_path: Path) -> None:
+    swarm = swarm_plan()
+    (usual,) = exported(swarm, "skybrush", tmp_path / "usual")
+    planned = np.radians(flown_checks(swarm)["tilt"].worst)
+    tight = replace(swarm, limits=replace(swarm.limits, tilt=planned * 1.05))
+    (part,) = exported(tight, "skybrush", tmp_path / "tight")
+    points = [int(p.notes[0].split()[0]) for p in (usual, part)]
+    assert points[1] > points[0]
+    assert part.verdict.lost == ()
+
+
 @MOTIONS
 def test_a_zip_of_csv_is_the_plan(motion: Flying, tmp_path: Path) -> None:
     (part,) = exported(motion, "skybrush_csv", tmp_path)

@@ -27,6 +27,9 @@ SAME_START = 1e-3
 WATCHDOG = 0.5
 """[s] Without a setpoint for so long a Crazyflie levels itself."""
 
+SLOWEST = 30.0
+"""[Hz] At which full states are usefully streamed."""
+
 
 @dataclass(frozen=True)
 class Rules:
@@ -221,7 +224,17 @@ def _placed(seen: _Seen, loaded: Loaded) -> list[Finding]:
                 "rate",
                 "",
                 f"{seen.longest:.3g} s between two setpoints; the drones' watchdog waits "
-                f"{WATCHDOG} s; sample at 30 Hz or more",
+                f"{WATCHDOG} s; sample at {SLOWEST:g} Hz or more",
+            )
+        )
+    elif loaded.kind == "ros2bag" and seen.longest * SLOWEST > 1.01:
+        found.append(
+            Finding(
+                WARNING,
+                "rate",
+                "",
+                f"{1.0 / seen.longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to "
+                "100 Hz; sample more often",
             )
         )
     return found
