@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import runpy
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -105,17 +109,63 @@ def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
     assert settings["all"]["firmware_params"]["commander"]["enHighLevel"] == 1
 
 
-def test_the_script_starts_all_in_step(tmp_path: Path) -> None:
-    exported(hitch_plan(), "crazyswarm2", tmp_path)
-    text = (tmp_path / "fly.py").read_text(encoding="utf-8")
-    compile(text, "fly.py", "exec")
-    for needed in ("relative=False", "goTo(", "uploadTrajectory(0, 0,", "everyone.startTrajectory"):
-        assert needed in text
-    first = eval(text.partition("FIRST = ")[2].partition("}")[0] + "}")
-    for name, point in first.items():
-        np.testing.assert_allclose(
-            point, flown(tmp_path / f"{name}.csv", np.zeros(1))[0], atol=1e-5
-        )
+class FakeFleet:
+    """Stands for crazyflie_py: notes what is asked of which drone."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.calls: list[tuple[str, str, tuple[object, ...], dict[str, object]]] = []
+        self.crazyfliesByName = {name: FakeDrone(self, name) for name in names}
+        self.allcfs = self
+        self.timeHelper = FakeDrone(self, "clock")
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(FakeDrone(self, "all"), name)
+
+
+class FakeDrone:
+    def __init__(self, fleet: FakeFleet, name: str) -> None:
+        self._fleet, self._name = fleet, name
+
+    def __getattr__(self, call: str) -> Callable[..., None]:
+        return lambda *args, **keys: self._fleet.calls.append((self._name, call, args, keys))
+
+
+class FakeTrajectory:
+    def loadcsv(self, path: Path) -> None:
+        self.rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(33))
+
+
+@pytest.mark.parametrize("arguments", [[], ["--from-here"]])
+def test_the_script_starts_all_in_step(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (part,) = exported(hitch_plan(), "crazyswarm2", tmp_path)
+    names = hitch_plan().team.drone_names
+    fleet = FakeFleet(names)
+    package, reader = ModuleType("crazyflie_py"), ModuleType("crazyflie_py.uav_trajectory")
+    monkeypatch.setattr(package, "Crazyswarm", lambda: fleet, raising=False)
+    monkeypatch.setattr(reader, "Trajectory", FakeTrajectory, raising=False)
+    monkeypatch.setitem(sys.modules, "crazyflie_py", package)
+    monkeypatch.setitem(sys.modules, "crazyflie_py.uav_trajectory", reader)
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    monkeypatch.setattr(sys, "argv", ["fly.py", *arguments])
+    runpy.run_path(str(tmp_path / "fly.py"), run_name="__main__")
+    told = [(who, call) for who, call, _, _ in fleet.calls if who != "clock"]
+    uploads = [(name, "uploadTrajectory") for name in names]
+    ways = [(name, "goTo") for name in names]
+    takeoff = [] if arguments else [("all", "takeoff")]
+    assert told == [*uploads, *takeoff, *ways, ("all", "startTrajectory"), ("all", "land")]
+    for who, call, args, keys in fleet.calls:
+        if call == "uploadTrajectory":
+            assert args[:2] == (0, 0)  # trajectory 0 at offset 0
+        elif call == "goTo":
+            start = flown(tmp_path / f"{who}.csv", np.zeros(1))[0]
+            np.testing.assert_allclose(np.array(args[0]), start, atol=1e-5)
+        elif call == "startTrajectory":
+            assert keys["relative"] is False
+            started = fleet.calls.index((who, call, args, keys))
+    waits = [args[0] for _, call, args, _ in fleet.calls[started:] if call == "sleep"]
+    assert float(str(waits[0])) >= part.verdict.duration
     note = (tmp_path / "README.txt").read_text(encoding="utf-8")
     assert "relative=False" in note
     assert "placeholders" in note
