@@ -155,10 +155,9 @@ def report(done: Sequence[Outcome], load: float) -> list[str]:
         counts = " | ".join(str(statuses.count(name)) for name in names)
         spread = f"{np.median(tried):.2f} | {np.max(tried):.2f}"
         lines.append(f"| {n or 'all'} | {len(some)} | {counts} | {spread} |")
-    lines.append("")
     lines += [
-        f"- {one.morph}: {one.status}; of {one.restarts} restarts {one.found} found a way, "
-        f"{one.capped} were stopped"
+        f"| {one.morph} | {one.status}: of {one.restarts} restarts {one.found} found a way, "
+        f"{one.capped} were stopped | | | | | | |"
         for one in random
         if one.status in ("failed", "believed infeasible")
     ]

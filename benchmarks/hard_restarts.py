@@ -88,15 +88,23 @@ def restarted(case: Case, rng: np.random.Generator) -> list[Candidate]:
 
 @contextmanager
 def _capped(seconds: float) -> Iterator[None]:
-    """Raise CapReachedError in the body after that much processor time, when a solve returns."""
+    """Raise CapReachedError in or after the body once it has taken that much processor time.
+
+    A solver that is stopped may swallow the error, so it is raised again every second.
+    """
+    reached = False
 
     def stop(*_: object) -> None:
+        nonlocal reached
+        reached = True
         raise CapReachedError
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds, 1.0)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
+    if reached:
+        raise CapReachedError
