@@ -1,0 +1,127 @@
+"""What the separation planner is asked: who flies from where to where, and what must hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Arena, Limits, Separation
+from hitchopt.hitch.keep_out import Prism
+from hitchopt.hitch.values import per_robot, positive
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tether:
+    """Two drones that may not part farther than a cable lets them.
+
+    Parameters
+    ----------
+    first, second: indices of the two drones.
+    longest: largest distance between them [m]
+    """
+
+    first: int
+    second: int
+    longest: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "longest", positive("longest", self.longest))
+        if self.first == self.second:
+            raise InputError("second", self.second, "another drone", "a cable has two ends")
+
+
+@dataclass(frozen=True, eq=False)
+class SeparationTask:
+    """N drones that go from rest to rest and keep out of each other's downwash.
+
+    Parameters
+    ----------
+    start, goal: (N, 3) [m]
+    limits: speed, acceleration and jerk of every drone; the rest of it is not looked at.
+    separation: radius and height of the ellipsoids.
+    arena: that the drones stay in, or None.
+    keep_out: prisms that they stay out of, by ``separation.radius``.
+    tethers: pairs of drones with a largest distance.
+    duration: exactly this long [s], or None: as short as is found.
+    nominal: of shape (N, 3) [m]: curves from start to goal that the drones stay near to, over any
+        span of time (they are flown over the whole duration); None: straight lines.
+    acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
+        tilt), or None.
+    names: of the drones, for messages; none given: d0, d1, ….
+
+    Raises
+    ------
+    InputError: shapes that do not fit, numbers that are not finite, indices out of range.
+    """
+
+    start: Array
+    goal: Array
+    limits: Limits
+    separation: Separation
+    arena: Arena | None = None
+    keep_out: tuple[Prism, ...] = ()
+    tethers: tuple[Tether, ...] = ()
+    duration: float | None = None
+    nominal: PiecewisePolynomial | None = None
+    acceleration: ArrayLike | None = None
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("start", "goal"):
+            points = np.array(getattr(self, name), dtype=np.float64)
+            if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+                raise InputError(name, points.shape, "(N, 3)", "give one point per drone")
+            if not np.all(np.isfinite(points)):
+                raise InputError(name, "nan or inf", "finite", "give metres")
+            points.setflags(write=False)
+            object.__setattr__(self, name, points)
+        n = len(self.start)
+        if len(self.goal) != n:
+            raise InputError("goal", len(self.goal), f"{n} points, as start", "one per drone")
+        if self.duration is not None:
+            object.__setattr__(self, "duration", positive("duration", self.duration))
+        if self.nominal is not None and self.nominal.shape != (n, 3):
+            raise InputError("nominal", self.nominal.shape, f"({n}, 3)", "one curve per drone")
+        if self.acceleration is not None:
+            array = per_robot("acceleration", self.acceleration, n)
+            object.__setattr__(self, "acceleration", array)
+        object.__setattr__(self, "keep_out", tuple(self.keep_out))
+        object.__setattr__(self, "tethers", tuple(self.tethers))
+        for k, tether in enumerate(self.tethers):
+            for end in (tether.first, tether.second):
+                if not 0 <= end < n:
+                    raise InputError(f"tethers[{k}]", end, f"0 … {n - 1}", "name a drone")
+        names = tuple(self.names) or tuple(f"d{i}" for i in range(n))
+        if len(names) != n:
+            raise InputError("names", names, f"{n} names", "one per drone")
+        object.__setattr__(self, "names", names)
+
+    @property
+    def drones(self) -> int:
+        """How many."""
+        return len(self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class Separated:
+    """What the planner found; it has been bounded in continuous time that it keeps the task.
+
+    Attributes
+    ----------
+    drones: of shape (N, 3) [m], from start to goal, at rest (velocity and acceleration zero) at
+        both ends; position, velocity and acceleration are continuous to 1e-9 or better.
+    closest: no two drones' separation is smaller at any time (ratio).
+    bound: no flight of these drones, even alone, takes less [s].
+    remark: how it was found, in a few words.
+    """
+
+    drones: PiecewisePolynomial
+    closest: float
+    bound: float
+    remark: str
