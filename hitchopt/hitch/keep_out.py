@@ -15,6 +15,20 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class Clearance:
+    """Where points are with respect to a prism.
+
+    Attributes
+    ----------
+    distance: (…) [m], negative within it: how deep below the nearest face.
+    normals: (…, 3), unit vectors along which the distance grows.
+    """
+
+    distance: Array
+    normals: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Prism:
     """An upright prism that drones stay out of, by ``Separation.radius`` or more.
 
@@ -45,17 +59,37 @@ class Prism:
                 "exchange the altitudes or move them apart",
             )
 
-    def nearest(self, points: Array) -> Array:
-        """Return the points of the prism that are nearest to ``points`` (…, 3), of that shape."""
+    @property
+    def corners(self) -> Array:
+        """(2 m, 3) [m]."""
+        outline = self.polygon.vertices
+        levels = np.repeat([self.lower, self.upper], len(outline))
+        return np.column_stack([np.vstack([outline, outline]), levels])
+
+    def clearance(self, points: Array) -> Clearance:
+        """Return how far points (…, 3) are from the prism, and the way out of it."""
         flat = np.reshape(points, (-1, 3))
         corners = self.polygon.vertices
         edges = self.polygon.edge_vectors
+        lengths = np.linalg.norm(edges, axis=1)
+        outward = np.column_stack([-edges[:, 1], edges[:, 0]]) / lengths[:, None]  # clockwise
         away = flat[:, None, :2] - corners  # (points, m, 2)
-        along = np.sum(away * edges, axis=-1) / np.sum(edges * edges, axis=-1)
+        along = np.sum(away * edges, axis=-1) / lengths**2
         feet = corners + np.clip(along, 0.0, 1.0)[..., None] * edges
         closest = np.argmin(np.sum((flat[:, None, :2] - feet) ** 2, axis=-1), axis=1)
-        # Clockwise: what lies to the right of every edge is inside.
-        inside = np.all(edges[:, 0] * away[..., 1] - edges[:, 1] * away[..., 0] <= 0.0, axis=1)
-        across = np.where(inside[:, None], flat[:, :2], feet[np.arange(len(flat)), closest])
-        upward = np.clip(flat[:, 2:], self.lower, self.upper)
-        return np.concatenate([across, upward], axis=1).reshape(np.shape(points))
+        depths = np.sum(away * outward, axis=-1)  # before each side, negative behind it
+        within = np.all(depths <= 0.0, axis=1)
+        across = np.where(within[:, None], flat[:, :2], feet[np.arange(len(flat)), closest])
+        nearest = np.column_stack([across, np.clip(flat[:, 2], self.lower, self.upper)])
+        offset = flat - nearest
+        distance = np.linalg.norm(offset, axis=1)
+        sides = np.column_stack([outward, np.zeros(len(outward))])
+        faces = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+        behind = np.column_stack([depths, self.lower - flat[:, 2], flat[:, 2] - self.upper])
+        shallow = np.argmax(behind, axis=1)
+        outside = distance > 0.0
+        safe = np.where(outside, distance, 1.0)
+        normals = np.where(outside[:, None], offset / safe[:, None], faces[shallow])
+        signed = np.where(outside, distance, behind[np.arange(len(flat)), shallow])
+        shape = np.shape(points)
+        return Clearance(signed.reshape(shape[:-1]), normals.reshape(shape))

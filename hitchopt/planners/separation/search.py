@@ -1,13 +1,62 @@
-"""The planner: guesses, convex programs, and the certificate that ends the search."""
+"""The planner: guesses, convex programs around them, and the certificate that ends the search."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.planners.separation.course import Course, course_of
+from hitchopt.planners.separation.feasibility import check_ends
+from hitchopt.planners.separation.guess import Manners, pushed_apart
+from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
+from hitchopt.planners.separation.program import MARGIN, Around, build_program
+from hitchopt.planners.separation.qp import ProgramError, Solver
+from hitchopt.planners.separation.standing import Standing, standing_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
+from hitchopt.planners.separation.walls import walls_before
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+GUESSES = (
+    Manners(0.5),
+    Manners(0.5, layers=3),
+    Manners(-0.5),
+    Manners(0.5, layers=2),
+    Manners(1.5),
+)
+"""How drones give way when they meet, in the order in which it is tried."""
+
+ROUNDS = 16
+"""Programs around one guess, at most."""
+
+FASTER = 0.85
+"""Share of the duration that the next program aims at, as long as the curves are clear."""
+
+BARELY = 1.03
+"""Times the bound: no shorter duration is aimed at, as splines on the grid cannot keep it."""
+
+GOOD = 1.05
+"""Times the bound: what is as fast is not improved any more."""
+
+GAIN = 0.005
+"""Share of the duration: rounds that gain less are the last ones."""
+
+TRUST = 2.5
+"""Radii that a coefficient may move by in one program."""
+
+REACH = 0.6
+"""Pieces this much farther apart than they must be get a plane as well."""
+
+NEARLY = 1.15
+"""Share of the bound: with a way as fast as this no other guess is tried."""
 
 
-def separate(task: SeparationTask, progress: Callable[[str], None] | None = None) -> Separated:
+def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
     """Return curves for all drones that keep all of the task for all of the time.
 
     Parameters
@@ -20,4 +69,92 @@ def separate(task: SeparationTask, progress: Callable[[str], None] | None = None
     InfeasibleError: it cannot be met, or no way was found; the violations name the pair and the
         time.
     """
-    raise NotImplementedError
+    say = progress if progress is not None else _silent
+    check_ends(task)
+    course = course_of(task)
+    if task.duration is not None and task.duration < course.bound:
+        raise InfeasibleError([_too_short(course, course.bound, "no drone can be as fast")])
+    nearest: Standing | None = None
+    for manners in GUESSES:
+        say(f"guess: all give way {manners}")
+        found = _improved(course, pushed_apart(course, manners), say)
+        if found.clear and (task.duration is None or found.duration <= task.duration):
+            return _separated(course, found, f"all give way {manners} where they meet")
+        if nearest is None or _distance(found) < _distance(nearest):
+            nearest = found
+    assert nearest is not None
+    if nearest.clear:
+        raise InfeasibleError([_too_short(course, nearest.duration, "the fastest way found")])
+    raise InfeasibleError(nearest.broken, f"no way was found from {len(GUESSES)} guesses")
+
+
+def _improved(course: Course, guess: Array, say: Progress) -> Standing:
+    """Return the best curves that programs around a guess lead to: clear ones, the fastest."""
+    task = course.task
+    solver = Solver()
+    here = standing_of(course, guess)
+    best = here
+    trust = TRUST * task.separation.radius
+    known: ClosePieces | None = None
+    idle = 0
+    for round_number in range(ROUNDS):
+        target = here.duration if not here.clear else FASTER * here.duration
+        floor = BARELY * course.bound if task.duration is None else task.duration
+        target = max(target, floor, 1e-3)
+        pieces = course.grid.pieces_of(here.coefficients)
+        scaled = pieces * course.scale[:, None]
+        close = close_pieces(scaled, 1.0 + MARGIN + REACH)
+        if known is not None:
+            close = close.united(known, task.drones)
+        known = close
+        radius = task.separation.radius
+        walls = walls_before(pieces, task.keep_out, radius, radius + 2.0 * trust)
+        around = Around(here.coefficients, target, trust, planes_between(scaled, close), walls)
+        built = build_program(course, around)
+        try:
+            solution = solver.solve(built.program, np.zeros(len(built.program.q)), built.kept_rows)
+        except ProgramError:
+            break
+        here = standing_of(course, built.moved(solution.x))
+        say(
+            f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f} "
+            f"{len(close)} {solution.iterations} {solution.residual:.1e}"
+        )
+        better = _distance(here) < _distance(best) * (1.0 - GAIN)
+        idle = 0 if better else idle + 1
+        if _distance(here) < _distance(best):
+            best = here
+        if best.clear and (idle >= 2 or best.duration <= max(GOOD * course.bound, floor)):
+            break
+    return best
+
+
+def _distance(standing: Standing) -> float:
+    """Return a number that is smaller the better: durations, above those what is not clear."""
+    if standing.clear:
+        return standing.duration
+    return 1e9 * (2.0 - min(standing.closest, 1.0))
+
+
+def _separated(course: Course, found: Standing, remark: str) -> Separated:
+    duration = found.duration if course.task.duration is None else course.task.duration
+    curves = course.grid.curves(found.coefficients, duration)
+    return Separated(curves, found.closest, course.bound, remark)
+
+
+def _too_short(course: Course, needed: float, which: str) -> Violation:
+    given = course.task.duration or math.nan
+    return Violation(
+        "duration",
+        needed,
+        given,
+        "max",
+        "s",
+        (),
+        "",
+        f"{which}; allow {needed:.4g} s, or raise the limits",
+    )
+
+
+def _silent(_: str) -> None:
+    pass

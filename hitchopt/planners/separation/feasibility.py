@@ -1,0 +1,83 @@
+"""What can be told before anything is planned: starts and goals that break a limit themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.planners.separation.task import SeparationTask
+
+Array = NDArray[np.float64]
+
+MOST = 10
+"""Violations that are told of one kind."""
+
+
+def check_ends(task: SeparationTask) -> None:
+    """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
+    found: list[Violation] = []
+    for points, end in ((task.start, "start"), (task.goal, "goal")):
+        when = "at the start (t = 0)" if end == "start" else "at the goals (the plan's end)"
+        found += _too_close(task, points, when, end)
+        found += _outside(task, points, when, end)
+        found += _within(task, points, when, end)
+        found += _parted(task, points, when, end)
+    if found:
+        raise InfeasibleError(found)
+
+
+def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+    scaled = points * task.separation.scale
+    pairs = cKDTree(scaled).query_pairs(1.0, output_type="ndarray")
+    ratio = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
+    found = []
+    for k in np.argsort(ratio)[:MOST]:
+        if ratio[k] >= 1.0:
+            continue
+        i, j = sorted(pairs[k])
+        apart = float(np.linalg.norm(points[i] - points[j]))
+        remedy = f"they are {apart:.3g} m apart: move one {end} away from the other"
+        names = (task.names[i], task.names[j])
+        value = float(ratio[k])
+        found.append(Violation("separation", value, 1.0, "min", "ratio", names, when, remedy))
+    return found
+
+
+def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+    if task.arena is None:
+        return []
+    room = np.min(np.minimum(points - task.arena.lower, task.arena.upper - points), axis=1)
+    remedy = f"move the {end} inside, or the wall out"
+    return [
+        Violation("arena", float(room[i]), 0.0, "min", "m", (task.names[i],), when, remedy)
+        for i in np.argsort(room)[:MOST]
+        if room[i] < 0.0
+    ]
+
+
+def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+    limit = task.separation.radius
+    remedy = f"move the {end} away from the prism"
+    found = []
+    for k, prism in enumerate(task.keep_out):
+        distance = np.maximum(prism.clearance(points).distance, 0.0)
+        for i in np.argsort(distance)[:MOST]:
+            if distance[i] < limit:
+                where = (task.names[i], f"prism {k}")
+                value = float(distance[i])
+                found.append(Violation("keep_out", value, limit, "min", "m", where, when, remedy))
+    return found
+
+
+def _parted(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+    found = []
+    for tether in task.tethers:
+        apart = float(np.linalg.norm(points[tether.first] - points[tether.second]))
+        if apart > tether.longest:
+            names = (task.names[tether.first], task.names[tether.second])
+            remedy = f"move the {end}s together, or take a longer cable"
+            value = apart / tether.longest
+            found.append(Violation("span", value, 1.0, "max", "ratio", names, when, remedy))
+    return found

@@ -1,0 +1,153 @@
+"""Guesses: nominal curves, pushed apart where they meet until they are clear, or nearly so.
+
+Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
+filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
+at first all give way to the same side, as in a roundabout, or to layers of altitude. Everything
+is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.planners.separation.course import SAMPLES, Course
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+WANTED = 1.15
+"""Separation that pushes aim at: samples are not all of the time."""
+
+ROUNDS = 120
+"""Of pushing, at most."""
+
+MOMENTUM = 0.8
+"""Of the pushes, from one round to the next."""
+
+STIFFNESS = 0.08
+"""Of the filter: bends shorter than this share of the duration are smoothed away."""
+
+FADING = 0.5
+"""Share of the rounds over which the side to give way to is of importance."""
+
+
+@dataclass(frozen=True)
+class Manners:
+    """How drones give way when they meet.
+
+    Attributes
+    ----------
+    side: how strongly to the right (negative: to the left), in separations.
+    layers: of altitude that drones are dealt to, one after the other; 1: none.
+    """
+
+    side: float
+    layers: int = 1
+
+    def __str__(self) -> str:
+        if self.layers > 1:
+            return f"in {self.layers} layers"
+        return "to the right" if self.side > 0.0 else "to the left"
+
+
+def pushed_apart(course: Course, manners: Manners) -> Array:
+    """(N, count, 3) [m]: coefficients of curves that are clear, or nearly so."""
+    task, grid, scale = course.task, course.grid, course.scale
+    s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
+    basis, rates = grid.sampled(s), grid.sampled(s, 1)
+    free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
+    stiff = STIFFNESS**6 * bends.T @ bends
+    smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
+    layer = np.arange(task.drones) % manners.layers
+    coefficients = course.nominal.copy()
+    speed = np.zeros_like(coefficients[:, grid.free])
+    for round_number in range(ROUNDS):
+        points = np.einsum("sc,ncd->snd", basis, coefficients)
+        velocities = np.einsum("sc,ncd->snd", rates, coefficients)
+        fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
+        pushes, crowded = _pushes(points, velocities, scale, manners, layer, fading)
+        pushes += _other_pushes(course, points)
+        if not crowded and not np.any(pushes):
+            break
+        speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
+        coefficients[:, grid.free] += speed
+        if task.arena is not None:
+            inner = coefficients[:, grid.free]
+            np.clip(inner, task.arena.lower, task.arena.upper, out=inner)
+    return coefficients
+
+
+def _pushes(
+    points: Array,
+    velocities: Array,
+    scale: Array,
+    manners: Manners,
+    layer: Indices,
+    fading: float,
+) -> tuple[Array, bool]:
+    """Return how far each sample (samples, drones, 3) is pushed [m], and whether any pair is."""
+    samples, drones, _ = points.shape
+    scaled = (points * scale).reshape(-1, 3)
+    # Time as a fourth coordinate, so stretched that only samples of one time are close.
+    time = np.repeat(2.0 * WANTED * np.arange(samples), drones)
+    tree = cKDTree(np.column_stack([scaled, time]))
+    pairs = tree.query_pairs(WANTED, output_type="ndarray")
+    pushes = np.zeros((samples * drones, 3))
+    if len(pairs) == 0:
+        return pushes.reshape(points.shape), False
+    first, second = pairs[:, 0], pairs[:, 1]
+    offset = scaled[first] - scaled[second]
+    flat = velocities.reshape(-1, 3)
+    way_out = _way_out(flat[first] - flat[second])
+    apart = layer[first % drones] - layer[second % drones]
+    upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
+    aside = np.where((apart != 0)[:, None], upward, np.sign(manners.side) * way_out)
+    direction = offset + fading * abs(manners.side) * aside
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), aside)
+    missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
+    steepest = direction * scale
+    share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
+    for axis in range(3):
+        push = steepest[:, axis] * share
+        pushes[:, axis] = np.bincount(first, push, len(pushes))
+        pushes[:, axis] -= np.bincount(second, push, len(pushes))
+    count = np.bincount(first, minlength=len(pushes)) + np.bincount(second, minlength=len(pushes))
+    pushes /= np.sqrt(np.maximum(count, 1))[:, None]
+    return pushes.reshape(points.shape), True
+
+
+def _way_out(velocity: Array) -> Array:
+    """(pairs, 3): unit vectors to the right of the relative velocity; east where it is upright."""
+    right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
+    length = np.linalg.norm(right, axis=1, keepdims=True)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    sideways = length > 1e-3 * speed
+    east = np.array([1.0, 0.0, 0.0])
+    return np.where(sideways, right / np.where(sideways, length, 1.0), east)
+
+
+def _other_pushes(course: Course, points: Array) -> Array:
+    """Return pushes (samples, drones, 3) out of prisms, and together along taut cables [m]."""
+    task = course.task
+    pushes = np.zeros_like(points)
+    wanted = WANTED * task.separation.radius
+    for prism in task.keep_out:
+        clearance = prism.clearance(points)
+        missing = np.maximum(wanted - clearance.distance, 0.0)
+        pushes += missing[..., None] * clearance.normals
+    if task.tethers:
+        first = np.array([tether.first for tether in task.tethers])
+        second = np.array([tether.second for tether in task.tethers])
+        longest = np.array([tether.longest for tether in task.tethers])
+        offset = points[:, first] - points[:, second]
+        length = np.linalg.norm(offset, axis=-1)
+        excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)
+        pull = 0.5 * excess[..., None] * offset
+        np.add.at(pushes, (slice(None), first), -pull)
+        np.add.at(pushes, (slice(None), second), pull)
+    return pushes
