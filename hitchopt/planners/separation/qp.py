@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 ACCURACY = 1e-4
 """Absolute and relative, of residuals that are scaled to about one; planes keep a wider margin."""
 
-MOST_ITERATIONS = 2000
+MOST_ITERATIONS = 500
 """A program that takes more is used as it is then: whoever asks checks what becomes of it."""
 
 

@@ -43,13 +43,16 @@ BARELY = 1.03
 GOOD = 1.05
 """Times the bound: what is as fast is not improved any more."""
 
-GAIN = 0.005
+PATIENCE = 3
+"""Rounds in a row that may gain nothing."""
+
+GAIN = 0.02
 """Share of the duration: rounds that gain less are the last ones."""
 
 TRUST = 2.5
 """Radii that a coefficient may move by in one program."""
 
-REACH = 0.6
+REACH = 1.0
 """Pieces this much farther apart than they must be get a plane as well."""
 
 NEARLY = 1.15
@@ -124,7 +127,8 @@ def _improved(course: Course, guess: Array, say: Progress) -> Standing:
         idle = 0 if better else idle + 1
         if _distance(here) < _distance(best):
             best = here
-        if best.clear and (idle >= 2 or best.duration <= max(GOOD * course.bound, floor)):
+        patience = 1 if best.duration <= NEARLY * course.bound and here.clear else PATIENCE
+        if best.clear and (idle >= patience or best.duration <= max(GOOD * course.bound, floor)):
             break
     return best
 
