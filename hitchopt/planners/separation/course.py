@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.planners.separation.ways import ways_along, ways_around
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,9 @@ RAMP_PIECES = 3
 
 MOST_PIECES = 20
 """Of the time between the ramps; otherwise each is as long as one of them."""
+
+SHORTEST = 0.2
+"""Share of the longest flight's time that even the shortest flight is given."""
 
 SAMPLES = 3
 """Of every piece, where curves are looked at between their ends."""
@@ -36,6 +40,7 @@ class Course:
     nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
     caps: (3, N): largest norms of the first three derivatives of each drone, by time.
     bound: no flight of all drones takes less [s].
+    alone: what the drones would take about on their ways around prisms, if each were alone [s].
     size: the longest way [m], by which deviations are measured.
     """
 
@@ -44,6 +49,7 @@ class Course:
     nominal: Array
     caps: Array
     bound: float
+    alone: float
     size: float
 
     @property
@@ -52,30 +58,57 @@ class Course:
         return self.task.separation.scale
 
 
-def course_of(task: SeparationTask) -> Course:
-    """Return the task's course: its grid suits the drone that takes longest."""
+def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
+    """Return the task's course: its grid suits the drone that takes longest.
+
+    Parameters
+    ----------
+    task: what is asked.
+    patience: how many times what the slowest takes there is for all, who then leave one after the
+        other where they would meet; 1: all leave at once.
+
+    Raises
+    ------
+    InfeasibleError: the prisms leave no way.
+    """
     limits = task.limits
     n = task.drones
     given = limits.acceleration if task.acceleration is None else task.acceleration
     acceleration = np.minimum(np.broadcast_to(np.asarray(given), (n,)), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
-    distance = np.linalg.norm(task.goal - task.start, axis=1)
-    ramps = fastest_ramps(distance, limits.speed, acceleration, limits.jerk)
+    straight = np.linalg.norm(task.goal - task.start, axis=1)
+    bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
+    ways = ways_along(task.nominal) if task.nominal is not None else ways_around(task)
+    ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
-    bound, rise = float(ramps.duration[slowest]), float(ramps.rise[slowest])
-    size = max(float(np.max(distance)), 2.0 * task.separation.radius)
-    if bound <= 0.0 or float(distance[slowest]) < 1e-6 * size:  # nobody goes anywhere
-        rise, bound_shape = 1.0, 2.0
-    else:
-        bound_shape = bound
-    cruise = max(bound_shape - 2.0 * rise, 0.0) / rise  # in ramps
-    middle = min(MOST_PIECES, math.ceil(cruise - 1e-9))
+    alone, rise = float(ramps.duration[slowest]), float(ramps.rise[slowest])
+    size = max(float(np.max(ways.lengths)), 2.0 * task.separation.radius)
+    going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
+    middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
     lasting = 1.0 + np.linspace(0.0, cruise, middle + 1)
     breaks = np.concatenate([first[:-1], lasting, 1.0 + cruise + first[1:]])
     grid = Grid(breaks / breaks[-1])
-    nominal = _nominal(task, grid, 1.0 / breaks[-1])
-    return Course(task, grid, nominal, caps, bound, size)
+    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    if task.nominal is not None:
+        curves = task.nominal
+        points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
+    elif patience > 1.0 and going:
+        shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
+        rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
+        leaving = departures(ways, shares, rises, task.separation.scale)
+        points = np.stack(
+            [
+                ways.of(i, progress_along((s - leaving[i]) / shares[i], float(rises[i])))
+                for i in range(n)
+            ]
+        )
+    else:
+        share = progress_along(s, 1.0 / breaks[-1])
+        points = np.stack([ways.of(i, share) for i in range(n)])
+    nominal = _fitted(task, grid, s, points)
+    return Course(task, grid, nominal, caps, float(bound), alone, size)
 
 
 def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
@@ -86,30 +119,12 @@ def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
     return coefficients
 
 
-def _nominal(task: SeparationTask, grid: Grid, ramp: float) -> Array:
-    """Return splines near the nominal curves, or near straight flights that rise as ``ramp``."""
-    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+def _fitted(task: SeparationTask, grid: Grid, s: Array, points: Array) -> Array:
+    """Return the splines nearest to points (N, samples, 3) at ``s``."""
     basis = grid.sampled(s)
-    if task.nominal is None:
-        speed = _smooth(s / ramp) * _smooth((1.0 - s) / ramp)
-        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-        way /= way[-1]
-        points = task.start[:, None] + way[:, None] * (task.goal - task.start)[:, None]
-    else:
-        points = np.swapaxes(_sampled(task.nominal, s), 0, 1)
     coefficients = at_rest(grid, task.start, task.goal)
     rest = points - np.einsum("sc,ncd->nsd", basis, coefficients)
     free = basis[:, grid.free]
-    fitted = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
-    coefficients[:, grid.free] = np.einsum("fs,nsd->nfd", fitted, rest)
+    fitting = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
+    coefficients[:, grid.free] = np.einsum("fs,nsd->nfd", fitting, rest)
     return coefficients
-
-
-def _smooth(x: Array) -> Array:
-    """Return a step from 0 to 1 that starts and ends level."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
-
-
-def _sampled(curves: PiecewisePolynomial, s: Array) -> Array:
-    return curves.at(curves.breaks[0] + s * curves.duration)

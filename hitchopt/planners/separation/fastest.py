@@ -1,4 +1,4 @@
-"""The shortest time from rest to rest along a straight line: no drone is faster, whatever it does."""
+"""The shortest time from rest to rest along a straight line: no way between its ends is faster."""
 
 from __future__ import annotations
 

@@ -43,15 +43,19 @@ class Manners:
     ----------
     side: how strongly to the right (negative: to the left), in separations.
     layers: of altitude that drones are dealt to, one after the other; 1: none.
+    patience: how many times the slowest flight's time there is to leave one after the other.
     """
 
     side: float
     layers: int = 1
+    patience: float = 1.0
 
     def __str__(self) -> str:
+        side = "right" if self.side > 0.0 else "left"
+        words = f"all give way to the {side} where they meet"
         if self.layers > 1:
-            return f"in {self.layers} layers"
-        return "to the right" if self.side > 0.0 else "to the left"
+            words = f"those that meet pass in {self.layers} layers"
+        return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
 def pushed_apart(course: Course, manners: Manners) -> Array:

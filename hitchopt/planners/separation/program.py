@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from hitchopt.hitch import Arena
 from hitchopt.planners.separation.course import Course
 from hitchopt.planners.separation.planes import Planes
 from hitchopt.planners.separation.qp import QuadraticProgram
@@ -27,7 +28,7 @@ MARGIN = 0.01
 """By which planes are to be kept, in separations: OSQP errs by some thousandths."""
 
 ACROSS = (0.3, 0.7)
-"""How far a derivative may turn aside, in shares of its limit: at the limit, and when it is zero."""
+"""How far a derivative may turn aside, as shares of its limit: when it is there, and at zero."""
 
 DEVIATION, ROUGHNESS = 1.0, 3e-7
 """Weights of the squared distance to the nominal curves and of the squared third derivative, both
@@ -73,12 +74,16 @@ class Built:
     kept_rows: int
     _shape: tuple[int, int, int] = field(repr=False)
     _around: Around = field(repr=False)
+    _arena: Arena | None = field(repr=False)
 
     def moved(self, x: Array) -> Array:
         """(N, count, 3) [m]: the coefficients that a solution stands for."""
         coefficients = self._around.coefficients.copy()
         steps = np.clip(x[: int(np.prod(self._shape))], -1.0, 1.0).reshape(self._shape)
-        coefficients[:, HELD:-HELD] += self._around.trust * steps
+        inner = coefficients[:, HELD:-HELD]
+        inner += self._around.trust * steps
+        if self._arena is not None:  # to the last digit, which OSQP does not know
+            np.clip(inner, self._arena.lower, self._arena.upper, out=inner)
         return coefficients
 
 
@@ -104,7 +109,7 @@ def build_program(course: Course, around: Around) -> Built:
     P = sp.block_diag([hessian, sp.diags_array(weights)], format="csc")
     q = np.concatenate([gradient, np.zeros(len(weights))])
     program = QuadraticProgram(sp.csc_matrix(sp.triu(P)), q, *rows.compressed())
-    return Built(program, kept, (n, free, 3), around)
+    return Built(program, kept, (n, free, 3), around, course.task.arena)
 
 
 def _objective(course: Course, around: Around) -> tuple[sp.csc_matrix, Array]:

@@ -22,7 +22,7 @@ class Rows:
     def add(
         self, rows: Indices, columns: Indices, values: Array, lower: Array, upper: Array
     ) -> int:
-        """Add len(lower) rows, ``rows`` counting from the first of them; return that one's index."""
+        """Add rows, ``rows`` counting from the first of them; return the index of that one."""
         first = self.count
         self._entries.append((first + rows, columns, values))
         self._bounds.append((lower, upper))

@@ -25,9 +25,11 @@ Progress = Callable[[str], None]
 GUESSES = (
     Manners(0.5),
     Manners(0.5, layers=3),
+    Manners(0.5, patience=1.5),
     Manners(-0.5),
-    Manners(0.5, layers=2),
-    Manners(1.5),
+    Manners(0.5, patience=2.0),
+    Manners(1.5, layers=2),
+    Manners(0.5, patience=3.0),
 )
 """How drones give way when they meet, in the order in which it is tried."""
 
@@ -38,10 +40,10 @@ FASTER = 0.85
 """Share of the duration that the next program aims at, as long as the curves are clear."""
 
 BARELY = 1.03
-"""Times the bound: no shorter duration is aimed at, as splines on the grid cannot keep it."""
+"""Times what each takes alone: splines on the grid cannot be faster, so nothing aims at less."""
 
 GOOD = 1.05
-"""Times the bound: what is as fast is not improved any more."""
+"""Times what each takes alone: what is as fast is not improved any more."""
 
 PATIENCE = 3
 """Rounds in a row that may gain nothing."""
@@ -56,7 +58,7 @@ REACH = 1.0
 """Pieces this much farther apart than they must be get a plane as well."""
 
 NEARLY = 1.15
-"""Share of the bound: with a way as fast as this no other guess is tried."""
+"""Times what each takes alone: as fast as this, one round without a gain is the last one."""
 
 
 def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
@@ -77,18 +79,21 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     course = course_of(task)
     if task.duration is not None and task.duration < course.bound:
         raise InfeasibleError([_too_short(course, course.bound, "no drone can be as fast")])
-    nearest: Standing | None = None
+    tried: list[Standing] = []
     for manners in GUESSES:
-        say(f"guess: all give way {manners}")
-        found = _improved(course, pushed_apart(course, manners), say)
+        patience = manners.patience
+        if task.duration is not None and patience * course.alone > task.duration:
+            continue
+        say(f"guess: {manners}")
+        way = course if patience == 1.0 else course_of(task, patience)
+        found = _improved(way, pushed_apart(way, manners), say)
         if found.clear and (task.duration is None or found.duration <= task.duration):
-            return _separated(course, found, f"all give way {manners} where they meet")
-        if nearest is None or _distance(found) < _distance(nearest):
-            nearest = found
-    assert nearest is not None
+            return _separated(way, found, str(manners))
+        tried.append(found)
+    nearest = min(tried, key=_distance)
     if nearest.clear:
         raise InfeasibleError([_too_short(course, nearest.duration, "the fastest way found")])
-    raise InfeasibleError(nearest.broken, f"no way was found from {len(GUESSES)} guesses")
+    raise InfeasibleError(nearest.broken, f"no way was found from {len(tried)} guesses")
 
 
 def _improved(course: Course, guess: Array, say: Progress) -> Standing:
@@ -102,7 +107,7 @@ def _improved(course: Course, guess: Array, say: Progress) -> Standing:
     idle = 0
     for round_number in range(ROUNDS):
         target = here.duration if not here.clear else FASTER * here.duration
-        floor = BARELY * course.bound if task.duration is None else task.duration
+        floor = BARELY * course.alone if task.duration is None else task.duration
         target = max(target, floor, 1e-3)
         pieces = course.grid.pieces_of(here.coefficients)
         scaled = pieces * course.scale[:, None]
@@ -127,8 +132,8 @@ def _improved(course: Course, guess: Array, say: Progress) -> Standing:
         idle = 0 if better else idle + 1
         if _distance(here) < _distance(best):
             best = here
-        patience = 1 if best.duration <= NEARLY * course.bound and here.clear else PATIENCE
-        if best.clear and (idle >= patience or best.duration <= max(GOOD * course.bound, floor)):
+        patience = 1 if best.duration <= NEARLY * course.alone and here.clear else PATIENCE
+        if best.clear and (idle >= patience or best.duration <= max(GOOD * course.alone, floor)):
             break
     return best
 

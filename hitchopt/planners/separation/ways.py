@@ -1,0 +1,189 @@
+"""Shortest ways around prisms, for one drone at a time: through corners that see each other.
+
+Corners stand off the prisms by a little more than drones must. They are taken at the altitudes of
+a drone's start and goal and just above and below the prisms: ways are shortest among those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import Arena
+from hitchopt.hitch.keep_out import Prism
+from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+STAND_OFF = 1.25
+"""Radii that a way's corners are away from prisms; where that shuts all ways, the radius itself."""
+
+HALVINGS = 12
+"""Of the search for the widest way where all are too narrow."""
+
+TIGHT = 1e-6
+"""Relative: corners of ways lie outside of what must not be entered by so much at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """One way per drone.
+
+    Attributes
+    ----------
+    corners: (N,) lists of points (m, 3) [m], from start to goal.
+    lengths: (N,) [m]
+    """
+
+    corners: tuple[Array, ...]
+    lengths: Array
+
+    def of(self, drone: int, share: Array) -> Array:
+        """(*share.shape, 3): where one way is after shares of its length."""
+        corners = self.corners[drone]
+        steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        along = along / along[-1] if along[-1] > 0.0 else np.linspace(0.0, 1.0, len(corners))
+        return np.stack([np.interp(share, along, corners[:, axis]) for axis in range(3)], axis=-1)
+
+
+def ways_around(task: SeparationTask) -> Ways:
+    """Return the ways: straight lines where nothing is in between.
+
+    Raises
+    ------
+    InfeasibleError: no way was found that is wide enough.
+    """
+    radius = task.separation.radius
+    corners = []
+    for i, (start, goal) in enumerate(zip(task.start, task.goal, strict=True)):
+        way = _way(task, start, goal, STAND_OFF * radius)
+        if way is None:
+            way = _way(task, start, goal, radius * (1.0 + TIGHT))
+        if way is None:
+            raise InfeasibleError([_too_narrow(task, i)])
+        corners.append(way)
+    lengths = [float(np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in corners]
+    return Ways(tuple(corners), np.array(lengths))
+
+
+def ways_along(curves: PiecewisePolynomial) -> Ways:
+    """Return the ways that curves of shape (N, 3) [m] follow."""
+    t = np.linspace(curves.breaks[0], curves.breaks[-1], 8 * curves.pieces + 1)
+    points = np.swapaxes(curves.at(t), 0, 1)
+    lengths = np.sum(np.linalg.norm(np.diff(points, axis=1), axis=-1), axis=1)
+    return Ways(tuple(points), lengths)
+
+
+def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
+    """Return the shortest way whose corners keep a distance [m] from all prisms, or None."""
+    solids = [_Solid.around(prism, distance * (1.0 - TIGHT)) for prism in task.keep_out]
+    # Ends may stand closer to a prism than corners do: then only what they must keep counts there.
+    ends = np.stack([start, goal])
+    least_distance = min(distance, task.separation.radius) * (1.0 - TIGHT)
+    least = [_Solid.around(prism, least_distance) for prism in task.keep_out]
+    if not any(solid.cuts(start[None], goal[None])[0] for solid in least):
+        return ends
+    levels = [start[2], goal[2]]
+    outlines = []
+    for prism in task.keep_out:
+        levels += [prism.lower - distance, prism.upper + distance]
+        outlines.append(_widened(prism.polygon.vertices, distance))
+    flat = np.vstack(outlines)
+    heights = np.unique(levels)
+    nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
+    nodes = nodes[_inside(task.arena, nodes)]
+    for solid in solids:
+        nodes = nodes[~solid.holds(nodes)]
+    nodes = np.vstack([ends, nodes])
+    i, j = np.triu_indices(len(nodes), 1)
+    seen = np.ones(len(i), dtype=np.bool_)
+    for wide, narrow in zip(solids, least, strict=True):
+        at_end = i < 2
+        seen[~at_end] &= ~wide.cuts(nodes[i[~at_end]], nodes[j[~at_end]])
+        seen[at_end] &= ~narrow.cuts(nodes[i[at_end]], nodes[j[at_end]])
+    i, j = i[seen], j[seen]
+    length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
+    graph = sp.csr_matrix((length, (i, j)), shape=(len(nodes), len(nodes)))
+    distances, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+    if not np.isfinite(distances[1]):
+        return None
+    way = [1]
+    while way[-1] != 0:
+        way.append(int(before[way[-1]]))
+    return nodes[way[::-1]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Solid:
+    """A prism widened by a distance, as half spaces normals · p < offsets."""
+
+    normals: Array
+    offsets: Array
+
+    @classmethod
+    def around(cls, prism: Prism, distance: float) -> _Solid:
+        edges = prism.polygon.edge_vectors
+        sides = np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))])
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
+        normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+        return cls(normals, np.concatenate([reach, [-prism.lower, prism.upper]]) + distance)
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """(m,): whether points (m, 3) are within."""
+        within: NDArray[np.bool_] = np.all(points @ self.normals.T < self.offsets, axis=1)
+        return within
+
+    def cuts(self, first: Array, last: Array) -> NDArray[np.bool_]:
+        """(m,): whether the segments between points (m, 3) go through it."""
+        before = first @ self.normals.T - self.offsets
+        after = last @ self.normals.T - self.offsets
+        change = after - before
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = -before / change
+        enters = np.where(change < 0.0, crossing, np.where(before < 0.0, 0.0, 1.0))
+        leaves = np.where(change > 0.0, crossing, np.where(before < 0.0, 1.0, 0.0))
+        enters = np.where((change == 0.0) & (before >= 0.0), 1.0, enters)
+        into = np.maximum(np.max(np.where(change > 0.0, 0.0, enters), axis=1), 0.0)
+        out = np.minimum(np.min(np.where(change < 0.0, 1.0, leaves), axis=1), 1.0)
+        cut: NDArray[np.bool_] = into < out
+        return cut
+
+
+def _widened(outline: Array, distance: float) -> Array:
+    """Return the corners of a clockwise outline whose sides are moved out by a distance [m]."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    outward = np.column_stack([-edges[:, 1], edges[:, 0]])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    middle = np.roll(outward, 1, axis=0) + outward
+    widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
+    return widened
+
+
+def _inside(arena: Arena | None, points: Array) -> NDArray[np.bool_]:
+    if arena is None:
+        return np.ones(len(points), dtype=np.bool_)
+    inside: NDArray[np.bool_] = np.all((points >= arena.lower) & (points <= arena.upper), axis=1)
+    return inside
+
+
+def _too_narrow(task: SeparationTask, drone: int) -> Violation:
+    """Return how wide the widest way is that was found for a drone."""
+    start, goal, limit = task.start[drone], task.goal[drone], task.separation.radius
+    narrow, wide = 0.0, limit
+    for _ in range(HALVINGS):
+        middle = 0.5 * (narrow + wide)
+        if _way(task, start, goal, middle) is None:
+            wide = middle
+        else:
+            narrow = middle
+    remedy = "widen the gap between the prisms, or between them and the arena"
+    when = "on the widest way found from its start to its goal"
+    return Violation("keep_out", narrow, limit, "min", "m", (task.names[drone],), when, remedy)
