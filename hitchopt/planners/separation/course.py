@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch import Arena
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.planners.separation.spline import HELD, Grid
@@ -21,6 +22,9 @@ RAMP_PIECES = 3
 
 MOST_PIECES = 20
 """Of the time between the ramps; otherwise each is as long as one of them."""
+
+WALL = 1e-9
+"""Relative to an arena's coordinates: curves stay off its walls by so much."""
 
 SHORTEST = 0.2
 """Share of the longest flight's time that even the shortest flight is given."""
@@ -109,6 +113,12 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
         points = np.stack([ways.of(i, share) for i in range(n)])
     nominal = _fitted(task, grid, s, points)
     return Course(task, grid, nominal, caps, float(bound), alone, size)
+
+
+def inside(arena: Arena, points: Array) -> Array:
+    """Return points (…, 3) [m], those outside moved in, off the walls by what rounding may err."""
+    room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
+    return np.clip(points, arena.lower + room, arena.upper - room)
 
 
 def at_rest(grid: Grid, start: Array, goal: Array) -> Array:

@@ -11,6 +11,9 @@ from hitchopt.planners.separation.task import SeparationTask
 
 Array = NDArray[np.float64]
 
+LAST_DIGITS = 1e-9
+"""Relative: what keeps a limit by less cannot be certified, as numbers are rounded."""
+
 MOST = 10
 """Violations that are told of one kind."""
 
@@ -30,12 +33,10 @@ def check_ends(task: SeparationTask) -> None:
 
 def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
     scaled = points * task.separation.scale
-    pairs = cKDTree(scaled).query_pairs(1.0, output_type="ndarray")
+    pairs = cKDTree(scaled).query_pairs(1.0 + LAST_DIGITS, output_type="ndarray")
     ratio = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
     found = []
     for k in np.argsort(ratio)[:MOST]:
-        if ratio[k] >= 1.0:
-            continue
         i, j = sorted(pairs[k])
         apart = float(np.linalg.norm(points[i] - points[j]))
         remedy = f"they are {apart:.3g} m apart: move one {end} away from the other"
@@ -48,7 +49,9 @@ def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list
 def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
     if task.arena is None:
         return []
-    room = np.min(np.minimum(points - task.arena.lower, task.arena.upper - points), axis=1)
+    lower, upper = task.arena.lower, task.arena.upper
+    digits = LAST_DIGITS * (np.abs(lower) + np.abs(upper))
+    room = np.min(np.minimum(points - lower, upper - points) - digits, axis=1)
     remedy = f"move the {end} inside, or the wall out"
     return [
         Violation("arena", float(room[i]), 0.0, "min", "m", (task.names[i],), when, remedy)
@@ -64,7 +67,7 @@ def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Vi
     for k, prism in enumerate(task.keep_out):
         distance = np.maximum(prism.clearance(points).distance, 0.0)
         for i in np.argsort(distance)[:MOST]:
-            if distance[i] < limit:
+            if distance[i] < limit * (1.0 + LAST_DIGITS):
                 where = (task.names[i], f"prism {k}")
                 value = float(distance[i])
                 found.append(Violation("keep_out", value, limit, "min", "m", where, when, remedy))
@@ -75,7 +78,7 @@ def _parted(task: SeparationTask, points: Array, when: str, end: str) -> list[Vi
     found = []
     for tether in task.tethers:
         apart = float(np.linalg.norm(points[tether.first] - points[tether.second]))
-        if apart > tether.longest:
+        if apart > tether.longest * (1.0 - LAST_DIGITS):
             names = (task.names[tether.first], task.names[tether.second])
             remedy = f"move the {end}s together, or take a longer cable"
             value = apart / tether.longest

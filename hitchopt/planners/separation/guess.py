@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.planners.separation.course import SAMPLES, Course
+from hitchopt.planners.separation.course import SAMPLES, Course, inside
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -80,8 +80,7 @@ def pushed_apart(course: Course, manners: Manners) -> Array:
         speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
         coefficients[:, grid.free] += speed
         if task.arena is not None:
-            inner = coefficients[:, grid.free]
-            np.clip(inner, task.arena.lower, task.arena.upper, out=inner)
+            coefficients[:, grid.free] = inside(task.arena, coefficients[:, grid.free])
     return coefficients
 
 
@@ -152,6 +151,7 @@ def _other_pushes(course: Course, points: Array) -> Array:
         length = np.linalg.norm(offset, axis=-1)
         excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)
         pull = 0.5 * excess[..., None] * offset
-        np.add.at(pushes, (slice(None), first), -pull)
-        np.add.at(pushes, (slice(None), second), pull)
+        by_drone = np.swapaxes(pushes, 0, 1)
+        np.add.at(by_drone, first, -np.swapaxes(pull, 0, 1))
+        np.add.at(by_drone, second, np.swapaxes(pull, 0, 1))
     return pushes

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Arena
-from hitchopt.planners.separation.course import Course
+from hitchopt.planners.separation.course import Course, inside
 from hitchopt.planners.separation.planes import Planes
 from hitchopt.planners.separation.qp import QuadraticProgram
 from hitchopt.planners.separation.rows import Rows
@@ -83,7 +83,7 @@ class Built:
         inner = coefficients[:, HELD:-HELD]
         inner += self._around.trust * steps
         if self._arena is not None:  # to the last digit, which OSQP does not know
-            np.clip(inner, self._arena.lower, self._arena.upper, out=inner)
+            inner[...] = inside(self._arena, inner)
         return coefficients
 
 
@@ -108,11 +108,11 @@ def build_program(course: Course, around: Around) -> Built:
     weights = np.concatenate([np.full(n, EXCEEDED / n), np.full(cables + planes + walls, BROKEN)])
     P = sp.block_diag([hessian, sp.diags_array(weights)], format="csc")
     q = np.concatenate([gradient, np.zeros(len(weights))])
-    program = QuadraticProgram(sp.csc_matrix(sp.triu(P)), q, *rows.compressed())
+    program = QuadraticProgram(sp.csc_array(sp.triu(P)), q, *rows.compressed())
     return Built(program, kept, (n, free, 3), around, course.task.arena)
 
 
-def _objective(course: Course, around: Around) -> tuple[sp.csc_matrix, Array]:
+def _objective(course: Course, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
     grid = course.grid
     s, weights = grid.quadrature
     basis, bends = grid.sampled(s), grid.sampled(s, 3)
@@ -124,8 +124,8 @@ def _objective(course: Course, around: Around) -> tuple[sp.csc_matrix, Array]:
     gradient += ROUGHNESS * np.einsum("sf,nsd->nfd", free[1], bending)
     one = DEVIATION * free[0].T @ basis[:, grid.free] + ROUGHNESS * free[1].T @ bends[:, grid.free]
     trust = around.trust
-    block = sp.kron(sp.csc_matrix(unit * trust**2 * one), sp.eye_array(3))
-    hessian = sp.kron(sp.eye_array(course.task.drones), block, format="csc")
+    block = sp.kron(sp.csc_array(unit * trust**2 * one), sp.eye_array(3))
+    hessian = sp.csc_array(sp.kron(sp.eye_array(course.task.drones), block))
     return hessian, unit * trust * gradient.ravel()
 
 
@@ -213,12 +213,9 @@ def _add_planes(rows: Rows, course: Course, around: Around, slack: int) -> None:
     steepest = around.planes.normals * course.scale * around.trust
     wanted = np.full(around.planes.gaps.shape, 1.0 + MARGIN)
     lower = wanted - around.planes.gaps
-    columns, entries, live = [], [], None
-    for drones, sign in ((between.first, 1.0), (between.second, -1.0)):
-        column, entry, live = _piece_entries(course, between.piece, drones, sign * steepest)
-        columns.append(column)
-        entries.append(entry)
-    _add_sided(rows, columns, entries, live, lower, slack)
+    first, there, live = _piece_entries(course, between.piece, between.first, steepest)
+    second, back, _ = _piece_entries(course, between.piece, between.second, -steepest)
+    _add_sided(rows, [first, second], [there, back], live, lower, slack)
 
 
 def _add_walls(rows: Rows, course: Course, around: Around, slack: int) -> None:

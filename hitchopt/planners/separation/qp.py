@@ -36,9 +36,9 @@ class QuadraticProgram:
     A: columns compressed; entries that happen to be zero are stored.
     """
 
-    P: sp.csc_matrix
+    P: sp.csc_array[np.float64]
     q: Array
-    A: sp.csc_matrix
+    A: sp.csc_array[np.float64]
     lower: Array
     upper: Array
 
@@ -140,9 +140,9 @@ class Solver:
 
         self._osqp = osqp.OSQP(algebra="builtin")
         self._osqp.setup(
-            program.P,
+            sp.csc_matrix(program.P),
             program.q,
-            program.A,
+            sp.csc_matrix(program.A),
             program.lower,
             program.upper,
             eps_abs=ACCURACY,

@@ -39,9 +39,9 @@ class Rows:
         bounds = np.broadcast_to(lower, m), np.broadcast_to(upper, m)
         self.add(np.arange(m), columns, np.ones(m), *bounds)
 
-    def compressed(self) -> tuple[sp.csc_matrix, Array, Array]:
+    def compressed(self) -> tuple[sp.csc_array[np.float64], Array, Array]:
         """Return A, lower and upper; entries that happen to be zero are stored too."""
         rows, columns, values = (np.concatenate(part) for part in zip(*self._entries, strict=True))
         lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
         shape = (self.count, self._unknowns)
-        return sp.csc_matrix((values, (rows, columns)), shape=shape), lower, upper
+        return sp.csc_array((values, (rows, columns)), shape=shape), lower, upper

@@ -62,7 +62,7 @@ def needed_duration(course: Course, unit: PiecewisePolynomial) -> float:
     factors = []
     for order, cap in enumerate(course.caps, start=1):
         shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
-        factors.append(max(largest_rate(shares, order).worst, 0.0) ** (1.0 / order))
+        factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
     return max(*factors, 1e-3) * STRETCH
 
 
@@ -91,7 +91,8 @@ def _separation(
 def _surroundings(
     course: Course, unit: PiecewisePolynomial, duration: float
 ) -> list[Violation | None]:
-    task, found = course.task, []
+    task = course.task
+    found: list[Violation | None] = []
     if task.arena is not None:
         x = unit.coefficients  # an arena is convex: what holds the coefficients holds the curves
         room = np.minimum(x - task.arena.lower[:, None], task.arena.upper[:, None] - x)

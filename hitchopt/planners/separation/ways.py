@@ -111,12 +111,14 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
     i, j = i[seen], j[seen]
     length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
     graph = sp.csr_matrix((length, (i, j)), shape=(len(nodes), len(nodes)))
-    distances, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
-    if not np.isfinite(distances[1]):
+    distances, before = dijkstra(
+        graph, directed=False, indices=np.array([0]), return_predecessors=True
+    )
+    if not np.isfinite(distances[0, 1]):
         return None
     way = [1]
     while way[-1] != 0:
-        way.append(int(before[way[-1]]))
+        way.append(int(before[0, way[-1]]))
     return nodes[way[::-1]]
 
 
