@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from hitchopt.export.lint.linting import lint
     from hitchopt.export.sampling import States
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
-    from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Team
-    from hitchopt.mission.loading import load_problem
+    from hitchopt.hitch import Arena, Hitch, Limits, Prism, Quadrotor, Separation, Swarm, Team
+    from hitchopt.mission.loading import load_problem, load_swarm
     from hitchopt.mission.problem import (
         Adjust,
         FollowVertex,
@@ -44,8 +44,9 @@ if TYPE_CHECKING:
         Transport,
     )
     from hitchopt.mission.repair import Change, Suggestion
-    from hitchopt.model.motion import Motion, Phase
-    from hitchopt.plan import Plan, load, repair, solve, suggestions
+    from hitchopt.mission.swarm import SwarmProblem
+    from hitchopt.model.motion import Motion, Phase, SwarmMotion
+    from hitchopt.plan import Plan, load, repair, separate, solve, suggestions
     from hitchopt.trajectory import PiecewisePolynomial
 
 _HOMES = {
@@ -73,11 +74,15 @@ _HOMES = {
     "Phase": "model.motion",
     "PiecewisePolynomial": "trajectory",
     "Plan": "plan",
+    "Prism": "hitch",
     "Problem": "mission.problem",
     "Quadrotor": "hitch",
     "Separation": "hitch",
     "States": "export.sampling",
     "Suggestion": "mission.repair",
+    "Swarm": "hitch",
+    "SwarmMotion": "model.motion",
+    "SwarmProblem": "mission.swarm",
     "Team": "hitch",
     "Transport": "mission.problem",
     "UnsupportedError": "errors",
@@ -89,11 +94,13 @@ _HOMES = {
     "lint": "export.lint.linting",
     "load": "plan",
     "load_problem": "mission.loading",
+    "load_swarm": "mission.loading",
     "morph": "actions",
     "move_edge": "actions",
     "move_vertex": "actions",
     "regular_polygon": "geometry",
     "repair": "plan",
+    "separate": "plan",
     "solve": "plan",
     "suggestions": "plan",
     "transport": "actions",
@@ -124,11 +131,15 @@ __all__ = [
     "Phase",
     "PiecewisePolynomial",
     "Plan",
+    "Prism",
     "Problem",
     "Quadrotor",
     "Separation",
     "States",
     "Suggestion",
+    "Swarm",
+    "SwarmMotion",
+    "SwarmProblem",
     "Team",
     "Transport",
     "UnsupportedError",
@@ -140,11 +151,13 @@ __all__ = [
     "lint",
     "load",
     "load_problem",
+    "load_swarm",
     "morph",
     "move_edge",
     "move_vertex",
     "regular_polygon",
     "repair",
+    "separate",
     "solve",
     "suggestions",
     "transport",

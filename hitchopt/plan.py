@@ -18,11 +18,13 @@ from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.exporting import Export
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
-from hitchopt.mission.loading import load_problem
+from hitchopt.mission.loading import load_problem, load_swarm, read_problem
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.model.motion import Flying, Motion, Phase
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_solving import solve_swarm
+from hitchopt.model.motion import Flying, Motion, Phase, SwarmMotion
 
 Progress = Callable[[str], None]
 
@@ -158,7 +160,7 @@ class Plan(Generic[M]):
             )
 
 
-def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:
+def solve(problem: Problem | SwarmProblem | str | Path, progress: Progress | None = None) -> Plan:
     """Return the certified plan of a problem, or of the problem file at a path.
 
     Parameters
@@ -171,8 +173,30 @@ def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Pl
     InputError, FileError: a problem that is wrong in itself.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    task = read_problem(problem) if isinstance(problem, str | Path) else problem
+    if isinstance(task, SwarmProblem):
+        return separate(task, progress)
     found = solve_problem(task, progress)
+    return Plan(found.motion, found.certificate, task.title)
+
+
+def separate(
+    problem: SwarmProblem | str | Path, progress: Progress | None = None
+) -> Plan[SwarmMotion]:
+    """Return the certified plan of single drones that keep out of each other's downwash.
+
+    Parameters
+    ----------
+    problem: who flies from where to where, or the path of such a problem's file.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    InfeasibleError: it cannot be met; says which drones, where and when.
+    """
+    task = load_swarm(problem) if isinstance(problem, str | Path) else problem
+    found = solve_swarm(task, progress)
     return Plan(found.motion, found.certificate, task.title)
 
 

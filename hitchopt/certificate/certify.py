@@ -15,6 +15,7 @@ from hitchopt.certificate import (
     duration,
     equilibrium,
     jerk,
+    keep_out,
     legs,
     separation,
     speed,
@@ -33,6 +34,7 @@ DRONES: dict[str, Callable[[Flying], Check | None]] = {
     "thrust": thrust.check,
     "tilt": tilt.check,
     "arena": arena.check,
+    "keep_out": keep_out.check,
     "continuity": continuity.check,
     "duration": duration.check,
 }
@@ -64,6 +66,7 @@ CHECKS = (
     "equilibrium",
     "convexity",
     "arena",
+    "keep_out",
     "continuity",
     "duration",
 )

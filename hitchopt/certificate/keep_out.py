@@ -8,12 +8,25 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import ROUNDING
 from hitchopt.hitch.keep_out import Prism
+from hitchopt.model.motion import Flying, SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
 
 Array = NDArray[np.float64]
+
+
+def check(motion: Flying) -> Check | None:
+    """Return the smallest distance of any drone to a prism, zero within; None without prisms."""
+    prisms = motion.keep_out if isinstance(motion, SwarmMotion) else ()
+    if not prisms:
+        return None
+    found = smallest_clearance(motion.drones, prisms)
+    where = (motion.team.drone_names[found.item],)
+    limit = motion.separation.radius
+    return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where)
 
 
 def smallest_clearance(part: PiecewisePolynomial, prisms: tuple[Prism, ...]) -> Extremum:

@@ -15,6 +15,7 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputErro
 
 if TYPE_CHECKING:
     from hitchopt.certificate.report import Certificate
+    from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
     from hitchopt.model.motion import Flying
@@ -77,20 +78,22 @@ def main() -> None:
 def solve(file: Path, directory: Path | None, rate: float, mending: bool) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR."""
     _check_rate(rate)
-    from hitchopt.mission.loading import load_problem
+    from hitchopt.mission.loading import read_problem
+    from hitchopt.mission.problem import Problem
 
     place = _place(directory, file)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
-    problem: Problem | None = None
+    problem: AnyProblem | None = None
     try:
-        problem = load_problem(file)
-        _check_rows(rate, _least_duration(problem), problem.team.robots)
+        problem = read_problem(file)
+        _check_rows(rate, _least_duration(problem), len(problem.team.drone_names))
         _solve(problem, place, rate)
     except (InputError, FileError):
         raise  # no solve: DIR keeps telling the last one
     except HitchoptError as error:
-        _leave_diagnosis(place, error, problem if mending else None)
+        hitch = problem if isinstance(problem, Problem) else None
+        _leave_diagnosis(place, error, hitch if mending else None)
 
 
 def _place(directory: Path | None, file: Path) -> Path:
@@ -102,14 +105,14 @@ def _place(directory: Path | None, file: Path) -> Path:
     return directory
 
 
-def _solve(problem: Problem, place: Path, rate: float) -> None:
+def _solve(problem: AnyProblem, place: Path, rate: float) -> None:
     from hitchopt.cli.progress import LateProgress
     from hitchopt.plan import solve as solved
 
     with LateProgress(sys.stderr, "planning") as progress:
         plan = solved(problem, progress=progress)
     _show(plan.title, plan.motion, plan.certificate)
-    _check_rows(rate, plan.motion.duration, problem.team.robots)
+    _check_rows(rate, plan.motion.duration, len(problem.team.drone_names))
     with LateProgress(sys.stderr, "writing") as progress:
         plan.save(place, rate=rate, progress=progress)
     say(f"certified; the plan is in {place}")
@@ -187,21 +190,23 @@ def _check_rate(rate: float) -> None:
         raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
 
 
-def _least_duration(problem: Problem) -> float:
+def _least_duration(problem: AnyProblem) -> float:
     """Return what the steps' own durations sum to [s]; the plan takes at least that long."""
-    from hitchopt.mission.problem import Hold
+    from hitchopt.mission.problem import Hold, Problem
 
+    if not isinstance(problem, Problem):
+        return problem.duration or 0.0
     given = (step.seconds if isinstance(step, Hold) else step.duration for step in problem.mission)
     return sum(seconds for seconds in given if seconds is not None)
 
 
-def _check_rows(rate: float, duration: float, robots: int) -> None:
-    rows = rate * duration * 2 * robots
+def _check_rows(rate: float, duration: float, drones: int) -> None:
+    rows = rate * duration * drones
     if rows > MAX_ROWS:
         raise InputError(
             "--rate",
             rate,
-            f"at most {MAX_ROWS / (duration * 2 * robots):.3g} Hz for a plan of {duration:g} s "
-            f"and {2 * robots} drones (it would write {rows:.3g} rows)",
+            f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
+            f"and {drones} drones (it would write {rows:.3g} rows)",
             "lower it, or shorten the plan",
         )

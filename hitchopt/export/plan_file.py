@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.export.archive import read_arrays
 from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm, Team
+from hitchopt.hitch.keep_out import Prism
 from hitchopt.hitch.values import finite
 from hitchopt.model.motion import JOINT, Flying, Motion, Phase, SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial
@@ -86,6 +87,15 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
         "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
         "phases": [vars(phase) for phase in motion.phases],
     }
+    if isinstance(motion, SwarmMotion):
+        settings["keep_out"] = [
+            {
+                "polygon": prism.polygon.vertices.tolist(),
+                "lower": prism.lower,
+                "upper": prism.upper,
+            }
+            for prism in motion.keep_out
+        ]
     head = {
         "format": np.array(FORMAT),
         "settings": np.array(json.dumps(settings, allow_nan=False)),
@@ -158,7 +168,8 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         motion = Motion(team, limits, separation, arena, phases=phases, **parts)
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)
-        motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases)
+        prisms = tuple(Prism(**entry) for entry in settings.get("keep_out", ()))
+        motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases, prisms)
     _check_phases(motion)
     return motion
 

@@ -69,7 +69,7 @@ def built_problem(keys: ProblemKeys) -> Problem:
     """
     faults = Collector()
     attempt = faults.attempt
-    title = attempt("", lambda: _title(keys.title))
+    title = attempt("", lambda: checked_title(keys.title))
     team = attempt("team", lambda: _team(keys.team))
     limits = attempt("limits", lambda: _limits(keys.limits))
     separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
@@ -86,7 +86,8 @@ def built_problem(keys: ProblemKeys) -> Problem:
     return Problem(team, start, mission, limits, separation, arena, title)
 
 
-def _title(title: str) -> str:
+def checked_title(title: str) -> str:
+    """Return the title, or raise InputError where a terminal would obey it."""
     if not title.isprintable():  # a terminal would obey its control characters
         raise InputError("title", title, "printable text on one line", "remove such characters")
     return title

@@ -10,11 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic.json_schema import GenerateJsonSchema
+from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from hitchopt.mission.schema import Keys
 from hitchopt.mission.steps import ProblemKeys
+from hitchopt.mission.swarm_schema import SwarmKeys
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+KINDS: tuple[type[Keys], ...] = (ProblemKeys, SwarmKeys)
+"""Models of a whole file."""
 
 SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
 """Where the package keeps it."""
@@ -28,11 +33,20 @@ class _Untitled(GenerateJsonSchema):
 
 
 def problem_schema() -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of a problem file."""
-    schema = ProblemKeys.model_json_schema(schema_generator=_Untitled)
+    """Return the JSON Schema (draft 2020-12) of a problem file: of a hitch, or of single drones."""
+    _, schema = models_json_schema(
+        [(model, "validation") for model in KINDS], schema_generator=_Untitled
+    )
     for definition in schema["$defs"].values():
         del definition["title"]
-    return {"$schema": DIALECT, **schema, "title": "hitchopt problem file"}
+    ways = [{"$ref": f"#/$defs/{model.__name__}"} for model in KINDS]
+    return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": ways, **schema}
+
+
+def kind_schema(model: type[Keys]) -> dict[str, Any]:
+    """Return the JSON Schema of one of the KINDS alone."""
+    schema = problem_schema()
+    return {"$ref": f"#/$defs/{model.__name__}", "$defs": schema["$defs"]}
 
 
 def schema_text() -> str:

@@ -7,22 +7,37 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, InputError
 from hitchopt.mission.building import built_problem
 from hitchopt.mission.faults import JointInputError
-from hitchopt.mission.plain import plain
+from hitchopt.mission.plain import Plain, plain
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.steps import ProblemKeys
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_building import built_swarm
+from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
 from hitchopt.mission.yaml_file import read_yaml
 
-__all__ = ["JointInputError", "load_problem", "problem_from_dict"]
+__all__ = [
+    "AnyProblem",
+    "JointInputError",
+    "any_problem_from_dict",
+    "load_problem",
+    "load_swarm",
+    "problem_from_dict",
+    "read_problem",
+]
 
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
 
-def load_problem(path: str | Path) -> Problem:
-    """Return the problem in the YAML file at ``path``.
+AnyProblem = Problem | SwarmProblem
+"""Of a hitch, or of single drones."""
+
+
+def read_problem(path: str | Path) -> AnyProblem:
+    """Return the problem in the YAML file at ``path``, of a hitch or of single drones.
 
     Raises
     ------
@@ -36,18 +51,63 @@ def load_problem(path: str | Path) -> Problem:
             f"{path}: holds {_KINDS.get(type(data), 'a number')}, but a problem is a mapping with "
             f"the keys {', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
         )
-    return problem_from_dict(data)
+    return any_problem_from_dict(data)
 
 
-def problem_from_dict(data: Mapping[str, object]) -> Problem:
+def load_problem(path: str | Path) -> Problem:
+    """Return the problem of a hitch in the YAML file at ``path``.
+
+    Raises
+    ------
+    InputError: a problem of single drones; as ``read_problem``.
+    FileError, UnsupportedError: as ``read_problem``.
+    """
+    return _of_a_hitch(read_problem(path))
+
+
+def load_swarm(path: str | Path) -> SwarmProblem:
+    """Return the problem of single drones in the YAML file at ``path``.
+
+    Raises
+    ------
+    InputError: a problem of a hitch; as ``read_problem``.
+    FileError: as ``read_problem``.
+    """
+    problem = read_problem(path)
+    if not isinstance(problem, SwarmProblem):
+        raise InputError("team", "robots", "a team of single drones", "use load_problem")
+    return problem
+
+
+def any_problem_from_dict(data: Mapping[str, object]) -> AnyProblem:
     """Return the problem that ``data`` describes with the keys of a problem file.
 
     Raises
     ------
-    InputError, UnsupportedError: as ``load_problem``.
+    InputError, UnsupportedError: as ``read_problem``.
     """
+    values = plain(data)
+    single = isinstance(values, dict) and _of_single_drones(values)
     try:
-        keys = ProblemKeys.model_validate(plain(data))
+        if single:
+            return built_swarm(SwarmKeys.model_validate(values))
+        return built_problem(ProblemKeys.model_validate(values))
     except ValidationError as error:
-        raise translated(error) from None
-    return built_problem(keys)
+        raise translated(error, SwarmKeys if single else ProblemKeys) from None
+
+
+def problem_from_dict(data: Mapping[str, object]) -> Problem:
+    """Return the problem of a hitch that ``data`` describes; errors as ``load_problem``."""
+    return _of_a_hitch(any_problem_from_dict(data))
+
+
+def _of_a_hitch(problem: AnyProblem) -> Problem:
+    if not isinstance(problem, Problem):
+        raise InputError("team", "drones", "a team of catenary robots", "use load_swarm")
+    return problem
+
+
+def _of_single_drones(values: dict[str, Plain]) -> bool:
+    """Return whether a problem file is one of single drones: its team counts those."""
+    team = values.get("team")
+    return isinstance(team, dict) and "drones" in team and "robots" not in team

@@ -33,7 +33,8 @@ ONE, EACH = "<one>", "<each>"
 """Tags of the two ways to write a value: once for all robots, or one per robot."""
 
 
-def _one_or_each(value: object) -> str:
+def one_or_each(value: object) -> str:
+    """Return the tag of a value that is given once, or as a list of one per robot."""
     return EACH if isinstance(value, list) else ONE
 
 
@@ -53,12 +54,12 @@ Outline = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)
 PerRobot = Annotated[
     Annotated[Positive, Tag(ONE)]
     | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-    Discriminator(_one_or_each),
+    Discriminator(one_or_each),
 ]
 Legs = Annotated[
     Annotated[Literal["balanced", "spread"], Tag(ONE)]
     | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-    Discriminator(_one_or_each),
+    Discriminator(one_or_each),
 ]
 
 OUTLINE_TEXT = (
@@ -139,7 +140,7 @@ class TeamKeys(Keys):
     quadrotor: Annotated[
         Annotated[QuadrotorKeys, Tag(ONE)]
         | Annotated[list[QuadrotorKeys], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-        Discriminator(_one_or_each),
+        Discriminator(one_or_each),
     ] = Field(
         default_factory=QuadrotorKeys,
         description="Kind of quadrotor, one for all or a list of one per robot",

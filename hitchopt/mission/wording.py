@@ -13,9 +13,12 @@ from pydantic import ValidationError
 
 from hitchopt.errors import InputError
 from hitchopt.mission.faults import one_or_all
-from hitchopt.mission.json_schema import entries_at, problem_schema
+from hitchopt.mission.json_schema import entries_at, kind_schema
 from hitchopt.mission.plain import key_path
-from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE
+from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE, Keys
+from hitchopt.mission.steps import ProblemKeys
+
+Schema = dict[str, Any]
 
 
 class _Words(NamedTuple):
@@ -32,27 +35,30 @@ class _Missing:
         return "(missing)"
 
 
-def translated(error: ValidationError) -> InputError:
-    """Return what pydantic found, in this package's words."""
-    return one_or_all([_translated(entry) for entry in error.errors(include_url=False)])
+def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> InputError:
+    """Return what pydantic found in a file of one of the kinds, in this package's words."""
+    schema = _schema(model)
+    return one_or_all([_translated(entry, schema) for entry in error.errors(include_url=False)])
 
 
 @cache
-def _schema() -> dict[str, Any]:
-    return problem_schema()
+def _schema(model: type[Keys]) -> Schema:
+    return kind_schema(model)
 
 
-def _translated(entry: Any) -> InputError:
+def _translated(entry: Any, schema: Schema) -> InputError:
     path = [part for part in entry["loc"] if part not in {ONE, EACH}]
     value: object = entry["input"]
     kind: str = entry["type"]
     if kind == "missing":
         value = _Missing()
-    words = _words(kind, entry.get("ctx", {}), path, value)
+    words = _words(kind, entry.get("ctx", {}), path, value, schema)
     return InputError(key_path(path) or "problem", value, words.bound, words.remedy)
 
 
-def _words(kind: str, ctx: dict[str, Any], path: list[str | int], value: object) -> _Words:
+def _words(
+    kind: str, ctx: dict[str, Any], path: list[str | int], value: object, schema: Schema
+) -> _Words:
     """Return bound and remedy for pydantic's error of type ``kind``."""
     not_finite = isinstance(value, float) and not math.isfinite(value)
     if kind == "finite_number" or not_finite:
@@ -60,17 +66,19 @@ def _words(kind: str, ctx: dict[str, Any], path: list[str | int], value: object)
     elif kind == FAULT:
         words = _Words(ctx["bound"], ctx["remedy"])
     elif kind == "extra_forbidden":
-        words = _Words("a known key", _nearest(str(path[-1]), _keys_at(path[:-1])))
+        words = _Words("a known key", _nearest(str(path[-1]), _keys_at(path[:-1], schema)))
     elif kind == "missing":
-        words = _Words("given", f"add {path[-1]}: {_example(path)}")
+        words = _Words("given", f"add {path[-1]}: {_example(path, schema)}")
     elif kind in {"too_short", "too_long", "string_too_long"}:
-        words = _Words(_counted(path), "make it longer" if kind == "too_short" else "shorten it")
+        words = _Words(
+            _counted(path, schema), "make it longer" if kind == "too_short" else "shorten it"
+        )
     elif kind == "literal_error":
-        words = _Words(_type_at(path), _nearest(str(value), _options(path)))
+        words = _Words(_type_at(path, schema), _nearest(str(value), _options(path, schema)))
     elif kind.startswith(("greater_than", "less_than")):
         words = _range(ctx, value)
     else:
-        words = _Words(_type_at(path), _type_remedy(path, value))
+        words = _Words(_type_at(path, schema), _type_remedy(path, value, schema))
     return words
 
 
@@ -84,12 +92,12 @@ def _range(ctx: dict[str, Any], value: object) -> _Words:
     return _Words(f"at least {least:g}", "give a larger number")
 
 
-def _keys_at(path: list[str | int]) -> list[str]:
-    return [key for way in entries_at(_schema(), path) for key in way.get("properties", {})]
+def _keys_at(path: list[str | int], schema: Schema) -> list[str]:
+    return [key for way in entries_at(schema, path) for key in way.get("properties", {})]
 
 
-def _options(path: list[str | int]) -> list[str]:
-    return [str(option) for way in entries_at(_schema(), path) for option in way.get("enum", ())]
+def _options(path: list[str | int], schema: Schema) -> list[str]:
+    return [str(option) for way in entries_at(schema, path) for option in way.get("enum", ())]
 
 
 def _nearest(word: str, known: Sequence[str]) -> str:
@@ -97,8 +105,8 @@ def _nearest(word: str, known: Sequence[str]) -> str:
     return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
 
 
-def _example(path: list[str | int]) -> str:
-    inside = entries_at(_schema(), path[:-1])
+def _example(path: list[str | int], schema: Schema) -> str:
+    inside = entries_at(schema, path[:-1])
     for way in inside:
         entry = way.get("properties", {}).get(path[-1], {})
         for example in entry.get("examples", ()):
@@ -106,8 +114,8 @@ def _example(path: list[str | int]) -> str:
     return "…"
 
 
-def _counted(path: list[str | int]) -> str:
-    for way in entries_at(_schema(), path):
+def _counted(path: list[str | int], schema: Schema) -> str:
+    for way in entries_at(schema, path):
         least, most = way.get("minItems", 0), way.get("maxItems", way.get("maxLength", math.inf))
         if least == most:
             return f"a list of {least} numbers"
@@ -131,21 +139,21 @@ _TYPES = {
 }
 
 
-def _type_at(path: list[str | int]) -> str:
+def _type_at(path: list[str | int], schema: Schema) -> str:
     names: list[str] = []
-    for way in entries_at(_schema(), path):
+    for way in entries_at(schema, path):
         name = " or ".join(way["enum"]) if "enum" in way else _TYPES.get(way.get("type", ""), "")
         if name == "a mapping":
             name = f"a mapping with keys of {', '.join(way['properties'])}"
         elif name == "a list" and "minItems" in way:
-            name = _counted(path) if way["minItems"] == way.get("maxItems") else "a list"
+            name = _counted(path, schema) if way["minItems"] == way.get("maxItems") else "a list"
         if name and name not in names:
             names.append(name)
     return ", or ".join(names) if names else "of another type"
 
 
-def _type_remedy(path: list[str | int], value: object) -> str:
-    types = {way.get("type") for way in entries_at(_schema(), path)}
+def _type_remedy(path: list[str | int], value: object, schema: Schema) -> str:
+    types = {way.get("type") for way in entries_at(schema, path)}
     if value is None:
         remedy = "remove the key, or write its value after it"
     elif isinstance(value, str) and types & {"number", "integer"}:

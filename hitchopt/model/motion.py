@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Arena, Limits, Separation, Swarm, Team
+from hitchopt.hitch.keep_out import Prism
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 JOINT = 1e-6
@@ -144,6 +145,7 @@ class SwarmMotion:
     team, limits, separation, arena: who flies, and what must be kept.
     drones: of shape (N, 3) [m], in the order d0, d1, ….
     phases: one after the other, covering all of the time.
+    keep_out: prisms that the drones stay out of.
 
     Raises
     ------
@@ -156,6 +158,7 @@ class SwarmMotion:
     arena: Arena | None
     drones: PiecewisePolynomial
     phases: tuple[Phase, ...]
+    keep_out: tuple[Prism, ...] = ()
 
     def __post_init__(self) -> None:
         shape = (self.team.drones, 3)

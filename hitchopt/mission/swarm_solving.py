@@ -1,0 +1,107 @@
+"""A problem of single drones to its certified plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate import Certificate, certify
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import GRAVITY
+from hitchopt.mission.diagnosis import infeasible
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.model.motion import Phase, SwarmMotion
+
+Array = NDArray[np.float64]
+
+SHARE = 1.0 - 1e-6
+"""Of what thrust and tilt allow, so that rounding is of no matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedSwarm:
+    """A motion and the certificate that holds for it."""
+
+    motion: SwarmMotion
+    certificate: Certificate
+
+
+def solve_swarm(
+    problem: SwarmProblem, progress: Callable[[str], None] | None = None
+) -> CertifiedSwarm:
+    """Return the plan with its certificate.
+
+    Raises
+    ------
+    InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
+    """
+    from hitchopt.planners.separation import SeparationTask, separate
+
+    longest = problem.limits.duration
+    if longest is not None and problem.duration is not None and problem.duration > longest:
+        raise InfeasibleError([_too_long(problem.duration, longest)])
+    task = SeparationTask(
+        problem.start,
+        problem.goal,
+        problem.limits,
+        problem.separation,
+        problem.arena,
+        problem.keep_out,
+        duration=problem.duration,
+        acceleration=flyable_accelerations(problem),
+        names=problem.team.drone_names,
+    )
+    found = separate(task, progress)
+    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
+    motion = SwarmMotion(
+        problem.team,
+        problem.limits,
+        problem.separation,
+        problem.arena,
+        found.drones,
+        (phase,),
+        problem.keep_out,
+    )
+    certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
+    if not certificate.certified:
+        raise infeasible(certificate, problem.separation, motion.phases)
+    return CertifiedSwarm(motion, certificate)
+
+
+def flyable_accelerations(problem: SwarmProblem) -> Array:
+    """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
+
+    Raises
+    ------
+    InfeasibleError: a drone that cannot even hover.
+    """
+    team = problem.team
+    spare = team.max_thrust / team.mass - GRAVITY
+    heavy = np.flatnonzero(spare <= 0.0)
+    if len(heavy):
+        raise InfeasibleError(
+            [
+                Violation(
+                    "thrust",
+                    float(team.mass[i] * GRAVITY),
+                    float(team.max_thrust[i]),
+                    "max",
+                    "N",
+                    (team.drone_names[i],),
+                    "at rest",
+                    "give the drone more thrust, or less mass",
+                )
+                for i in heavy
+            ]
+        )
+    level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
+    return np.minimum(SHARE * np.minimum(spare, level), problem.limits.acceleration)
+
+
+def _too_long(duration: float, longest: float) -> Violation:
+    remedy = "lower duration, or raise limits.duration"
+    return Violation("duration", duration, longest, "max", "s", (), "as asked for", remedy)
