@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         transport,
     )
     from hitchopt.certificate import Certificate, CertificateError, Check, certify
+    from hitchopt.certificate.closeness import Closeness
     from hitchopt.errors import (
         FileError,
         HitchoptError,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from hitchopt.export.sampling import States
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
     from hitchopt.hitch import Arena, Hitch, Limits, Prism, Quadrotor, Separation, Swarm, Team
-    from hitchopt.mission.loading import load_problem, load_swarm
+    from hitchopt.mission.loading import load_problem, load_swarm, read_problem
     from hitchopt.mission.problem import (
         Adjust,
         FollowVertex,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from hitchopt.mission.repair import Change, Suggestion
     from hitchopt.mission.swarm import SwarmProblem
     from hitchopt.model.motion import Motion, Phase, SwarmMotion
-    from hitchopt.plan import Plan, load, repair, separate, solve, suggestions
+    from hitchopt.plan import Plan, closest, load, repair, separate, solve, suggestions
     from hitchopt.trajectory import PiecewisePolynomial
 
 _HOMES = {
@@ -56,6 +57,7 @@ _HOMES = {
     "CertificateError": "certificate",
     "Change": "mission.repair",
     "Check": "certificate",
+    "Closeness": "certificate.closeness",
     "ConvexArc": "geometry",
     "ConvexPolygon": "geometry",
     "FileError": "errors",
@@ -89,6 +91,7 @@ _HOMES = {
     "Violation": "errors",
     "adjust": "actions",
     "certify": "certificate",
+    "closest": "plan",
     "follow_vertex": "actions",
     "hold": "actions",
     "lint": "export.lint.linting",
@@ -98,6 +101,7 @@ _HOMES = {
     "morph": "actions",
     "move_edge": "actions",
     "move_vertex": "actions",
+    "read_problem": "mission.loading",
     "regular_polygon": "geometry",
     "repair": "plan",
     "separate": "plan",
@@ -113,6 +117,7 @@ __all__ = [
     "CertificateError",
     "Change",
     "Check",
+    "Closeness",
     "ConvexArc",
     "ConvexPolygon",
     "FileError",
@@ -146,6 +151,7 @@ __all__ = [
     "Violation",
     "adjust",
     "certify",
+    "closest",
     "follow_vertex",
     "hold",
     "lint",
@@ -155,6 +161,7 @@ __all__ = [
     "morph",
     "move_edge",
     "move_vertex",
+    "read_problem",
     "regular_polygon",
     "repair",
     "separate",

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from typing_extensions import TypeVar
 
 from hitchopt.certificate import Certificate, certify
-from hitchopt.errors import InfeasibleError
+from hitchopt.certificate.closeness import SPANS, Closeness, closeness
+from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.export.asking import Wish, export_motion
 from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.exporting import Export
@@ -24,7 +25,7 @@ from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggesti
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
-from hitchopt.model.motion import Flying, Motion, Phase, SwarmMotion
+from hitchopt.model.motion import Flying, Phase, SwarmMotion
 
 Progress = Callable[[str], None]
 
@@ -84,16 +85,17 @@ class Plan(Generic[M]):
         from hitchopt.view.summary import save_summary
 
         motion = self.motion
-        pictures = {}
-        if isinstance(motion, Motion):
-            hitch = motion
-            pictures[SUMMARY] = lambda path: save_summary(path, hitch, self.certificate, self.title)
+
+        def draw(path: Path) -> None:
+            save_summary(path, motion, self.certificate, self.title)
 
         def share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        return save_plan(directory, motion, self.certificate, self.title, rate, pictures, share)
+        return save_plan(
+            directory, motion, self.certificate, self.title, rate, {SUMMARY: draw}, share
+        )
 
     def export(
         self,
@@ -252,6 +254,31 @@ def repair(
     change = found[0].change
     mended = solve(change.problem, progress)
     return replace(mended, title=f"{task.title} with {change}".strip())
+
+
+def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -> Closeness:
+    """Return who is closest to whom over time, by bounds that hold for all t; print it as a table.
+
+    Parameters
+    ----------
+    plan: of any drones, two or more.
+    spans: equal parts of its time, each with the pair that comes closest on it.
+    picture: where to write a picture of it as well (PNG), or None.
+
+    Raises
+    ------
+    InputError: a single drone, or no span.
+    FileError: the picture cannot be written.
+    """
+    found = closeness(plan.motion, spans)
+    if picture is not None:
+        from hitchopt.view.closeness import save_closeness
+
+        try:
+            save_closeness(picture, plan.motion, found)
+        except OSError as error:
+            raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
+    return found
 
 
 def load(directory: Path | str) -> Plan:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
     from hitchopt.model.motion import Flying
+    from hitchopt.plan import Plan
 
 MAX_RATE = 10_000.0
 """[Hz] No flight controller takes setpoints faster."""
@@ -149,17 +150,27 @@ def _suggested(problem: Problem, error: InfeasibleError) -> tuple[Suggestion, ..
 
 @main.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
-def check(directory: Path) -> None:
+@click.option("--closest", is_flag=True, help="Tell who is closest to whom, over time.")
+@click.option(
+    "--picture",
+    metavar="PNG",
+    type=click.Path(path_type=Path),
+    help="Draw the closest neighbours over time into that file.",
+)
+def check(directory: Path, closest: bool, picture: Path | None) -> None:
     """Certify the plan in DIR anew, from its polynomials only."""
     from hitchopt.certificate import certify
     from hitchopt.cli.progress import LateProgress
     from hitchopt.export.plan_file import read_plan
+    from hitchopt.plan import Plan
 
     path = directory / PLAN_FILE
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
         certificate = certify(motion, progress=progress)
     _show("", motion, certificate)
+    if closest or picture is not None:
+        _show_closest(Plan(motion, certificate), picture)
     certificate.raise_if_violated()
     say(f"certified; recomputed from {path}")
 
@@ -183,6 +194,17 @@ def _show(title: str, motion: Flying, certificate: Certificate) -> None:
     say("")
     say(certificate_table(certificate))
     say("")
+
+
+def _show_closest(plan: Plan, picture: Path | None) -> None:
+    from hitchopt.cli.tables import closeness_table
+    from hitchopt.plan import closest
+
+    found = closest(plan, picture=picture)
+    say(closeness_table(found))
+    say("")
+    if picture is not None:
+        say(f"the closest neighbours over time are drawn in {picture}")
 
 
 def _check_rate(rate: float) -> None:

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from hitchopt.certificate.closeness import Closeness
     from hitchopt.certificate.report import Certificate
     from hitchopt.model.motion import Phase
 
@@ -53,6 +54,22 @@ def certificate_table(certificate: Certificate) -> str:
             Text(_names(check.where)),
             f"{check.time:.3f} s" if math.isfinite(check.time) else "",
             Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
+        )
+    return _rendered(table)
+
+
+def closeness_table(closest: Closeness) -> str:
+    """Return the table of the closest neighbours, each with its smallest separation for all t."""
+    table = _table("Closest neighbours", [("pair", "left")], ["separation", "apart", "when"])
+    table.add_column("closest for", justify="right", overflow="fold")
+    span = (closest.spans[-1].end - closest.spans[0].start) / len(closest.spans)
+    for pair in closest.pairs:
+        table.add_row(
+            Text(", ".join(pair.pair)),
+            f"≥ {number(pair.bound)}",
+            f"{pair.apart:.4g} m",
+            f"{pair.time:.3f} s",
+            f"{span * pair.spans:.3f} s",
         )
     return _rendered(table)
 

@@ -54,11 +54,11 @@ def through_a_door(width: float, n: int) -> dict[str, Any]:
     other = row * np.array([-1.0, 1.0, 1.0])
     title = f"{2 * n} drones trade places through a door of {width:g} m"
     data = problem(title, np.vstack([row, other]), np.vstack([other, row]))
-    half, wall = 0.5 * width, 3.0
+    x, half, wall = 0.1, 0.5 * width, 3.0
     data["arena"] = {"lower": [-3.0, -wall, 0.0], "upper": [3.0, wall, 2.8]}
     data["keep_out"] = [
         {
-            "polygon": [[-0.1, low], [-0.1, high], [0.1, high], [0.1, low]],
+            "polygon": [[-x, low], [-x, high], [x, high], [x, low]],
             "lower": 0.0,
             "upper": 3.0,
         }

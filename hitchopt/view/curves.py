@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying
 
 Array = NDArray[np.float64]
 
@@ -44,9 +44,9 @@ class Curves:
         return self.states.t
 
 
-def sampled_curves(motion: Motion) -> Curves:
+def sampled_curves(motion: Flying) -> Curves:
     """Return the curves, at times that include the joints of the plan's pieces."""
-    drones = 2 * motion.team.robots
+    drones = len(motion.team.drone_names)
     samples = int(np.clip(POINTS // drones, FEWEST_SAMPLES, MOST_SAMPLES))
     even = np.linspace(0.0, motion.duration, samples)
     joints = motion.drones.breaks - motion.drones.breaks[0]
@@ -69,7 +69,7 @@ def smallest_separations(positions: Array, scale: Array) -> Array:
 
     Parameters
     ----------
-    positions: (samples, drones, 3) [m], at least two drones.
+    positions: (samples, drones, 3) [m]; a single drone is infinitely far from any other.
     scale: (3,) [1/m]
     """
     scaled = positions * scale

@@ -10,9 +10,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hitchopt.certificate.report import Certificate
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Flying, Motion
 from hitchopt.view.curves import sampled_curves
 from hitchopt.view.plan_view import draw_plan_view
+from hitchopt.view.swarm_view import draw_swarm_view
 from hitchopt.view.time_plots import draw_legend, draw_panel, draw_phases, panels
 
 SIZE = (13.0, 7.2)
@@ -22,8 +23,8 @@ RESOLUTION = 120
 """[dots per inch]"""
 
 
-def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
-    """Return the picture: both hitches and the paths from above; what is limited over time.
+def draw_summary(motion: Flying, certificate: Certificate, title: str = "") -> Figure:
+    """Return the picture: hitches or drones and the paths from above; what is limited over time.
 
     Parameters
     ----------
@@ -33,11 +34,16 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     """
     figure = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(3, 2)
     curves = sampled_curves(motion)
-    draw_plan_view(figure.add_subplot(grid[:, 0]), motion, curves)
-    axes = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-    for each, panel in zip(axes, panels(motion, curves), strict=True):
+    shown = panels(motion, curves)
+    grid = figure.add_gridspec(len(shown), 2)
+    above = figure.add_subplot(grid[:, 0])
+    if isinstance(motion, Motion):
+        draw_plan_view(above, motion, curves)
+    else:
+        draw_swarm_view(above, motion, curves)
+    axes = [figure.add_subplot(grid[row, 1]) for row in range(len(shown))]
+    for each, panel in zip(axes, shown, strict=True):
         draw_panel(each, curves.t, panel, certificate)
     draw_phases(axes, motion.phases, motion.duration)
     for each in axes[:-1]:
@@ -49,7 +55,7 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     return figure
 
 
-def save_summary(path: Path, motion: Motion, certificate: Certificate, title: str = "") -> None:
+def save_summary(path: Path, motion: Flying, certificate: Certificate, title: str = "") -> None:
     """Draw the picture and write it as a PNG.
 
     Parameters
@@ -68,13 +74,14 @@ def save_summary(path: Path, motion: Motion, certificate: Certificate, title: st
         figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
 
 
-def _headline(motion: Motion, certificate: Certificate, title: str) -> str:
-    n = motion.team.robots
+def _headline(motion: Flying, certificate: Certificate, title: str) -> str:
     total = len(certificate.checks)
     if certificate.certified:
         verdict = f"certified for all t: {total} of {total} limits hold"
     else:
         verdict = "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
-    facts = f"{n} robots, {2 * n} drones, {motion.duration:.4g} s; {verdict}"
+    drones = f"{len(motion.team.drone_names)} drones"
+    who = f"{motion.team.robots} robots, {drones}" if isinstance(motion, Motion) else drones
+    facts = f"{who}, {motion.duration:.4g} s; {verdict}"
     name = textwrap.shorten(title, 100, placeholder=" …")
     return f"{name}\n{facts}" if name else facts
