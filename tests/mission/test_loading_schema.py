@@ -28,15 +28,14 @@ def test_the_schema_is_a_schema_of_draft_2020_12() -> None:
 
 
 def all_properties(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    models = [schema, *schema["$defs"].values()]
-    return [entry for model in models for entry in model["properties"].items()]
+    return [entry for model in schema["$defs"].values() for entry in model["properties"].items()]
 
 
 def test_every_key_is_described_and_no_mapping_takes_others() -> None:
     schema = problem_schema()
     for name, entry in all_properties(schema):
         assert "description" in entry or "$ref" in entry, name
-    for model in (schema, *schema["$defs"].values()):
+    for model in schema["$defs"].values():
         assert model["additionalProperties"] is False
         assert model["description"]
 

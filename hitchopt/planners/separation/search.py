@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,12 @@ GAIN = 0.02
 TRUST = 2.5
 """Radii that a coefficient may move by in one program."""
 
+STALLED = 6
+"""Rounds in a row that may bring nothing while drones still meet."""
+
+UNCLEAR, LATE = 1e9, 1e6
+"""Orders of demerit: of curves that break a limit at any speed, and of those that take too long."""
+
 REACH = 1.0
 """Pieces this much farther apart than they must be get a plane as well."""
 
@@ -78,7 +85,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     check_ends(task)
     course = course_of(task)
     if task.duration is not None and task.duration < course.bound:
-        raise InfeasibleError([_too_short(course, course.bound, "no drone can be as fast")])
+        raise InfeasibleError([_too_short(task, course.bound, "no drone can be as fast")])
     tried: list[Standing] = []
     for manners in GUESSES:
         patience = manners.patience
@@ -86,63 +93,87 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
             continue
         say(f"guess: {manners}")
         way = course if patience == 1.0 else course_of(task, patience)
-        found = _improved(way, pushed_apart(way, manners), say)
-        if found.clear and (task.duration is None or found.duration <= task.duration):
-            return _separated(way, found, str(manners))
+        guess = pushed_apart(way, manners)
+        found = _improved(way, guess, say)
+        if found.clear and found.duration <= (task.duration or math.inf):
+            clear_at_once = patience == 1.0 and np.array_equal(guess, way.nominal)
+            return _separated(way, found, "" if clear_at_once else str(manners))
         tried.append(found)
-    nearest = min(tried, key=_distance)
-    if nearest.clear:
-        raise InfeasibleError([_too_short(course, nearest.duration, "the fastest way found")])
-    raise InfeasibleError(nearest.broken, f"no way was found from {len(tried)} guesses")
+    raise _shut(task, tried, say)
 
 
 def _improved(course: Course, guess: Array, say: Progress) -> Standing:
-    """Return the best curves that programs around a guess lead to: clear ones, the fastest."""
-    task = course.task
+    """Return the best curves that programs around a guess lead to, clear ones if there are any."""
     solver = Solver()
-    here = standing_of(course, guess)
-    best = here
-    trust = TRUST * task.separation.radius
+    here = best = standing_of(course, guess)
     known: ClosePieces | None = None
     idle = 0
     for round_number in range(ROUNDS):
-        target = here.duration if not here.clear else FASTER * here.duration
-        floor = BARELY * course.alone if task.duration is None else task.duration
-        target = max(target, floor, 1e-3)
-        pieces = course.grid.pieces_of(here.coefficients)
-        scaled = pieces * course.scale[:, None]
-        close = close_pieces(scaled, 1.0 + MARGIN + REACH)
-        if known is not None:
-            close = close.united(known, task.drones)
-        known = close
-        radius = task.separation.radius
-        walls = walls_before(pieces, task.keep_out, radius, radius + 2.0 * trust)
-        around = Around(here.coefficients, target, trust, planes_between(scaled, close), walls)
+        around = _around(course, here, known)
+        known = around.planes.between
         built = build_program(course, around)
+        first = np.zeros(len(built.program.q))  # unknowns are changes
         try:
-            solution = solver.solve(built.program, np.zeros(len(built.program.q)), built.kept_rows)
+            solution = solver.solve(built.program, first, built.kept_rows)
         except ProgramError:
             break
         here = standing_of(course, built.moved(solution.x))
-        say(
-            f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f} "
-            f"{len(close)} {solution.iterations} {solution.residual:.1e}"
-        )
-        better = _distance(here) < _distance(best) * (1.0 - GAIN)
-        idle = 0 if better else idle + 1
-        if _distance(here) < _distance(best):
+        say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
+        idle = 0 if _demerit(course, here) < (1.0 - GAIN) * _demerit(course, best) else idle + 1
+        if _demerit(course, here) < _demerit(course, best):
             best = here
-        patience = 1 if best.duration <= NEARLY * course.alone and here.clear else PATIENCE
-        if best.clear and (idle >= patience or best.duration <= max(GOOD * course.alone, floor)):
+        if _enough(course, here, best, idle):
             break
     return best
 
 
-def _distance(standing: Standing) -> float:
-    """Return a number that is smaller the better: durations, above those what is not clear."""
-    if standing.clear:
+def _around(course: Course, here: Standing, known: ClosePieces | None) -> Around:
+    """Return where the next program is set up, with the planes of the last one among its own."""
+    task = course.task
+    radius = task.separation.radius
+    aimed = FASTER * here.duration if here.clear else here.duration
+    floor = BARELY * course.alone if task.duration is None else task.duration
+    pieces = course.grid.pieces_of(here.coefficients)
+    scaled = pieces * course.scale[:, None]
+    close = close_pieces(scaled, 1.0 + MARGIN + REACH)
+    if known is not None:
+        close = close.united(known, task.drones)
+    trust = TRUST * radius
+    walls = walls_before(pieces, task.keep_out, radius, radius + 2.0 * trust)
+    planes = planes_between(scaled, close)
+    return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
+
+
+def _enough(course: Course, here: Standing, best: Standing, idle: int) -> bool:
+    """Return whether more rounds are not worth their while."""
+    if not best.clear:
+        return idle >= STALLED
+    if course.task.duration is not None:
+        return best.duration <= course.task.duration and idle >= 1
+    if best.duration <= max(GOOD, BARELY) * course.alone:
+        return True
+    nearly = best.duration <= NEARLY * course.alone and here.clear
+    return idle >= (1 if nearly else PATIENCE)
+
+
+def _demerit(course: Course, standing: Standing) -> float:
+    """Return a number that is smaller the better.
+
+    What is not clear is worst. Of the rest the fastest is best; or, where the duration is given and
+    kept, what is nearest to the nominal curves.
+    """
+    given = course.task.duration
+    if not standing.clear:
+        return UNCLEAR * (2.0 - min(standing.closest, 1.0))
+    if given is None:
         return standing.duration
-    return 1e9 * (2.0 - min(standing.closest, 1.0))
+    if standing.duration > given:
+        return LATE * standing.duration / given
+    s, weights = course.grid.quadrature
+    offset = np.einsum(
+        "sc,ncd->nsd", course.grid.sampled(s), standing.coefficients - course.nominal
+    )
+    return float(np.sum(weights[:, None] * offset**2)) / course.size**2 / len(offset)
 
 
 def _separated(course: Course, found: Standing, remark: str) -> Separated:
@@ -151,12 +182,29 @@ def _separated(course: Course, found: Standing, remark: str) -> Separated:
     return Separated(curves, found.closest, course.bound, remark)
 
 
-def _too_short(course: Course, needed: float, which: str) -> Violation:
-    given = course.task.duration or math.nan
+def _shut(task: SeparationTask, tried: list[Standing], say: Progress) -> InfeasibleError:
+    """Return why there is no plan, with the duration that would do where one is found."""
+    note = f"no way was found from {len(tried)} guesses, which proves nothing"
+    clear = [standing.duration for standing in tried if standing.clear]
+    if clear:
+        return InfeasibleError([_too_short(task, min(clear), "the fastest way found")])
+    nearest = max(tried, key=lambda standing: standing.closest)
+    if task.duration is None:
+        return InfeasibleError(nearest.broken, note)
+    say("looking for a duration that would do")
+    try:
+        found = separate(replace(task, duration=None), say)
+    except InfeasibleError:
+        return InfeasibleError(nearest.broken, note)
+    needed = found.drones.duration
+    return InfeasibleError([_too_short(task, needed, "a way was found"), *nearest.broken], note)
+
+
+def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
     return Violation(
         "duration",
         needed,
-        given,
+        task.duration or math.nan,
         "max",
         "s",
         (),
