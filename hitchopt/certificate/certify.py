@@ -24,7 +24,7 @@ from hitchopt.certificate import (
     vertex_speed,
 )
 from hitchopt.certificate.report import Certificate, Check, most_pressing
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Flying, Motion, SwarmMotion
 
 DRONES: dict[str, Callable[[Flying], Check | None]] = {
     "separation": separation.check,
@@ -34,11 +34,13 @@ DRONES: dict[str, Callable[[Flying], Check | None]] = {
     "thrust": thrust.check,
     "tilt": tilt.check,
     "arena": arena.check,
-    "keep_out": keep_out.check,
     "continuity": continuity.check,
     "duration": duration.check,
 }
 """Checks of whatever flies, for all of its time."""
+
+SWARM: dict[str, Callable[[SwarmMotion], Check | None]] = {"keep_out": keep_out.check}
+"""Checks of single drones."""
 
 HITCH: dict[str, Callable[[Motion], Check | None]] = {
     "cable_clearance": cable_clearance.check,
@@ -93,7 +95,7 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     """
     checks = []
     for name in CHECKS:
-        if name not in DRONES and not isinstance(motion, Motion):
+        if name in (SWARM if isinstance(motion, Motion) else HITCH):
             continue
         if progress is not None:
             progress(name)
@@ -106,6 +108,7 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
 def _result(name: str, motion: Flying) -> Check | None:
     if name in DRONES:
         return DRONES[name](motion)
-    spans = motion.spans(formed=True) if isinstance(motion, Motion) else ()
-    results = [HITCH[name](span) for span in spans]
+    if isinstance(motion, SwarmMotion):
+        return SWARM[name](motion)
+    results = [HITCH[name](span) for span in motion.spans(formed=True)]
     return most_pressing([result for result in results if result is not None])

@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import ROUNDING
 from hitchopt.hitch.keep_out import Prism
-from hitchopt.model.motion import Flying, SwarmMotion
+from hitchopt.model.motion import SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
 
 Array = NDArray[np.float64]
 
 
-def check(motion: Flying) -> Check | None:
+def check(motion: SwarmMotion) -> Check | None:
     """Return the smallest distance of any drone to a prism, zero within; None without prisms."""
-    prisms = motion.keep_out if isinstance(motion, SwarmMotion) else ()
-    if not prisms:
+    if not motion.keep_out:
         return None
-    found = smallest_clearance(motion.drones, prisms)
+    found = smallest_clearance(motion.drones, motion.keep_out)
     where = (motion.team.drone_names[found.item],)
     limit = motion.separation.radius
     return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where)

@@ -27,6 +27,9 @@ STAND_OFF = 1.25
 HALVINGS = 12
 """Of the search for the widest way where all are too narrow."""
 
+HIGH = 1e6
+"""[m] Above and below all that flies."""
+
 TIGHT = 1e-6
 """Relative: corners of ways lie outside of what must not be entered by so much at least."""
 
@@ -98,6 +101,7 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
     flat = np.vstack(outlines)
     heights = np.unique(levels)
     nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
+    nodes = np.vstack([nodes, *(_over(prism, start, goal, distance) for prism in task.keep_out)])
     nodes = nodes[_inside(task.arena, nodes)]
     for solid in solids:
         nodes = nodes[~solid.holds(nodes)]
@@ -120,6 +124,17 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
     while way[-1] != 0:
         way.append(int(before[0, way[-1]]))
     return nodes[way[::-1]]
+
+
+def _over(prism: Prism, start: Array, goal: Array, distance: float) -> Array:
+    """Return the points (m, 3) above and below a prism where the straight way comes and goes."""
+    tower = _Solid.around(Prism(prism.polygon, -HIGH, HIGH), distance)
+    into, out = tower.crossed(start[None], goal[None])
+    if not into[0] < out[0]:
+        return np.zeros((0, 3))
+    flat = start[:2] + np.array([[into[0]], [out[0]]]) * (goal - start)[:2]
+    levels = np.repeat([prism.lower - distance, prism.upper + distance], 2)
+    return np.column_stack([np.vstack([flat, flat]), levels])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +160,11 @@ class _Solid:
 
     def cuts(self, first: Array, last: Array) -> NDArray[np.bool_]:
         """(m,): whether the segments between points (m, 3) go through it."""
+        into, out = self.crossed(first, last)
+        return into < out
+
+    def crossed(self, first: Array, last: Array) -> tuple[Array, Array]:
+        """(m,) each: at which shares segments (m, 3) come and go; in another order they miss it."""
         before = first @ self.normals.T - self.offsets
         after = last @ self.normals.T - self.offsets
         change = after - before
@@ -155,8 +175,7 @@ class _Solid:
         enters = np.where((change == 0.0) & (before >= 0.0), 1.0, enters)
         into = np.maximum(np.max(np.where(change > 0.0, 0.0, enters), axis=1), 0.0)
         out = np.minimum(np.min(np.where(change < 0.0, 1.0, leaves), axis=1), 1.0)
-        cut: NDArray[np.bool_] = into < out
-        return cut
+        return into, out
 
 
 def _widened(outline: Array, distance: float) -> Array:
