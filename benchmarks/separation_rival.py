@@ -1,7 +1,7 @@
 """A rival of the separation planner: plain ``casadi.Opti`` and IPOPT, ellipsoids at knots.
 
-Every drone is a B-spline of degree 5 in s = t/T that starts and ends at rest; free final time; speed,
-acceleration, jerk and all pairs of ellipsoids are kept at equally spaced knots. Started from
+Every drone is a B-spline of degree 5 in s = t/T that starts and ends at rest; free final time;
+speed, acceleration, jerk and all pairs of ellipsoids are kept at equally spaced knots. Started from
 straight lines that bulge to the right, so that the symmetry of a circle is broken for it; expanded
 to SX, exact Hessians.
 """
