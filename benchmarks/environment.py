@@ -7,7 +7,7 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
-LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra")
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp")
 
 
 def print_environment(limitations: str) -> None:

@@ -99,7 +99,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
             clear_at_once = patience == 1.0 and np.array_equal(guess, way.nominal)
             return _separated(way, found, "" if clear_at_once else str(manners))
         tried.append(found)
-    raise _shut(task, tried, say)
+    return _last_resort(task, tried, say)
 
 
 def _improved(course: Course, guess: Array, say: Progress) -> Standing:
@@ -182,22 +182,21 @@ def _separated(course: Course, found: Standing, remark: str) -> Separated:
     return Separated(curves, found.closest, course.bound, remark)
 
 
-def _shut(task: SeparationTask, tried: list[Standing], say: Progress) -> InfeasibleError:
-    """Return why there is no plan, with the duration that would do where one is found."""
-    note = f"no way was found from {len(tried)} guesses, which proves nothing"
-    clear = [standing.duration for standing in tried if standing.clear]
-    if clear:
-        return InfeasibleError([_too_short(task, min(clear), "the fastest way found")])
+def _last_resort(task: SeparationTask, tried: list[Standing], say: Progress) -> Separated:
+    """Return the fastest flight at the pace that is asked for, or say how long it takes."""
     nearest = max(tried, key=lambda standing: standing.closest)
+    note = f"no way was found from {len(tried)} guesses, which proves nothing"
     if task.duration is None:
-        return InfeasibleError(nearest.broken, note)
+        raise InfeasibleError(nearest.broken, note)
     say("looking for a duration that would do")
     try:
         found = separate(replace(task, duration=None), say)
     except InfeasibleError:
-        return InfeasibleError(nearest.broken, note)
+        raise InfeasibleError(nearest.broken, note) from None
     needed = found.drones.duration
-    return InfeasibleError([_too_short(task, needed, "a way was found"), *nearest.broken], note)
+    if needed > task.duration:
+        raise InfeasibleError([_too_short(task, needed, "the fastest way found takes longer")])
+    return replace(found, drones=found.drones.stretched(task.duration / needed))
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:

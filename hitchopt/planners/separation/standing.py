@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 STRETCH = 1.0 + 1e-7
 """Limits are kept by so much more time than needed, that rounding is of no matter."""
 
+IDLE = 0.01
+"""[s] What it takes where nobody moves."""
+
 REMEDY = "give more time or room, or move the drones concerned apart"
 
 
@@ -63,7 +66,7 @@ def needed_duration(course: Course, unit: PiecewisePolynomial) -> float:
     for order, cap in enumerate(course.caps, start=1):
         shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
         factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
-    return max(*factors, 1e-3) * STRETCH
+    return max(*factors, IDLE) * STRETCH
 
 
 def _separation(
