@@ -149,7 +149,7 @@ def _enough(course: Course, here: Standing, best: Standing, idle: int) -> bool:
     if not best.clear:
         return idle >= STALLED
     if course.task.duration is not None:
-        return best.duration <= course.task.duration and idle >= 1
+        return idle >= (1 if best.duration <= course.task.duration else PATIENCE)
     if best.duration <= max(GOOD, BARELY) * course.alone:
         return True
     nearly = best.duration <= NEARLY * course.alone and here.clear

@@ -1,0 +1,211 @@
+"""Problems of single drones: files, mappings, schema, and what becomes of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.mission.json_schema import problem_schema
+from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm, read_problem
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problems import (
+    antipodal_circle,
+    random_team,
+    reversed_stack,
+    swapping_grids,
+    through_a_door,
+)
+from hitchopt.mission.swarm_solving import flyable_accelerations
+from hitchopt.mission.yaml_file import read_yaml
+
+SWARMS = Path(__file__).parents[2] / "problems" / "swarms"
+GOOD = sorted(SWARMS.glob("*.yaml"))
+INFEASIBLE = sorted((SWARMS / "infeasible").glob("*.yaml"))
+BAD = sorted((SWARMS / "bad").glob("*.yaml"))
+SMALL = [path for path in GOOD if path.stem not in {"circle_64", "circle_200", "door", "grids"}]
+VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
+
+
+def full() -> dict[str, Any]:
+    """A problem with every key."""
+    return {
+        "title": "Every key",
+        "team": {"drones": 2, "quadrotor": [{"mass": 0.1}, {"max_thrust": 3.0}]},
+        "limits": {"speed": 0.8, "acceleration": 1.5, "jerk": 12.0, "tilt_deg": 30, "duration": 9},
+        "separation": {"radius": 0.1, "height": 0.25},
+        "arena": {"lower": [-2, -2, 0], "upper": [2, 2.5, 3]},
+        "keep_out": [{"polygon": [[0, 1], [0.3, 1.4], [0.4, 0.9]], "lower": 0.0, "upper": 2.0}],
+        "start": [[-1, 0.1, 1.0], [1.0, 0, 1.1]],
+        "goal": [[1, 0.2, 1.1], [-1.0, 0.3, 1.2]],
+        "duration": 6.5,
+    }
+
+
+def test_every_key_is_read_and_kept() -> None:
+    VALIDATOR.validate(full())
+    problem = any_problem_from_dict(full())
+    assert isinstance(problem, SwarmProblem)
+    assert problem.team.mass.tolist() == [0.1, 0.132]
+    assert problem.team.max_thrust.tolist() == [2.6, 3.0]
+    assert problem.limits.tilt == pytest.approx(math.radians(30.0))
+    assert problem.limits.duration == 9.0
+    assert (problem.separation.radius, problem.separation.height) == (0.1, 0.25)
+    assert problem.arena is not None
+    assert problem.arena.upper.tolist() == [2.0, 2.5, 3.0]
+    assert problem.keep_out[0].polygon.vertices.tolist()[1] == [0.3, 1.4]
+    assert problem.goal[1].tolist() == [-1.0, 0.3, 1.2]
+    assert problem.duration == 6.5
+    plan = ho.separate(problem)
+    assert plan.duration == pytest.approx(6.5)
+    assert plan.certificate.certified
+    assert {"keep_out", "arena", "duration"} <= {check.name for check in plan.certificate.checks}
+
+
+@pytest.mark.parametrize("path", GOOD, ids=lambda path: path.stem)
+def test_problem_files_are_valid(path: Path) -> None:
+    VALIDATOR.validate(read_yaml(path))
+    problem = load_swarm(path)
+    assert problem.title
+    assert len(problem.start) == problem.team.drones
+
+
+@pytest.mark.parametrize("path", SMALL, ids=lambda path: path.stem)
+def test_problems_are_planned_and_samples_keep_what_is_certified(path: Path) -> None:
+    problem = load_swarm(path)
+    plan = ho.separate(problem)
+    assert plan.certificate.certified
+    t = np.linspace(0.0, plan.duration, 3001)
+    state = plan.at(t)
+    i, j = np.triu_indices(problem.team.drones, 1)
+    offset = (state.positions[:, i] - state.positions[:, j]) * problem.separation.scale
+    assert np.min(np.linalg.norm(offset, axis=-1)) >= plan.certificate["separation"].worst
+    assert np.max(np.linalg.norm(state.velocities, axis=-1)) <= plan.certificate["speed"].worst
+    np.testing.assert_allclose(state.positions[0], problem.start, atol=1e-9)
+    np.testing.assert_allclose(state.positions[-1], problem.goal, atol=1e-9)
+
+
+def header(path: Path, word: str) -> str:
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"# {word}: "):
+            return line.removeprefix(f"# {word}: ")
+    raise KeyError(word)
+
+
+@pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
+def test_infeasible_problems_say_what_binds(path: Path) -> None:
+    VALIDATOR.validate(read_yaml(path))
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(path)
+    assert caught.value.violations[0].constraint == header(path, "Binds")
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.stem)
+def test_bad_problems_are_refused(path: Path) -> None:
+    with pytest.raises(ho.InputError):
+        read_problem(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("goals", [[0, 0, 1]], "did you mean goal?"),
+        ("team", {"drones": 0}, "team.drones"),
+        ("team", {"drones": 3}, "3 points"),
+        ("team", {"drones": 2, "tension": 0.4}, "team.tension"),
+        ("start", [[0, 0], [1, 1, 1]], "start[0]"),
+        ("start", 3, "a list"),
+        ("duration", -1.0, "duration"),
+        ("limits", {"leg": 0.2}, "limits.leg"),
+        ("limits", {"speed": "fast"}, "limits.speed"),
+        ("arena", {"lower": [0, 0, 0], "upper": [0, 1, 1]}, "arena"),
+        (
+            "keep_out",
+            [{"polygon": [[0, 0], [1, 0], [1, 1]], "lower": 0, "upper": 1}],
+            "keep_out[0]",
+        ),
+        ("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1]], "lower": 2, "upper": 1}], "upper"),
+        ("title", "two\nlines", "title"),
+    ],
+)
+def test_faults_are_named(key: str, value: object, words: str) -> None:
+    with pytest.raises(ho.InputError) as caught:
+        any_problem_from_dict({**full(), key: value})
+    assert words in str(caught.value)
+
+
+def test_missing_keys_come_with_an_example() -> None:
+    data = full()
+    del data["goal"]
+    with pytest.raises(ho.InputError, match=r"goal.*add goal: \[\["):
+        any_problem_from_dict(data)
+
+
+def test_each_kind_has_its_own_loader() -> None:
+    with pytest.raises(ho.InputError, match="load_swarm"):
+        load_problem(SWARMS / "head_on.yaml")
+    with pytest.raises(ho.InputError, match="load_problem"):
+        load_swarm(SWARMS.parent / "triangle.yaml")
+
+
+def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
+    data = full()
+    data["team"]["quadrotor"] = [{"mass": 0.1, "max_thrust": 1.1}, {"mass": 0.1, "max_thrust": 9.0}]
+    data["limits"] = {"tilt_deg": 5.0, "acceleration": 20.0, "jerk": 200.0}
+    del data["duration"]
+    problem = any_problem_from_dict(data)
+    assert isinstance(problem, SwarmProblem)
+    able = flyable_accelerations(problem)
+    assert able[0] == pytest.approx(min(11.0 - 9.81, 9.81 * math.sin(math.radians(5.0))), rel=1e-5)
+    assert able[1] == pytest.approx(9.81 * math.sin(math.radians(5.0)), rel=1e-5)
+    certificate = ho.separate(problem).certificate
+    assert certificate.certified
+    assert certificate["tilt"].worst > 4.0
+    heavy = {**data, "team": {"drones": 2, "quadrotor": {"mass": 0.5}}}
+    with pytest.raises(ho.InfeasibleError, match="thrust"):
+        ho.solve(any_problem_from_dict(heavy))
+    slow = {**full(), "duration": 9.5}
+    with pytest.raises(ho.InfeasibleError, match="duration"):
+        ho.solve(any_problem_from_dict(slow))
+
+
+def test_a_plan_is_saved_and_loaded_with_its_prisms(tmp_path: Path) -> None:
+    plan = ho.solve(any_problem_from_dict(full()))
+    plan.save(tmp_path / "out", rate=5.0)
+    again = ho.load(tmp_path / "out")
+    assert again.certificate == plan.certificate
+    assert again.title == "Every key"
+    assert isinstance(again.motion, ho.SwarmMotion)
+    (prism,) = again.motion.keep_out
+    np.testing.assert_array_equal(prism.corners, plan.motion.keep_out[0].corners)
+    assert (tmp_path / "out" / "summary.png").stat().st_size > 10_000
+    picture = tmp_path / "closest.png"
+    found = ho.closest(again, 10, picture)
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert found.pairs[0].pair == ("d0", "d1")
+    with pytest.raises(ho.FileError, match="cannot be written"):
+        ho.closest(again, picture=tmp_path / "nowhere" / "closest.png")
+
+
+def test_generators_set_starts_and_goals_apart() -> None:
+    cases = [
+        antipodal_circle(1),
+        antipodal_circle(200),
+        swapping_grids(5),
+        through_a_door(0.6, 4),
+        reversed_stack(4),
+        random_team(11),
+    ]
+    for data in cases:
+        VALIDATOR.validate(data)
+        problem = any_problem_from_dict(data)
+        assert isinstance(problem, SwarmProblem)
+        for points in (problem.start, problem.goal):
+            scaled = points * problem.separation.scale
+            i, j = np.triu_indices(len(points), 1)
+            assert np.all(np.linalg.norm(scaled[i] - scaled[j], axis=1) > 1.05)
