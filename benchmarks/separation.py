@@ -28,7 +28,7 @@ from hitchopt.planners.separation.fastest import fastest_ramps
 CIRCLES = (6, 12, 24, 64, 200)
 RIVAL_CIRCLES = (6, 12, 24)
 
-RIVAL_SECONDS = 240.0
+RIVAL_SECONDS = 120.0
 """Processor time that IPOPT is given."""
 
 TEAMS = 100
