@@ -282,3 +282,9 @@ def test_tasks_that_are_wrong_in_themselves(change: dict[str, object], words: st
         Tether(0, 1, 0.0)
     with pytest.raises(InputError, match="second"):
         Tether(1, 1, 1.0)
+
+
+def test_the_same_task_gives_the_same_plan_to_the_last_bit() -> None:
+    first, second = separate(circle(7, 1.5)).drones, separate(circle(7, 1.5)).drones
+    np.testing.assert_array_equal(first.coefficients, second.coefficients)
+    np.testing.assert_array_equal(first.breaks, second.breaks)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Arena
 from hitchopt.planners.separation.course import Course, inside
+from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
 from hitchopt.planners.separation.qp import QuadraticProgram
 from hitchopt.planners.separation.rows import Rows
@@ -26,9 +27,6 @@ Indices = NDArray[np.intp]
 
 MARGIN = 0.01
 """By which planes are to be kept, in separations: OSQP errs by some thousandths."""
-
-ACROSS = (0.3, 0.7)
-"""How far a derivative may turn aside, as shares of its limit: when it is there, and at zero."""
 
 DEVIATION, ROUGHNESS = 1.0, 3e-7
 """Weights of the squared distance to the nominal curves and of the squared third derivative, both
@@ -96,7 +94,7 @@ def build_program(course: Course, around: Around) -> Built:
     planes, walls = len(around.planes.between), len(around.walls)
     rows = Rows(unknowns + n + cables + planes + walls)
     _add_boxes(rows, course, around)
-    _add_limits(rows, course, around, unknowns)
+    add_limits(rows, course, around.coefficients, around.duration, around.trust, unknowns)
     _add_tethers(rows, course, around, unknowns + n)
     rows.add_bounds(unknowns + np.arange(n + cables), 0.0, np.inf)
     kept = rows.count
@@ -138,44 +136,6 @@ def _add_boxes(rows: Rows, course: Course, around: Around) -> None:
         lower = np.maximum(lower, np.minimum((arena.lower - current) / around.trust, 0.0))
         upper = np.minimum(upper, np.maximum((arena.upper - current) / around.trust, 0.0))
     rows.add_bounds(np.arange(current.size), lower.ravel(), upper.ravel())
-
-
-def _add_limits(rows: Rows, course: Course, around: Around, slack: int) -> None:
-    """Keep the first three derivatives: along themselves up to the limit, and little across."""
-    n, free = len(around.coefficients), course.grid.count - 2 * HELD
-    drones = np.arange(n)
-    for order, (rate, cap) in enumerate(zip(course.grid.rates, course.caps, strict=True), start=1):
-        matrix = rate / around.duration**order
-        current = np.einsum("rc,ncd->nrd", matrix, around.coefficients) / cap[:, None, None]
-        size = np.linalg.norm(current, axis=-1)
-        changing = matrix[:, HELD:-HELD] * around.trust
-        r, f = np.nonzero(changing)
-        columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
-        values = np.broadcast_to(changing[r, f] / cap[:, None], (n, len(r)))
-        across = ACROSS[0] + (ACROSS[1] - ACROSS[0]) * np.clip(1.0 - size, 0.0, 1.0)
-        for k, axis in enumerate(_frames(current)):
-            entries = (values[..., None] * axis[:, r]).ravel()
-            here = np.sum(current * axis, axis=-1)
-            local = np.repeat(drones[:, None] * len(matrix) + r, 3)
-            if k == 0:
-                upper, lower = 1.0 - here, np.full(here.shape, -np.inf)
-            else:  # no worse than it is
-                bound = np.maximum(across, np.abs(here))
-                upper, lower = bound - here, -bound - here
-            first = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
-            if k == 0:
-                every = np.arange(here.size)
-                rows.extend(first + every, slack + every // len(matrix), -float(order))
-
-
-def _frames(vectors: Array) -> tuple[Array, Array, Array]:
-    """Return three orthogonal unit vectors for each of (…, 3), the first one along it."""
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    along = np.where(size > 1e-9, vectors / np.maximum(size, 1e-9), np.array([1.0, 0.0, 0.0]))
-    other = np.eye(3)[np.argmin(np.abs(along), axis=-1)]
-    across = np.cross(along, other)
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    return along, across, np.cross(along, across)
 
 
 def _add_tethers(rows: Rows, course: Course, around: Around, slack: int) -> None:

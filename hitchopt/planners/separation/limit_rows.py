@@ -1,0 +1,65 @@
+"""Rows of a program that keep speed, acceleration and jerk, norms made linear around what is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.planners.separation.course import Course
+from hitchopt.planners.separation.rows import Rows
+from hitchopt.planners.separation.spline import HELD
+
+Array = NDArray[np.float64]
+
+ACROSS = (0.3, 0.7)
+"""How far a derivative may turn aside, as shares of its limit: when it is there, and at zero."""
+
+
+def add_limits(
+    rows: Rows, course: Course, coefficients: Array, duration: float, trust: float, slack: int
+) -> None:
+    """Keep the first three derivatives: along themselves up to the limit, and little across.
+
+    Parameters
+    ----------
+    rows: to which they are added.
+    course: grid and limits.
+    coefficients: (N, count, 3) [m], the current curves.
+    duration: in which the limits are to be kept [s]
+    trust: what an unknown of one stands for [m]
+    slack: column of the first drone's slack, in shares of the duration.
+    """
+    n, free = len(coefficients), course.grid.count - 2 * HELD
+    drones = np.arange(n)
+    for order, (rate, cap) in enumerate(zip(course.grid.rates, course.caps, strict=True), start=1):
+        matrix = rate / duration**order
+        current = np.einsum("rc,ncd->nrd", matrix, coefficients) / cap[:, None, None]
+        size = np.linalg.norm(current, axis=-1)
+        changing = matrix[:, HELD:-HELD] * trust
+        r, f = np.nonzero(changing)
+        columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
+        values = np.broadcast_to(changing[r, f] / cap[:, None], (n, len(r)))
+        across = ACROSS[0] + (ACROSS[1] - ACROSS[0]) * np.clip(1.0 - size, 0.0, 1.0)
+        for k, axis in enumerate(_frames(current)):
+            entries = (values[..., None] * axis[:, r]).ravel()
+            here = np.sum(current * axis, axis=-1)
+            local = np.repeat(drones[:, None] * len(matrix) + r, 3)
+            if k == 0:
+                upper, lower = 1.0 - here, np.full(here.shape, -np.inf)
+            else:  # no worse than it is
+                bound = np.maximum(across, np.abs(here))
+                upper, lower = bound - here, -bound - here
+            first = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
+            if k == 0:
+                every = np.arange(here.size)
+                rows.extend(first + every, slack + every // len(matrix), -float(order))
+
+
+def _frames(vectors: Array) -> tuple[Array, Array, Array]:
+    """Return three orthogonal unit vectors for each of (…, 3), the first one along it."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    along = np.where(size > 1e-9, vectors / np.maximum(size, 1e-9), np.array([1.0, 0.0, 0.0]))
+    other = np.eye(3)[np.argmin(np.abs(along), axis=-1)]
+    across = np.cross(along, other)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return along, across, np.cross(along, across)
