@@ -87,17 +87,20 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     if task.duration is not None and task.duration < course.bound:
         raise InfeasibleError([_too_short(task, course.bound, "no drone can be as fast")])
     tried: list[Standing] = []
+    if standing_of(course, course.nominal).clear:  # nobody is in anybody's way
+        found = _improved(course, course.nominal, say)
+        if found.clear and found.duration <= (task.duration or math.inf):
+            return _separated(course, found, "")
+        tried.append(found)
     for manners in GUESSES:
         patience = manners.patience
         if task.duration is not None and patience * course.alone > task.duration:
             continue
         say(f"guess: {manners}")
         way = course if patience == 1.0 else course_of(task, patience)
-        guess = pushed_apart(way, manners)
-        found = _improved(way, guess, say)
+        found = _improved(way, pushed_apart(way, manners), say)
         if found.clear and found.duration <= (task.duration or math.inf):
-            clear_at_once = patience == 1.0 and np.array_equal(guess, way.nominal)
-            return _separated(way, found, "" if clear_at_once else str(manners))
+            return _separated(way, found, str(manners))
         tried.append(found)
     return _last_resort(task, tried, say)
 
