@@ -28,8 +28,8 @@ CONTROL_POINTS = 14
 KNOTS = 24
 """At which limits are kept."""
 
-BULGE = 0.5
-"""[m] To the right of the straight line, half way."""
+BULGE = 1.2
+"""How far ways bulge to the right half way, as a share of the radius of a ring that has room."""
 
 
 class RivalError(Exception):
@@ -112,5 +112,6 @@ def _bulging(problem: SwarmProblem) -> Array:
     way = problem.goal - problem.start
     right = np.column_stack([way[:, 1], -way[:, 0], np.zeros(len(way))])
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
-    points = problem.start + share * way + BULGE * np.sin(np.pi * share) * right
+    ring = problem.separation.radius * len(way) / np.pi
+    points = problem.start + share * way + BULGE * ring * np.sin(np.pi * share) * right
     return points.reshape(len(share), -1)

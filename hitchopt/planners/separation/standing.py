@@ -13,14 +13,15 @@ from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.rates import largest_rate, norm_bound
 from hitchopt.certificate.rounding import ROUNDING
 from hitchopt.errors import Violation
+from hitchopt.planners.demands import LIMIT_SHARE
 from hitchopt.planners.separation.course import Course
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
 
 Array = NDArray[np.float64]
 
-STRETCH = 1.0 + 1e-7
-"""Limits are kept by so much more time than needed, that rounding is of no matter."""
+STRETCH = 1.0 / LIMIT_SHARE
+"""So much more time than limits need leaves room for what exports round and refit."""
 
 IDLE = 0.01
 """[s] What it takes where nobody moves."""
