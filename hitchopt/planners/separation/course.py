@@ -102,15 +102,14 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
         rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
         leaving = departures(ways, shares, rises, task.separation.scale)
-        points = np.stack(
-            [
-                ways.of(i, progress_along((s - leaving[i]) / shares[i], float(rises[i])))
-                for i in range(n)
-            ]
-        )
+        own = [
+            progress_along((s - leave) / share, float(rise))
+            for leave, share, rise in zip(leaving, shares, rises, strict=True)
+        ]
+        points = ways.points(np.stack(own))
     else:
         share = progress_along(s, 1.0 / breaks[-1])
-        points = np.stack([ways.of(i, share) for i in range(n)])
+        points = ways.points(np.broadcast_to(share, (n, len(share))))
     nominal = _fitted(task, grid, s, points)
     return Course(task, grid, nominal, caps, float(bound), alone, size)
 

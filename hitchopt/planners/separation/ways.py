@@ -47,6 +47,20 @@ class Ways:
     corners: tuple[Array, ...]
     lengths: Array
 
+    def points(self, shares: Array) -> Array:
+        """(N, m, 3) [m]: where all ways are after shares (N, m) of their lengths."""
+        first = np.stack([way[0] for way in self.corners])
+        last = np.stack([way[-1] for way in self.corners])
+        points: Array = first[:, None] + shares[..., None] * (last - first)[:, None]
+        for i in self.bent:
+            points[i] = self.of(i, shares[i])
+        return points
+
+    @property
+    def bent(self) -> list[int]:
+        """The drones whose ways are not straight lines."""
+        return [i for i, way in enumerate(self.corners) if len(way) > 2]
+
     def of(self, drone: int, share: Array) -> Array:
         """(*share.shape, 3): where one way is after shares of its length."""
         corners = self.corners[drone]
@@ -59,21 +73,29 @@ class Ways:
 def ways_around(task: SeparationTask) -> Ways:
     """Return the ways: straight lines where nothing is in between.
 
+    Those whose straight lines are blocked are looked for one by one, each among the corners of all
+    prisms.
+
     Raises
     ------
     InfeasibleError: no way was found that is wide enough.
     """
     radius = task.separation.radius
-    corners = []
-    for i, (start, goal) in enumerate(zip(task.start, task.goal, strict=True)):
+    corners = list(np.stack([task.start, task.goal], axis=1))
+    blocked = np.zeros(task.drones, dtype=np.bool_)
+    for prism in task.keep_out:
+        blocked |= _Solid.around(prism, radius * (1.0 - TIGHT)).cuts(task.start, task.goal)
+    lengths = np.linalg.norm(task.goal - task.start, axis=1)
+    for i in np.flatnonzero(blocked).tolist():
+        start, goal = task.start[i], task.goal[i]
         way = _way(task, start, goal, STAND_OFF * radius)
         if way is None:
             way = _way(task, start, goal, radius * (1.0 + TIGHT))
         if way is None:
             raise InfeasibleError([_too_narrow(task, i)])
-        corners.append(way)
-    lengths = [float(np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in corners]
-    return Ways(tuple(corners), np.array(lengths))
+        corners[i] = way
+        lengths[i] = np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1))
+    return Ways(tuple(corners), lengths)
 
 
 def ways_along(curves: PiecewisePolynomial) -> Ways:
