@@ -14,9 +14,13 @@ from hitchopt.certificate import (
     crossing,
     duration,
     equilibrium,
+    hanging_clearance,
+    hanging_crossing,
+    interlacing,
     jerk,
     legs,
     separation,
+    span,
     speed,
     thrust,
     tilt,
@@ -49,6 +53,16 @@ HITCH: dict[str, Callable[[Motion], Check | None]] = {
 }
 """Checks of a hitch, for as long as it exists."""
 
+FREE: dict[str, Callable[[Motion], Check | None]] = {
+    "cable_clearance": hanging_clearance.check,
+    "crossing": hanging_crossing.check,
+    "span": span.check,
+}
+"""Checks of free cables, for as long as there is no hitch."""
+
+WHOLE: dict[str, Callable[[Motion], Check | None]] = {"interlacing": interlacing.check}
+"""Checks of how free cables become a hitch, and the other way around."""
+
 CHECKS = (
     "separation",
     "cable_clearance",
@@ -61,10 +75,12 @@ CHECKS = (
     "tilt",
     "legs",
     "cable_length",
+    "span",
     "equilibrium",
     "convexity",
     "arena",
     "continuity",
+    "interlacing",
     "duration",
 )
 """In the order of the certificate."""
@@ -79,6 +95,7 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     enter the quantity (positions; positions over a leg for directions), and for a k-th derivative
     of degree N on a piece of h seconds ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference
     of neighbouring coefficients besides. ``continuity`` and ``duration`` are computed outright.
+    Hanging cables are no polynomials: distances to them are bounded to within a few millimetres.
 
     A motion that is degenerate somewhere (a drone on its vertex, two drones at one place, a cable
     without tension) fails the checks concerned.
@@ -103,6 +120,12 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
 def _result(name: str, motion: Flying) -> Check | None:
     if name in DRONES:
         return DRONES[name](motion)
-    spans = motion.spans(formed=True) if isinstance(motion, Motion) else ()
-    results = [HITCH[name](span) for span in spans]
+    if not isinstance(motion, Motion):
+        return None
+    if name in WHOLE:
+        return WHOLE[name](motion)
+    results = []
+    for checks, formed in ((HITCH, True), (FREE, False)):
+        if name in checks:
+            results += [checks[name](run) for run in motion.spans(formed=formed)]
     return most_pressing([result for result in results if result is not None])
