@@ -163,7 +163,8 @@ def _strictly(coefficients: Array) -> Indices:
     size = APART * np.max(np.abs(coefficients), axis=-1, initial=0.0)
     positive = np.min(coefficients, axis=-1) > size
     negative = np.max(coefficients, axis=-1) < -size
-    return positive.astype(np.intp) - negative.astype(np.intp)
+    sign: Indices = positive.astype(np.intp) - negative.astype(np.intp)
+    return sign
 
 
 def _counted(n: int, across: _Cells, unclear: _Cells) -> Crossings:

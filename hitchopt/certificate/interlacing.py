@@ -65,7 +65,7 @@ def _wrong(motion: Motion, spans: tuple[Motion, ...]) -> Iterator[_Wrong]:
     numbers = np.zeros(len(beside), dtype=np.intp)
     formed_before = spans[0].drones.breaks[0] > motion.drones.breaks[0] + JOINT
     for span in spans:
-        start, end = (float(t) for t in span.drones.breaks[[0, -1]])
+        end = float(span.drones.breaks[-1])
         formed_after = end < motion.drones.breaks[-1] - JOINT
         met = chord_crossings(span.drones)
         pairs = met.first * n + met.second

@@ -65,9 +65,9 @@ def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomia
 
 
 def timed(clock: PiecewisePolynomial, most: float) -> Array:
-    """Return times (pieces + 1,) [s]: the clock's breaks, and others so that it goes on by ``most``.
+    """Return times (pieces + 1,) [s]: the clock's breaks, and others in between.
 
-    Between two of them the clock advances by at most about that.
+    Between two of them the clock advances by at most about ``most``.
     """
     times = [clock.breaks[:1]]
     ways = np.diff(clock.at(clock.breaks))

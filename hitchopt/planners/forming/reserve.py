@@ -9,21 +9,12 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Limits, Team
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.hanging import hanging_forces
 
 Array = NDArray[np.float64]
 
 SHARE = 0.999
 """Of every limit, which is planned with."""
-
-
-def hanging_forces(team: Team, drones: Array) -> Array:
-    """Return the force of free cables on their drones (…, 2n, 3) [N], both at (…, 2n, 3) [m]."""
-    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
-    weight = GRAVITY * team.cable_density
-    pull = Catenary.between(q, r, team.cable_length).pull(q, r) * weight
-    forces: Array = pull.reshape(drones.shape)
-    return forces
 
 
 def accelerations(team: Team, limits: Limits, drones: Array) -> Array:

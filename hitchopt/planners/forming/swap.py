@@ -118,4 +118,4 @@ def _needed_stretch(drones: PiecewisePolynomial, limits: Limits, reserve: float)
     for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
         largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
         factors.append((float(largest) / (SHARE * limit)) ** (1.0 / order))
-    return max(factors)
+    return float(max(factors))

@@ -30,7 +30,7 @@ SWAPS = ("swap 1", "swap 2", "tighten", "loosen", "unswap 1", "unswap 2")
 
 
 def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) -> list[Stage]:
-    """Return the stages from the pre-hitch to the hitch, its cables pulled by the team's tension."""
+    """Return the stages from the pre-hitch to the hitch, pulled by the team's tension."""
     team = hitch.team
     legs = float(np.max(hitch.legs))
     shorter = (1.0 - pre.share) * legs  # at least what any drone goes, whatever the polygon
