@@ -25,7 +25,9 @@ def check(motion: Flying) -> Check | None:
     margin = position_margin(motion) + ROUNDING * walls
     found = smallest(Cells.over(motion.drones.breaks, [inside], margin), _bound)
     where = (motion.team.drone_names[found.item],)
-    return Check.of("arena", found.worst, 0.0, "min", "m", found.time, where)
+    # Signs of differences are exact: who rests on the floor to the last bit is not below it.
+    worst = max(found.worst, 0.0) if np.min(inside) >= 0.0 else found.worst
+    return Check.of("arena", worst, 0.0, "min", "m", found.time, where)
 
 
 def _bound(blocks: tuple[Array, ...]) -> Estimate:

@@ -53,8 +53,3 @@ def free_phases(motion: Motion) -> Iterator[FreePhase]:
             phases=(phase,),
         )
         yield FreePhase(phase, part)
-
-
-def ground(motion: Motion) -> float:
-    """Return the height of the ground [m]: the arena's floor, or 0 where there is none."""
-    return 0.0 if motion.arena is None else float(motion.arena.lower[2])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.certificate.free_phases import FreePhase, free_phases, ground
+from hitchopt.certificate.free_phases import FreePhase, free_phases
 from hitchopt.certificate.hanging import (
     LINKS,
     boxes,
@@ -25,6 +25,7 @@ from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
+from hitchopt.hitch.limits import floor_of
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
@@ -33,8 +34,8 @@ from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, Search
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-3
-"""[m] How far ``worst`` may lie below a distance that is attained, besides what the links of a cable
-are off it: catenaries are no polynomials, and are closed in on only with the length of a cell."""
+"""[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
+off it: catenaries are no polynomials, and are closed in on only with the length of a cell."""
 
 GROUND = "ground"
 """Stands for the drone in ``where``."""
@@ -109,7 +110,7 @@ def _to_ground(motion: Motion, drones: PiecewisePolynomial) -> Extremum:
     """Return the smallest height of a cable over the ground, negative below it."""
     n = motion.team.robots
     c = drones.coefficients.copy()
-    c[:, :, 2] -= ground(motion)
+    c[:, :, 2] -= floor_of(motion.arena)
     rows = np.concatenate([c[:, 0::2], c[:, 1::2]], axis=2)
     lengths = np.broadcast_to(motion.team.cable_length[:, None, None], (*rows.shape[:2], 1, 1))
     search = Search(_height, relative=TOLERANCE, absolute=TOLERANCE)

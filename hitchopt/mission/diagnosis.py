@@ -21,6 +21,8 @@ REMEDIES = {
     "thrust": "give the drone more thrust, or lower team.tension",
     "tilt": "raise limits.tilt_deg, or lower team.tension",
     "legs": "use a longer cable, a smaller polygon, or a smaller limits.leg",
+    "span": "use a longer cable, a smaller polygon, or place the drones closer together",
+    "interlacing": "place the drones so that cables need not pass each other on their way",
     "convexity": "go by a polygon in between, in two morphs",
     "arena": "enlarge the arena, or keep the hitch farther from its walls",
     "duration": "raise limits.duration, or the limits of motion",

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Arena, Quadrotor, Team
 from hitchopt.hitch.fitting import fitting_polygon
-from hitchopt.mission.problem import Problem
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited
 from hitchopt.mission.step_records import (
     FollowVertex,
@@ -76,18 +77,31 @@ def with_arena(problem: Problem, lower: Array, upper: Array) -> Edited:
     return Edited(replace(problem, arena=arena), (Edit("arena", value),))
 
 
-def with_spread_start(problem: Problem) -> Edited:
-    """Return the problem whose start has its legs spread."""
-    start = replace(problem.start, legs="spread")
-    return Edited(replace(problem, start=start), (Edit("start.hitch.legs", "spread"),))
+def with_spread_start(problem: Problem, start: HitchStart) -> Edited:
+    """Return the problem whose start, a hitch, has its legs spread."""
+    return Edited(
+        replace(problem, start=replace(start, legs="spread")), (Edit("start.hitch.legs", "spread"),)
+    )
 
 
 def with_spread_legs(problem: Problem, i: int) -> Edited:
     """Return the problem whose step i ends with its legs spread."""
     step = problem.mission[i]
-    if isinstance(step, Hold | Transport):
+    if isinstance(step, Hold | Transport | Release | Land):
         return Edited(problem, ())  # they keep their legs
     return _with_step(problem, i, replace(step, legs="spread"), "legs", "spread")
+
+
+def with_drones_apart(problem: Problem, start: DronesStart, factor: float) -> Edited:
+    """Return the problem whose start's drones are farther from their middle, seen from above."""
+    middle = np.mean(start.drones[:, :2], axis=0)
+    ends = {}
+    for name in ("q", "r"):
+        points = getattr(start, name).copy()
+        points[:, :2] = _about(points[:, :2], factor, middle)
+        ends[name] = points
+    edits = tuple(Edit(f"start.drones.{name}", ends[name].tolist()) for name in ends)
+    return Edited(replace(problem, start=DronesStart(**ends)), edits)
 
 
 def with_seconds(problem: Problem, i: int, seconds: float) -> Edited:
@@ -112,16 +126,19 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
 
     Each about its own centroid; points that vertices are moved to go with the outline they are of.
     """
-    team = problem.team
-    outline = fitting_polygon(team, problem.start.polygon)
-    centre = outline.centroid
-    start = _scaled(outline, factor, centre)
-    edits = [Edit("start.hitch.polygon", start.vertices.tolist())]
+    team, start = problem.team, problem.start
+    centre = np.zeros(2)
+    edits: list[Edit] = []
+    if isinstance(start, HitchStart):
+        outline = fitting_polygon(team, start.polygon)
+        centre = outline.centroid
+        start = replace(start, polygon=_scaled(outline, factor, centre))
+        edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
     steps: list[Step] = []
     for i, step in enumerate(problem.mission):
         key, value = "", np.empty(0)
         scaled: Step = step
-        if isinstance(step, Morph):
+        if isinstance(step, Morph | Form):
             goal = fitting_polygon(team, step.polygon)
             centre = goal.centroid
             polygon = _scaled(goal, factor, centre)
@@ -142,7 +159,7 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
         if key:
             edits.append(Edit(f"mission[{i}].{step.name}.{key}", value.tolist()))
         steps.append(scaled)
-    changed = replace(problem, start=replace(problem.start, polygon=start), mission=tuple(steps))
+    changed = replace(problem, start=start, mission=tuple(steps))
     return Edited(changed, tuple(edits))
 
 

@@ -10,12 +10,13 @@ from functools import partial
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.mission.problem import Problem
+from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.repair.bounds import all_walls, limit_kinds, time_kinds, wall_kinds
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
 from hitchopt.mission.repair.constraints import RATES, SPACE, TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
     with_cables,
+    with_drones_apart,
     with_outlines_scaled,
     with_separation,
     with_tensions,
@@ -28,6 +29,7 @@ MOST_NAMED = 3
 def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
     """Return the kinds of changes that can mend everything that binds, safety left as it is."""
     kinds = (
+        *_starts(problem),
         *_lengths(problem, error.violations),
         *_tensions(problem, error.violations),
         *limit_kinds(problem, error.violations),
@@ -100,6 +102,22 @@ def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind
     )
     yield lowered(outlines, SPACE | RATES | TIMES | {"arena"})
     yield raised(outlines, frozenset({"crossing", "cable_clearance", "separation"}))
+
+
+def _starts(problem: Problem) -> Iterator[Kind]:
+    """Yield drones on free cables that start farther apart, or closer together."""
+    start = problem.start
+    if not isinstance(start, DronesStart):
+        return
+    apart = Quantity(
+        "start.drones",
+        1.0,
+        "times",
+        lambda factor: with_drones_apart(problem, start, factor),
+        "places seen from above",
+    )
+    yield raised(apart, frozenset({"separation", "cable_clearance", "crossing"}))
+    yield lowered(apart, frozenset({"span", "arena"}))
 
 
 def _with_cable(problem: Problem, k: int, length: float) -> Edited:

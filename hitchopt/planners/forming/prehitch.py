@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Separation
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.turns import Turns, half_that_clears, rise_that_clears
 
 Array = NDArray[np.float64]
@@ -39,24 +40,6 @@ CLEARANCE = 1.05
 
 PLACES = np.linspace(0.0, 1.0, 41)
 """Of the length of a hanging cable, where it is looked at."""
-
-
-@dataclass(frozen=True)
-class SwapSettings:
-    """How drones swap.
-
-    Parameters
-    ----------
-    radius: no semi-axis is smaller than this [m].
-    tilt: of the axis of turning, upward [rad]; None: chosen.
-    seconds: no swap is faster than this [s]; None: as fast as the limits allow.
-    sense: 1: every q_k goes up first, -1: down; 0: chosen for every vertex.
-    """
-
-    radius: float = 0.15
-    tilt: float | None = None
-    seconds: float | None = None
-    sense: int = 0
 
 
 @dataclass(frozen=True, eq=False)

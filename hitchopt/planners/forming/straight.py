@@ -39,5 +39,6 @@ def straight(
     reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
     clock = fastest_clock(max(way, least), SHARE * limits.speed, reserve, SHARE * limits.jerk)
     s = clock.coefficients[:, None, None, :] / clock.coefficients[-1, -1]
+    s = np.clip(s, 0.0, 1.0)  # the last digit must not lead through the floor
     curves = start[..., None] * (1.0 - s) + end[..., None] * s
     return PiecewisePolynomial(clock.breaks, curves)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Limits
-from hitchopt.planners.forming.prehitch import PreHitch, SwapSettings
+from hitchopt.planners.forming.prehitch import PreHitch
+from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.swap import swap
