@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch import Arena, Limits, Separation, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.reserve import accelerations
+from hitchopt.planners.forming.reserve import SHARE, accelerations
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import STILL, straight
 from hitchopt.planners.forming.wheels import Wheels, turned
@@ -95,7 +95,7 @@ def _direct(task: ApproachTask) -> list[Stage]:
         SeparationTask(
             here,
             task.goal,
-            task.limits,
+            _kept(task.limits),
             task.separation,
             task.arena,
             tethers=tethers,
@@ -104,6 +104,16 @@ def _direct(task: ApproachTask) -> list[Stage]:
         )
     )
     return [*stages, Stage("approach", found.drones)]
+
+
+def _kept(limits: Limits) -> Limits:
+    """Return limits that leave the certificate's bounds, which are made otherwise, their room."""
+    return replace(
+        limits,
+        speed=SHARE * limits.speed,
+        acceleration=SHARE * limits.acceleration,
+        jerk=SHARE * limits.jerk,
+    )
 
 
 def _gathered(task: ApproachTask) -> list[Stage]:
@@ -122,7 +132,7 @@ def _gathered(task: ApproachTask) -> list[Stage]:
         SeparationTask(
             start,
             goal,
-            task.limits,
+            _kept(task.limits),
             discs,
             task.arena,
             acceleration=np.min(
