@@ -127,7 +127,8 @@ def _gathered(task: ApproachTask) -> list[Stage]:
     altitude = float(np.max(here[:, 2]))
     start[:, 2] = goal[:, 2] = altitude
     gathered[:, 2] = altitude
-    discs = replace(task.separation, radius=disc)
+    # No robot may pass over another one, whose cable or its own would be in the way.
+    discs = replace(task.separation, radius=disc, height=float(np.max(team.cable_length)))
     found = separate(
         SeparationTask(
             start,
