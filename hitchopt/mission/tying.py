@@ -70,9 +70,10 @@ def plan_form(before: Situation, step: Form, i: int, kept: Kept) -> Tied:
     wanted = shared_hitch(before.team, step.polygon, step.altitude, legs, kept)
     check_at_rest(wanted, kept, f"at the end of step {i} (form)")
     site = _site(wanted, before, replace(before, swap=step.swap), kept)
-    approach = _approach(before, site.pre.drones, site.hitch, i, kept)
-    stages = tied(site.pre, site.hitch, kept.limits, step.swap)
-    parts = [approach, staged(stages, site.hitch, i, kept)]
+    tying = staged(tied(site.pre, site.hitch, kept.limits, step.swap), site.hitch, i, kept)
+    if site.pre.shortfall > 0.0:
+        _check(tying, kept)  # no use to go there if nothing can be tied
+    parts = [_approach(before, site.pre.drones, site.hitch, i, kept), tying]
     if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
         parts.append(_shifted(site.hitch, wanted.altitude, "lower", i, kept))
     senses = np.sign(site.pre.turns.rise)
@@ -173,7 +174,7 @@ def _site(hitch: Hitch, before: Situation, how: Situation, kept: Kept) -> _Site:
     floor, clearance = floor_of(kept.arena), CLEARANCE * kept.separation.cable
     altitude = max(
         hitch.altitude,
-        floor + clearance + pre.lowest,
+        floor + clearance + pre.kept.lowest,
         hover_altitude(hitch.team, hitch.drones, floor, clearance),
         hover_altitude(hitch.team, pre.drones, floor, clearance),
     )

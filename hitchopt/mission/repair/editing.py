@@ -92,16 +92,33 @@ def with_spread_legs(problem: Problem, i: int) -> Edited:
     return _with_step(problem, i, replace(step, legs="spread"), "legs", "spread")
 
 
-def with_drones_apart(problem: Problem, start: DronesStart, factor: float) -> Edited:
-    """Return the problem whose start's drones are farther from their middle, seen from above."""
-    middle = np.mean(start.drones[:, :2], axis=0)
-    ends = {}
-    for name in ("q", "r"):
-        points = getattr(start, name).copy()
-        points[:, :2] = _about(points[:, :2], factor, middle)
-        ends[name] = points
-    edits = tuple(Edit(f"start.drones.{name}", ends[name].tolist()) for name in ends)
-    return Edited(replace(problem, start=DronesStart(**ends)), edits)
+def with_radius(problem: Problem, i: int, step: Form, radius: float) -> Edited:
+    """Return the problem whose step i forms with a smaller swap [m]."""
+    changed = replace(step, swap=replace(step.swap, radius=radius))
+    return _with_step(problem, i, changed, "swap.radius", radius)
+
+
+def with_robots_apart(problem: Problem, start: DronesStart, factor: float) -> Edited:
+    """Return the problem whose robots start farther from their middle, each as wide as it was."""
+    middles = 0.5 * (start.q + start.r)[:, :2]
+    moved = _about(middles, factor, np.mean(middles, axis=0)) - middles
+    return _starting(problem, start, moved, moved)
+
+
+def with_robots_drawn(problem: Problem, start: DronesStart, factor: float) -> Edited:
+    """Return the problem whose robots' two drones start closer together, about their middles."""
+    arms = 0.5 * (factor - 1.0) * (start.r - start.q)[:, :2]
+    return _starting(problem, start, -arms, arms)
+
+
+def _starting(problem: Problem, start: DronesStart, q: Array, r: Array) -> Edited:
+    """Return the problem with the start's drones moved by q and r (n, 2) [m]."""
+    places = {}
+    for name, offset in (("q", q), ("r", r)):
+        places[name] = getattr(start, name).copy()
+        places[name][:, :2] = np.round(places[name][:, :2] + offset, DECIMALS)
+    edits = tuple(Edit(f"start.drones.{name}", places[name].tolist()) for name in places)
+    return Edited(replace(problem, start=DronesStart(**places)), edits)
 
 
 def with_seconds(problem: Problem, i: int, seconds: float) -> Edited:

@@ -37,6 +37,7 @@ class Turns:
     half: (c,) [m], a: half of the chord.
     rise: (c,) [m], h: the other semi-axis, positive; negative where q_k goes down first.
     ends: (k, 3) [m]: drones that turn about none, those at the ends of a chain.
+    vertices: (points, 3) [m]: of the hitch that is to be formed.
     """
 
     team: Team
@@ -46,6 +47,7 @@ class Turns:
     half: Array
     rise: Array
     ends: Array
+    vertices: Array
 
     def drones(self, angle: Array, derivative: int = 0) -> Array:
         """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative by the angle."""
@@ -62,11 +64,6 @@ class Turns:
         return places
 
     @property
-    def jets(self) -> tuple[Array, Array]:
-        """(c, 3) each [m]: a t and h w, of which all derivatives by the angle are made."""
-        return self.half[:, None] * self.along, self.rise[:, None] * self.upward
-
-    @property
     def size(self) -> float:
         """The longest semi-axis [m]."""
         return float(max(np.max(self.half), np.max(np.abs(self.rise))))
@@ -74,7 +71,12 @@ class Turns:
     def raised(self, by: float) -> Turns:
         """Return the same ellipses higher up [m]."""
         up = np.array([0.0, 0.0, by])
-        return replace(self, centres=self.centres + up, ends=self.ends + up)
+        return replace(
+            self,
+            centres=self.centres + up,
+            ends=self.ends + up,
+            vertices=self.vertices + up,
+        )
 
     def with_senses(self, senses: Array) -> Turns:
         """Return the same ellipses, q_k going up first where ``senses`` (c,) are 1, down at -1."""
