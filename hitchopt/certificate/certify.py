@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from hitchopt.certificate import (
     acceleration,
@@ -106,15 +108,23 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     progress: called with the name of every check as it starts.
     """
     checks = []
-    for name in CHECKS:
-        if name not in DRONES and not isinstance(motion, Motion):
-            continue
+    for name in _applying(motion):
         if progress is not None:
             progress(name)
         result = _result(name, motion)
         if result is not None:
             checks.append(result)
     return Certificate(motion.duration, tuple(checks))
+
+
+def _applying(motion: Flying) -> Iterator[str]:
+    """Yield the names of the checks that the motion has something for."""
+    here = set(DRONES)
+    if isinstance(motion, Motion):
+        formed = motion.formed
+        here |= set(HITCH) if np.any(formed) else set()
+        here |= set() if np.all(formed) else {*FREE, *WHOLE}
+    yield from (name for name in CHECKS if name in here)
 
 
 def _result(name: str, motion: Flying) -> Check | None:

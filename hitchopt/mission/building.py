@@ -65,7 +65,6 @@ def built_problem(keys: ProblemKeys) -> Problem:
     Raises
     ------
     InputError: what single values do not tell, such as counts and shapes; a joint error if several.
-    UnsupportedError: a well-formed problem that this version cannot plan.
     """
     faults = Collector()
     attempt = faults.attempt

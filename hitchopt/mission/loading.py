@@ -28,7 +28,6 @@ def load_problem(path: str | Path) -> Problem:
     ------
     FileError: a file that cannot be read as YAML.
     InputError: keys, types, counts, ranges or shapes that are wrong; JointInputError if several.
-    UnsupportedError: a well-formed problem that this version cannot plan.
     """
     data = read_yaml(path)
     if not isinstance(data, dict):
@@ -44,7 +43,7 @@ def problem_from_dict(data: Mapping[str, object]) -> Problem:
 
     Raises
     ------
-    InputError, UnsupportedError: as ``load_problem``.
+    InputError: as ``load_problem``.
     """
     try:
         keys = ProblemKeys.model_validate(plain(data))
