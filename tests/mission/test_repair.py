@@ -29,6 +29,8 @@ SMALLEST = {
     "points_too_fast": "mission[0].follow_vertex.path",
     "above_the_arena": "arena.upper[2]",
     "star_tip": "mission[0].morph.legs",
+    "form_starts_overlap": "start.drones",
+    "form_start_overstretched": "start.drones",
 }
 
 
