@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 OFF = 1e-6
 """[m] Drones certainly this far from a sheet are not in it."""
 
-MAX_HALVINGS = 30
+MAX_HALVINGS = 24
 """A cell halved so often is where a drone enters a sheet."""
 
-MOST = 20_000
+MOST = 2000
 """Cells in all, above which only one of each pair is followed up."""
 
 BATCH = 2048

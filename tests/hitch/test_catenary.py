@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.optimize import minimize
+from scipy.optimize import NonlinearConstraint, minimize
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.catenary import Catenary, depth_terms, pull_terms, steepness
@@ -45,7 +46,7 @@ def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:
     ends = np.concatenate([[-1.0], np.sort(np.ravel(c.place(np.linspace(0.02, 0.98, 25)))), [1.0]])
     length = sum(
         quad(lambda mu: half * math.hypot(1.0, slope(c, mu)), a, b, limit=200)[0]
-        for a, b in zip(ends[:-1], ends[1:], strict=True)
+        for a, b in pairwise(ends)
     )
     assert length == pytest.approx(float(c.length), rel=1e-6)
     assert height(c, -1.0) == pytest.approx(0.0, abs=1e-12)
@@ -94,7 +95,7 @@ def test_it_hangs_lower_than_any_other_curve() -> None:
         lambda a: float(np.sum(weights * np.sin(a))),
         np.linspace(-1.2, 1.35, links),
         jac=lambda a: weights * np.cos(a),
-        constraints=[{"type": "eq", "fun": lambda a: ends(a) - np.array([0.0, 0.35])}],
+        constraints=NonlinearConstraint(ends, [0.0, 0.35], [0.0, 0.35]),
         method="SLSQP",
         options={"maxiter": 400, "ftol": 1e-12},
     )
