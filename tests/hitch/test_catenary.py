@@ -91,11 +91,14 @@ def test_it_hangs_lower_than_any_other_curve() -> None:
         return length * np.array([np.sum(np.cos(angles)) - 0.9 / length, np.sum(np.sin(angles))])
 
     weights = (links - np.arange(links) - 0.5) / links
+
+    def energy(angles: np.ndarray) -> float:
+        return float(np.sum(weights * np.sin(angles)))
+
     found = minimize(
-        lambda a: float(np.sum(weights * np.sin(a))),
+        energy,
         np.linspace(-1.2, 1.35, links),
-        jac=lambda a: weights * np.cos(a),
-        constraints=NonlinearConstraint(ends, [0.0, 0.35], [0.0, 0.35]),
+        constraints=NonlinearConstraint(ends, np.array([0.0, 0.35]), np.array([0.0, 0.35])),
         method="SLSQP",
         options={"maxiter": 400, "ftol": 1e-12},
     )
