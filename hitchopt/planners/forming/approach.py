@@ -23,6 +23,7 @@ from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import STILL, straight
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,9 @@ DRAWN = 1.6
 
 CLEARANCE = 1.1
 """How many times ``Separation.cable`` hanging cables keep off the ground."""
+
+PROBES = 101
+"""Of a way, where the cables' heights are looked at."""
 
 ROOM = 1.15
 """How many times touching discs are apart at both ends of their way."""
@@ -103,7 +107,26 @@ def _direct(task: ApproachTask) -> list[Stage]:
             names=task.team.drone_names,
         )
     )
-    return [*stages, Stage("approach", found.drones)]
+    return [*stages, *_lifted(task, here, found.drones)]
+
+
+def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> list[Stage]:
+    """Return the way over curves, all of it higher where cables would come too near the ground.
+
+    Drones that come closer together on their way let their cable hang lower than at its ends.
+    """
+    ends = task.ground + CLEARANCE * task.separation.cable
+    at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+    missing = ends - min(float(np.min(_lowest(task.team, places))) for places in drones.at(at))
+    if missing <= 0.0:
+        return [Stage("approach", drones)]
+    up = np.array([0.0, 0.0, missing + 0.1 * task.separation.cable])
+    higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+    return [
+        Stage("climb", straight(task.team, task.limits, here, here + up)),
+        Stage("approach", higher),
+        Stage("descend", straight(task.team, task.limits, task.goal + up, task.goal)),
+    ]
 
 
 def _kept(limits: Limits) -> Limits:
