@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from benchmarks.environment import print_environment
 from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.mission.free_flight import staged
 from hitchopt.mission.motions import Kept
-from hitchopt.mission.tying import staged
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.tying import tied

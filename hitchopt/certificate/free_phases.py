@@ -9,8 +9,8 @@ import numpy as np
 
 from hitchopt.model.motion import Motion, Phase
 
-GROUNDED = frozenset({"take-off", "land"})
-"""Phases in which cables lie on the ground at one end: they are looked at from above only."""
+GROUNDED = frozenset({"parked", "take-off", "land"})
+"""Phases in which cables lie on the ground, at least at one end: they are looked at from above."""
 
 CLASPING = frozenset({"swap 1", "swap 2", "tighten", "loosen", "unswap 1", "unswap 2"})
 """Phases in which neighbouring cables lie against each other, or are about to."""

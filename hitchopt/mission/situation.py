@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
+from hitchopt.model.motion import Motion
 from hitchopt.planners.forming.settings import SwapSettings
 
 Array = NDArray[np.float64]
@@ -37,3 +38,11 @@ class Situation:
     def holding(cls, hitch: Hitch) -> Situation:
         """Return the situation of a hitch that is there at first."""
         return cls(hitch.team, hitch.drones, hitch)
+
+
+@dataclass(frozen=True, eq=False)
+class Tied:
+    """The motion of a step, not certified yet, and where it ends."""
+
+    motion: Motion
+    after: Situation

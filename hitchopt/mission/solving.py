@@ -15,19 +15,13 @@ from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.free_flight import check_start, plan_hover, plan_land
 from hitchopt.mission.motions import Kept, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem
-from hitchopt.mission.situation import Situation
+from hitchopt.mission.situation import Situation, Tied
 from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
-from hitchopt.mission.tying import (
-    Tied,
-    check_start,
-    plan_form,
-    plan_hover,
-    plan_land,
-    plan_release,
-)
+from hitchopt.mission.tying import plan_form, plan_release
 from hitchopt.model.motion import Motion, joined_motions
 from hitchopt.planners.forming.assigning import assigned
 

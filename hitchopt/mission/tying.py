@@ -1,4 +1,4 @@
-"""Form, release and land: one step of a mission to a motion, and what it leaves behind."""
+"""Form and release: one step of a mission to a motion, and what it leaves behind."""
 
 from __future__ import annotations
 
@@ -8,40 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate import certify
-from hitchopt.errors import HitchoptError, InfeasibleError, Violation
-from hitchopt.hitch import Hitch, Team
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.limits import floor_of
-from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
-from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.form_records import Form, Release
+from hitchopt.mission.free_flight import LEVEL, check_part, lasting, staged
 from hitchopt.mission.motions import Kept, check_at_rest, flying
-from hitchopt.mission.situation import Situation
+from hitchopt.mission.situation import Situation, Tied
 from hitchopt.model.motion import Motion, Phase, joined_motions
 from hitchopt.planners.flown import fly_unhurried
-from hitchopt.planners.forming.approach import ApproachTask, hover_altitude, ways
+from hitchopt.planners.forming.approach import CLEARANCE, ApproachTask, hover_altitude, ways
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.stage import Stage
-from hitchopt.planners.forming.straight import straight
+from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.tying import tied, undone
 from hitchopt.planners.rigid_path import RigidPath
-from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 1.1
-"""How many times ``Separation.cable`` hanging cables keep off the ground."""
-
-LEVEL = 1e-9
-"""[m] Altitudes that differ by less are the same."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tied:
-    """The motion of a step, not certified yet, and where it ends."""
-
-    motion: Motion
-    after: Situation
+TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of the way from the pre-hitch to the hitch, where the cables' heights are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +55,16 @@ def plan_form(before: Situation, step: Form, i: int, kept: Kept) -> Tied:
     legs = "spread" if step.legs is None else step.legs
     wanted = shared_hitch(before.team, step.polygon, step.altitude, legs, kept)
     check_at_rest(wanted, kept, f"at the end of step {i} (form)")
-    site = _site(wanted, before, replace(before, swap=step.swap), kept)
+    site = _site(wanted, step.swap, None, kept)
     tying = staged(tied(site.pre, site.hitch, kept.limits, step.swap), site.hitch, i, kept)
     if site.pre.shortfall > 0.0:
-        _check(tying, kept)  # no use to go there if nothing can be tied
+        check_part(tying, kept)  # no use to go there if nothing can be tied
     parts = [_approach(before, site.pre.drones, site.hitch, i, kept), tying]
     if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
         parts.append(_shifted(site.hitch, wanted.altitude, "lower", i, kept))
     senses = np.sign(site.pre.turns.rise)
     after = Situation(before.team, wanted.drones, wanted, senses, step.swap)
-    return Tied(_lasting(joined_motions(parts), step.duration, i, step.name), after)
+    return Tied(lasting(joined_motions(parts), step.duration, i, step.name), after)
 
 
 def plan_release(before: Situation, step: Release, i: int, kept: Kept) -> Tied:
@@ -86,97 +72,36 @@ def plan_release(before: Situation, step: Release, i: int, kept: Kept) -> Tied:
     hitch = before.hitch
     if hitch is None:
         raise RuntimeError("there is no hitch to release")
-    site = _site(hitch, before, before, kept)
+    senses = np.ones(len(before.team.layout.clasps)) if before.senses is None else before.senses
+    site = _site(hitch, before.swap, senses, kept)
     stages = undone(tied(site.pre, site.hitch, kept.limits, before.swap))
     parts = [staged(stages, site.hitch, i, kept)]
     if abs(site.hitch.altitude - hitch.altitude) > LEVEL:
         parts.insert(0, _shifted(hitch, site.hitch.altitude, "raise", i, kept))
     after = Situation(before.team, site.pre.drones, swap=before.swap)
-    return Tied(_lasting(joined_motions(parts), step.duration, i, step.name), after)
+    return Tied(lasting(joined_motions(parts), step.duration, i, step.name), after)
 
 
-def plan_land(before: Situation, step: Land, i: int, kept: Kept) -> Tied:
-    """Return the plan straight down to the ground; errors as plan_form."""
-    down = before.drones.copy()
-    down[:, 2] = floor_of(kept.arena)
-    flight = straight(before.team, kept.limits, before.drones, down)
-    motion = _free([Stage("land", flight)], before.team, i, kept)
-    return Tied(_lasting(motion, step.duration, i, step.name), replace(before, drones=down))
+def _site(hitch: Hitch, swap: SwapSettings, senses: Array | None, kept: Kept) -> _Site:
+    """Return where to tie or untie: at the hitch's own altitude, or as much higher as it takes.
 
-
-def plan_hover(before: Situation, seconds: float, i: int, kept: Kept) -> Tied:
-    """Return the plan in which drones on free cables stay for ``seconds`` [s]."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    grounded = bool(np.all(before.drones[:, 2] <= floor_of(kept.arena) + LEVEL))
-    return Tied(_free([Stage("land" if grounded else "hold", rest)], before.team, i, kept), before)
-
-
-def check_start(before: Situation, kept: Kept) -> None:
-    """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
-    floor = floor_of(kept.arena)
-    needed = hover_altitude(before.team, before.drones, floor, kept.separation.cable)
-    grounded = float(np.min(before.drones[:, 2])) < needed
-    rest = PiecewisePolynomial.constant([0.0, 1.0], before.drones)
-    stage = Stage("take-off" if grounded else "hold", rest)
-    _check(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
-
-
-def staged(stages: Sequence[Stage], hitch: Hitch, i: int, kept: Kept) -> Motion:
-    """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
-    return joined_motions([_staged(stage, hitch, i, kept) for stage in stages])
-
-
-def _staged(stage: Stage, hitch: Hitch, i: int, kept: Kept) -> Motion:
-    end = stage.drones.duration
-    return Motion(
-        hitch.team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
-        stage.drones,
-        stage.vertices(hitch),
-        stage.legs(hitch),
-        stage.tensions(hitch),
-        (Phase(stage.name, i, 0.0, end, stage.remark, stage.formed),),
-    )
-
-
-def _free(stages: Sequence[Stage], team: Team, i: int, kept: Kept) -> Motion:
-    """Return the motion of drones on free cables that no hitch is told of."""
-    motions = []
-    for stage in stages:
-        breaks = stage.drones.breaks
-        middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
-        nothing = PiecewisePolynomial.constant
-        motions.append(
-            Motion(
-                team,
-                kept.limits,
-                kept.separation,
-                kept.arena,
-                stage.drones,
-                nothing(breaks, np.tile(middle, (team.layout.points, 1))),
-                nothing(breaks, np.zeros((team.robots, 2))),
-                nothing(breaks, np.zeros(team.robots)),
-                (Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, formed=False),),
-            )
-        )
-    return joined_motions(motions)
-
-
-def _site(hitch: Hitch, before: Situation, how: Situation, kept: Kept) -> _Site:
-    """Return where to tie or untie: at the hitch's own altitude, or as much higher as it takes."""
-    pre = find_prehitch(hitch, kept.separation, how.swap)
-    if before.hitch is not None:  # the way back of how it was formed, or is taken to have been
-        senses = before.senses
-        signs = np.ones(len(pre.turns.rise)) if senses is None else senses
-        pre = replace(pre, turns=pre.turns.with_senses(signs))
+    Parameters
+    ----------
+    senses: of the way back of how it was formed, (clasps,); None to choose them.
+    """
+    pre = find_prehitch(hitch, kept.separation, swap)
+    if senses is not None:
+        pre = replace(pre, turns=pre.turns.with_senses(senses))
     floor, clearance = floor_of(kept.arena), CLEARANCE * kept.separation.cable
     altitude = max(
         hitch.altitude,
         floor + clearance + pre.kept.lowest,
-        hover_altitude(hitch.team, hitch.drones, floor, clearance),
-        hover_altitude(hitch.team, pre.drones, floor, clearance),
+        *(
+            hover_altitude(
+                hitch.team, pre.drones + share * (hitch.drones - pre.drones), floor, clearance
+            )
+            for share in TIGHTENING
+        ),
     )
     by = altitude - hitch.altitude
     if by <= LEVEL:
@@ -213,7 +138,7 @@ def _approach(before: Situation, goal: Array, hitch: Hitch, i: int, kept: Kept) 
     for plan in ways(task):
         try:
             motion = staged(plan(), hitch, i, kept)
-            _check(motion, kept)
+            check_part(motion, kept)
         except HitchoptError as error:
             refusals.append(error)
         else:
@@ -228,45 +153,3 @@ def _first(refusals: Sequence[HitchoptError]) -> HitchoptError:
             note = "no other way to the pre-hitch was found" if len(refusals) > 1 else ""
             return InfeasibleError(error.violations, error.note or note)
     return refusals[0]
-
-
-def _check(motion: Motion, kept: Kept, when: str = "") -> None:
-    """Raise InfeasibleError where a part of a plan breaks a limit, its duration left open."""
-    limits = replace(motion.limits, duration=None)
-    certificate = certify(replace(motion, limits=limits))
-    if not certificate.certified:
-        raise infeasible(certificate, kept.separation, motion.phases, when)
-
-
-def _lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:
-    """Return the motion slowed to last exactly as long as a step was given."""
-    if duration is None:
-        return motion
-    if duration < motion.duration:
-        raise InfeasibleError(
-            [
-                Violation(
-                    "duration",
-                    duration,
-                    motion.duration,
-                    "min",
-                    "s",
-                    (),
-                    f"of step {i} ({name})",
-                    f"give it {motion.duration:.6g} s or more, or raise the limits of motion",
-                )
-            ]
-        )
-    factor = duration / motion.duration
-    phases = tuple(
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    )
-    return replace(
-        motion,
-        drones=motion.drones.stretched(factor),
-        vertices=motion.vertices.stretched(factor),
-        legs=motion.legs.stretched(factor),
-        tensions=motion.tensions.stretched(factor),
-        phases=phases,
-    )

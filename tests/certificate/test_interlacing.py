@@ -14,8 +14,8 @@ from hitchopt.certificate import interlacing
 from hitchopt.certificate.chord_crossings import chord_crossings
 from hitchopt.certificate.strands import entered
 from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.mission.free_flight import staged
 from hitchopt.mission.motions import Kept
-from hitchopt.mission.tying import staged
 from hitchopt.model.motion import Motion
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.settings import SwapSettings

@@ -30,7 +30,6 @@ SMALLEST = {
     "above_the_arena": "arena.upper[2]",
     "star_tip": "mission[0].morph.legs",
     "form_starts_overlap": "start.drones",
-    "form_start_overstretched": "start.drones",
 }
 
 

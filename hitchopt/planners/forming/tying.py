@@ -26,9 +26,6 @@ SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
 """What the stages of forming are called when they are undone."""
 
-SWAPS = ("swap 1", "swap 2", "tighten", "loosen", "unswap 1", "unswap 2")
-"""Stages in which neighbouring cables lie against each other, or are about to."""
-
 
 def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) -> list[Stage]:
     """Return the stages from the pre-hitch to the hitch, pulled by the team's tension."""
