@@ -1,224 +1,212 @@
 """How often the optimiser finds a way where the straight one may be shut, and how good it is.
 
-Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …]
+Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [--no-named]
 
 Random hard morphs (``hitchopt.mission.random_morph``, seeded): turned by any angle, scaled,
 shifted, reshaped. Every success is a certificate. Of those not solved, and of the named hard ones,
 M random restarts (turned either way, bent, swollen or shrunk on the way) tell what might be found.
+Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``. A morph
+that is in the former already is not done again.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import time
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import date
+from itertools import chain
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-import hitchopt as ho
-from benchmarks.environment import print_environment
-from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.outline import Outline
-from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.random_morph import random_morph
-from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.leg_law import KeptDistances
-from hitchopt.planners.optimise.guesses import mean_turn
-from hitchopt.planners.optimise.search import (
-    ROUNDS,
-    Candidate,
-    Search,
-    candidates,
-    end_margin,
-    searched,
-)
-from hitchopt.planners.optimise.way import Way
-from hitchopt.planners.path import ShapePath
-
-Array = NDArray[np.float64]
+from benchmarks.environment import busy, environment
+from benchmarks.hard_cases import Case, named_cases, random_case, random_name
+from benchmarks.hard_restarts import CAP, restarts
+from hitchopt.planners.optimise.search import ROUNDS, candidates
 
 LIMITATIONS = (
-    "one machine, one run; 'believed infeasible' means that no restart found a way, no proof; "
-    "ends that break a limit at rest are counted apart"
+    "one machine, one run, other jobs beside it; processor time, not the wall's; "
+    "every success is a certificate; ends that break a limit at rest are counted apart; random "
+    "morphs are restarted only where the default search finds nothing; 'believed infeasible' "
+    f"means that no restart found a way, no proof; a restart is stopped after {CAP:.0f} s of "
+    "processor time, as soon as its current solve returns, and then counts as not found; "
+    "restarts take the optimiser's own steps, from other guesses, so they are no rival of it"
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One morph: its ends and what they keep."""
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one morph.
 
-    name: str
-    start: ho.Hitch
-    end: ho.Hitch
-    kept: KeptDistances
+    Attributes
+    ----------
+    morph: its name.
+    robots: n; 0 for a named one.
+    status: solved; ends: one of them breaks a limit at rest; failed: but a restart solves it;
+        believed infeasible.
+    duration: of the certified flight [s], infinity if none.
+    search: processor time of the search [s].
+    guess: from which the way came.
+    restarts, found, capped: how many, how many found a way, how many the cap stopped.
+    best: of the restarts' certified durations [s], infinity if none.
+    """
 
-    def judge(self, path: ShapePath) -> Flight | None:
-        """Return the flight along a path if its certificate holds."""
-        flight = fly(path, self.kept.limits)
-        motion = Motion(
-            self.start.team,
-            self.kept.limits,
-            self.kept.separation,
-            self.kept.arena,
-            flight.drones,
-            flight.vertices,
-            flight.legs,
-            flight.tensions,
-            (Phase("morph", 0, 0.0, flight.duration),),
-        )
-        return flight if ho.certify(motion).certified else None
-
-    def rests(self) -> bool:
-        """Return whether both ends keep all limits at rest."""
-        kept = self.kept
-        try:
-            for hitch in (self.start, self.end):
-                ho.hold(
-                    hitch, 1.0, limits=kept.limits, separation=kept.separation, arena=kept.arena
-                )
-        except ho.InfeasibleError:
-            return False
-        return True
+    morph: str
+    robots: int
+    status: str
+    duration: float = np.inf
+    search: float = 0.0
+    guess: str = ""
+    restarts: int = 0
+    found: int = 0
+    capped: int = 0
+    best: float = np.inf
 
 
-def random_case(n: int, seed: int) -> Case | None:
-    """Return a random hard morph, or None where an end breaks a limit at rest."""
-    problem = problem_from_dict(random_morph(n, seed, hard=True))
-    (step,) = problem.mission
-    if not isinstance(step, ho.Morph) or not isinstance(problem.start, ho.HitchStart):
-        raise TypeError("a random morph is one morph")
-    kept = KeptDistances(problem.limits, problem.separation, problem.arena)
-    case = make_case(
-        f"n = {n}, seed {seed}", problem.team, problem.start.polygon, step.polygon, kept
-    )
-    return case if case.rests() else None
-
-
-def make_case(name: str, team: ho.Team, first: Outline, last: Outline, kept: KeptDistances) -> Case:
-    """Return the morph from a spread hitch to the sharing nearest to it."""
-    start = ho.Hitch.spread(team, first, limits=kept.limits, separation=kept.separation)
-    end = ho.Hitch.nearest(
-        team,
-        last,
-        1.0,
-        start.fractions,
-        limits=kept.limits,
-        separation=kept.separation,
-        arena=kept.arena,
-    )
-    return Case(name, start, end, kept)
-
-
-def named_cases() -> list[Case]:
-    """Return the hard morphs that every version must plan."""
-    free = KeptDistances(ho.Limits(), ho.Separation(), None)
-    narrow = KeptDistances(
-        ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0.0], [1.55, 1.55, 3.0])
-    )
-    square = ho.regular_polygon(4, 1.2, np.pi / 4)
-    pentagon = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
-    octagon = ho.regular_polygon(8, 1.3)
-    four, weak = ho.Team(4, 2.4), ho.Quadrotor(0.132, 1.6)
-    thrust_bound = ho.Team(4, 2.4, tension=0.8, quadrotor=weak)
-    moved = square.rotated(0.9).translated([0.5, 0.2])
-    return [
-        make_case("square, quarter turn", four, square, square.renumbered(1), free),
-        make_case("square, half turn", four, square, square.renumbered(2), free),
-        make_case("octagon, 45°", ho.Team(8, 2.0), octagon, octagon.rotated(np.pi / 4), free),
-        make_case("pentagon", ho.Team(5, 2.6), pentagon, pentagon.renumbered(2), free),
-        make_case("thrust-bound", thrust_bound, square, moved, free),
-        make_case("narrow arena", four, square, square.renumbered(1), narrow),
-    ]
-
-
-def restarted(case: Case, rng: np.random.Generator) -> list[Candidate]:
-    """Return what one random first guess comes to."""
-    first, last = case.start.polygon, case.end.polygon
-    s = np.linspace(0.0, 1.0, 9)
-    if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
-        return []
-    angle = mean_turn(first, last) + 2.0 * np.pi * rng.choice([-1, 0, 0, 0, 1])
-    bump = np.sin(np.pi * s)
-    turn = angle * (s + 0.15 * rng.normal() * bump)
-    size = 1.0 + 0.25 * rng.normal() * bump
-    bow = np.outer(bump, rng.normal(scale=0.4, size=2))
-    shape = first.vertices - first.centroid
-    goal = last.translated(-last.centroid).rotated(-angle).vertices
-    blend = shape + s[:, None, None] * (goal - shape)
-    blend = blend + 0.05 * bump[:, None, None] * rng.normal(size=shape.shape)
-    c, d = np.cos(turn), np.sin(turn)
-    matrices = np.stack([np.stack([c, d], axis=-1), np.stack([-d, c], axis=-1)], axis=-2)
-    centres = first.centroid + s[:, None] * (last.centroid - first.centroid) + bow
-    polygons = centres[:, None] + size[:, None, None] * (blend @ matrices)
-    polygons[0], polygons[-1] = first.vertices, last.vertices
-    way = Way.through("restart", case.start, case.end, polygons)
-    if np.min(way.slack) <= 0.0:
-        return []
-    margins = (end_margin(case.start, case.kept), end_margin(case.end, case.kept))
-    return searched([way], Search(case.kept, case.judge, None, margins))
-
-
-def best_of_restarts(case: Case, count: int) -> float:
-    """Return the shortest certified duration of random restarts, infinity if there is none [s]."""
-    rng = np.random.default_rng(0)
-    best = np.inf
-    for _ in range(count):
-        for candidate in restarted(case, rng):
-            best = min(best, candidate.flight.duration)
-    return float(best)
-
-
-def by_default(case: Case) -> tuple[float, float]:
-    """Return the certified duration of the default search (infinity if none), and its time [s]."""
-    began = time.perf_counter()
+def outcome(case: Case, robots: int, count: int) -> Outcome:
+    """Return what becomes of a morph; restarts for named ones and where none is found."""
+    began = time.process_time()
     found = candidates(case.start, case.end, case.kept, case.judge)
-    duration = found[0].flight.duration if found else np.inf
-    return duration, time.perf_counter() - began
+    seconds = time.process_time() - began
+    if found and robots:
+        first = found[0]
+        return Outcome(case.name, robots, "solved", first.flight.duration, seconds, first.name)
+    again = restarts(case, count)
+    tried = (again.count, again.found, again.capped, again.best)
+    if found:
+        first = found[0]
+        duration = first.flight.duration
+        return Outcome(case.name, robots, "solved", duration, seconds, first.name, *tried)
+    status = "failed" if again.found else "believed infeasible"
+    return Outcome(case.name, robots, status, np.inf, seconds, "", *tried)
+
+
+def outcomes(
+    robots: Sequence[int], seeds: int, count: int, done: Sequence[Outcome]
+) -> Iterator[Outcome]:
+    """Yield what becomes of the random morphs, but those that are done."""
+    names = {one.morph for one in done}
+    for n in robots:
+        for seed in range(seeds):
+            if random_name(n, seed) in names:
+                continue
+            case = random_case(n, seed)
+            if case is None:
+                yield Outcome(random_name(n, seed), n, "ends")
+            else:
+                yield outcome(case, n, count)
+
+
+def named_outcomes(count: int, done: Sequence[Outcome]) -> Iterator[Outcome]:
+    """Yield what becomes of the named morphs, but those that are done."""
+    names = {one.morph for one in done}
+    for case in named_cases():
+        if case.name not in names:
+            yield outcome(case, 0, count)
+
+
+def read(path: Path) -> list[Outcome]:
+    """Return the outcomes that a table holds; none where there is no table."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Outcome(
+                row["morph"],
+                int(row["robots"]),
+                row["status"],
+                float(row["duration"]),
+                float(row["search"]),
+                row["guess"],
+                int(row["restarts"]),
+                int(row["found"]),
+                int(row["capped"]),
+                float(row["best"]),
+            )
+            for row in csv.DictReader(file)
+        ]
+
+
+def report(done: Sequence[Outcome], load: float) -> list[str]:
+    """Return the lines of the tables, what they are worth first."""
+    lines = [
+        "# Hard morphs",
+        "",
+        f"- {date.today().isoformat()}; {environment()}",
+        f"- busy before the start: {load:.1f} processes on average over a minute",
+        f"- limitations: {LIMITATIONS}",
+        f"- rounds of the search: {', '.join(str(how) for how in ROUNDS)}",
+        "",
+        "| n | morphs | solved | ends | failed | believed infeasible | search, median [s] | "
+        "most [s] |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    random = [one for one in done if one.robots]
+    for n in [*sorted({one.robots for one in random}), 0]:
+        some = [one for one in random if n in (one.robots, 0)]
+        if not some:
+            continue
+        statuses = [one.status for one in some]
+        tried = [one.search for one in some if one.status != "ends"] or [0.0]
+        names = ("solved", "ends", "failed", "believed infeasible")
+        counts = " | ".join(str(statuses.count(name)) for name in names)
+        spread = f"{np.median(tried):.2f} | {np.max(tried):.2f}"
+        lines.append(f"| {n or 'all'} | {len(some)} | {counts} | {spread} |")
+    lines.append("")
+    lines += [
+        f"- {one.morph}: {one.status}; of {one.restarts} restarts {one.found} found a way, "
+        f"{one.capped} were stopped"
+        for one in random
+        if one.status in ("failed", "believed infeasible")
+    ]
+    named = [one for one in done if not one.robots]
+    if named:
+        lines += [
+            "",
+            "| named morph | flight [s] | search [s] | best restart [s] | longer than it | "
+            "restarts | that found a way | stopped |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        ]
+    lines += [
+        f"| {one.morph} | {one.duration:.3f} | {one.search:.2f} | {one.best:.3f} | "
+        f"{one.duration / one.best - 1.0:+.1%} | {one.restarts} | {one.found} | {one.capped} |"
+        for one in named
+    ]
+    return lines
 
 
 def main() -> None:
-    """Print the named morphs against their restarts, then the random ones by n."""
+    """Write the random morphs' and the named ones' outcomes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="random morphs for every n")
     parser.add_argument("--restarts", type=int, default=50)
     parser.add_argument("--robots", type=int, nargs="*", default=list(range(3, 13)))
+    parser.add_argument("--named", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/results"))
     arguments = parser.parse_args()
-    print_environment(LIMITATIONS)
-    print(f"knots and margins of the rounds: {ROUNDS}; {arguments.restarts} restarts")
-    print(f"{'named morph':24s} {'flight [s]':>10s} {'search [s]':>10s} {'best restart [s]':>17s}")
-    for case in named_cases():
-        duration, seconds = by_default(case)
-        best = best_of_restarts(case, arguments.restarts)
-        print(f"{case.name:24s} {duration:10.3f} {seconds:10.2f} {best:17.3f}", flush=True)
-    counts: Counter[str] = Counter()
-    for n in arguments.robots:
-        seconds_of: list[float] = []
-        row: Counter[str] = Counter()
-        for seed in range(arguments.seeds):
-            found = random_case(n, seed)
-            if found is None:
-                row["ends"] += 1
-                continue
-            duration, seconds = by_default(found)
-            seconds_of.append(seconds)
-            if np.isfinite(duration):
-                row["solved"] += 1
-            elif np.isfinite(best_of_restarts(found, arguments.restarts)):
-                row["failed"] += 1
-                print(f"  {found.name}: a restart solves it")
-            else:
-                row["believed infeasible"] += 1
-                print(f"  {found.name}: no restart solves it")
-        counts += row
-        median, worst = (float(f(seconds_of)) for f in (np.median, np.max))
-        print(
-            f"n = {n:2d}: {dict(row)}; search {median:.2f} s median, {worst:.2f} s at most",
-            flush=True,
-        )
-    print(f"all: {dict(counts)}")
+    load = busy()
+    print(f"{environment()}\nlimitations: {LIMITATIONS}", flush=True)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    path = arguments.output / "hard_morphs.csv"
+    done = read(path)
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Outcome)])
+        if file.tell() == 0:
+            writer.writeheader()
+        count = arguments.restarts
+        random = outcomes(arguments.robots, arguments.seeds, count, done)
+        for one in chain(random, named_outcomes(count, done) if arguments.named else ()):
+            done.append(one)
+            writer.writerow(asdict(one))
+            file.flush()
+            print(f"{one.morph:24s} {one.status} {one.duration:.3f} {one.search:.2f}", flush=True)
+    lines = report(done, load)
+    table = arguments.output / "hard_morphs.md"
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 Usage: python -m benchmarks.measure SOLVER KIND ROBOTS SECONDS SAMPLES
 
+With 0 samples a solver of ours ends after its first solve.
+
 A fresh process tells the peak memory of this morph alone, and how long a first solve takes with
 all that is imported and compiled for it. Times are the process's processor time, so that others on
 the machine disturb them less.
@@ -11,11 +13,13 @@ from __future__ import annotations
 
 import json
 import resource
+import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -27,6 +31,9 @@ RIVALS = ("opti", "opti fine", "rockit", "toppra")
 
 MEMORY = 6e9
 """[B] That a rival may take: the programs of large teams would take the machine down."""
+
+REPEATS, FEW = 3, 100
+"""Of the second solve, of which the median counts, up to that many robots."""
 
 RATE = 10_000.0
 """[Hz] of the samples that a result is checked at, unless there are too many of them."""
@@ -41,9 +48,13 @@ class Measurement:
     solver, kind, robots: who, on which of ``tasks.KINDS``, with how many cables.
     status: ``solved``, ``breaks …``, ``failed: …`` or ``timed out``.
     imports: from the start of the process until everything is imported [s].
-    first, second: a solve in a fresh process, and the same again [s]; with its certificate.
-    certify, sharing, write: of the plan, of the first hitch's legs, of all files [s].
+    cold: a solve in a fresh process, no model being on disk yet [s].
+    first: the same in another one that finds them there [s].
+    second: the same once more in that process, the median of some [s]; with its certificate, all.
+    certify, sharing: of the plan, of the first hitch's legs [s].
+    write, csv: of all files, and of the setpoints' CSV at 100 Hz among them [s].
     flight: duration of what was found [s].
+    kept: duration of that, slowed until its samples keep all limits of motion [s].
     peak: memory [MB], before writing and sampling.
     certified: whether the certificate holds; rivals have none.
     broken: the limit whose samples are worst, and by how much of it they break it (below 0: kept).
@@ -56,12 +67,15 @@ class Measurement:
     robots: int
     status: str
     imports: float | None = None
+    cold: float | None = None
     first: float | None = None
     second: float | None = None
     certify: float | None = None
     sharing: float | None = None
     write: float | None = None
+    csv: float | None = None
     flight: float | None = None
+    kept: float | None = None
     peak: float | None = None
     certified: bool | None = None
     broken: str | None = None
@@ -85,7 +99,9 @@ def main() -> None:
 
 def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Measurement:
     import hitchopt as ho
-    from benchmarks.sampled import check_samples, of_motion
+    from benchmarks.sampled import check_samples, kept_duration
+    from benchmarks.samples import of_motion
+    from hitchopt.export.setpoints import write_setpoints
 
     def plan() -> ho.Plan:
         goal, separation = task.end.polygon, task.separation
@@ -97,30 +113,37 @@ def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Me
     team, polygon = task.start.team, task.start.polygon
     try:
         first = _seconds(plan)
-        began = time.process_time()
+        if most == 0.0:
+            return Measurement(solver, kind, task.robots, "solved", imports, first=first)
+        repeats = REPEATS if task.robots <= FEW else 1
+        second = statistics.median(_seconds(plan) for _ in range(repeats))
         found = plan()
     except ho.HitchoptError as error:
         return Measurement(solver, kind, task.robots, f"failed: {type(error).__name__}")
-    second = time.process_time() - began
     certify = _seconds(lambda: ho.certify(found.motion))
     sharing = _seconds(lambda: ho.Hitch.spread(team, polygon, separation=task.separation))
     peak = _peak()
     with tempfile.TemporaryDirectory() as place:
         write = _seconds(lambda: found.save(place))
-    rate = _rate(task, found.duration, most)
-    worst = check_samples(task, found.duration, of_motion(found.motion), rate)[0]
+        csv = _seconds(lambda: write_setpoints(Path(place) / "setpoints.csv", found.motion, 100.0))
+    rate, sample = _rate(task, found.duration, most), of_motion(found.motion)
+    findings = check_samples(task, found.duration, sample, rate)
+    worst = findings[0]
     return Measurement(
         solver,
         kind,
         task.robots,
         _status(worst.name, worst.excess),
         imports,
+        None,
         first,
         second,
         certify,
         sharing,
         write,
+        csv,
         found.duration,
+        kept_duration(task, found.duration, sample, rate, findings),
         peak,
         found.certificate.certified,
         worst.name,
@@ -131,7 +154,7 @@ def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Me
 
 def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> Measurement:
     from benchmarks.rival import RivalError
-    from benchmarks.sampled import check_samples
+    from benchmarks.sampled import check_samples, kept_duration
 
     solve = _solver_of(solver, task, seconds)
     resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY), int(MEMORY)))
@@ -139,13 +162,16 @@ def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> M
     try:
         found = solve()
     except MemoryError:
-        return Measurement(solver, kind, task.robots, f"failed: over {MEMORY / 1e9:g} GB")
+        took = time.process_time() - began
+        status = f"failed: over {MEMORY / 1e9:g} GB"
+        return Measurement(solver, kind, task.robots, status, first=took)
     except RivalError as error:
         took = time.process_time() - began
         return Measurement(solver, kind, task.robots, f"failed: {error}", first=took)
     first, peak = time.process_time() - began, _peak()
     rate = _rate(task, found.duration, most)
-    worst = check_samples(task, found.duration, found.sample, rate)[0]
+    findings = check_samples(task, found.duration, found.sample, rate)
+    worst = findings[0]
     return Measurement(
         solver,
         kind,
@@ -153,6 +179,7 @@ def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> M
         _status(worst.name, worst.excess),
         first=first,
         flight=found.duration,
+        kept=kept_duration(task, found.duration, found.sample, rate, findings),
         peak=peak,
         broken=worst.name,
         excess=worst.excess,

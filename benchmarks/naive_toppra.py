@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from toppra import algorithm, constraint
 
 from benchmarks.rival import RivalError, Solution
-from benchmarks.sampled import Samples
+from benchmarks.samples import Samples
 from benchmarks.tasks import Task
 from hitchopt.planners.path import ShapePath, drones_along
 

@@ -86,6 +86,8 @@ def solve_opti(task: Task, fineness: Fineness, seconds: float) -> Solution:
     try:
         found = opti.solve()
     except RuntimeError as error:
+        if "bad_alloc" in str(error):  # while casadi builds what IPOPT is to call
+            raise MemoryError from error
         raise RivalError(str(opti.return_status())) from error
     duration = float(found.value(T))
     curve = BSpline(knots, np.asarray(found.value(control), dtype=np.float64), DEGREE)

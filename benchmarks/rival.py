@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sampled import Sampler, Samples
+from benchmarks.samples import Sampler, Samples
 from benchmarks.tasks import Task
 from hitchopt.model.evaluation import FlatJets, drone_jets
 from hitchopt.model.robot import JET

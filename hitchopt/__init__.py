@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         UnsupportedError,
         Violation,
     )
+    from hitchopt.export.lint.linting import lint
     from hitchopt.export.sampling import States
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
     from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Team
@@ -100,6 +101,7 @@ _HOMES = {
     "form": "tying",
     "hold": "actions",
     "land": "tying",
+    "lint": "export.lint.linting",
     "load": "plan",
     "load_problem": "mission.loading",
     "morph": "actions",
@@ -159,6 +161,7 @@ __all__ = [
     "form",
     "hold",
     "land",
+    "lint",
     "load",
     "load_problem",
     "morph",

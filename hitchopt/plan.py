@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic
@@ -12,7 +13,9 @@ from typing_extensions import TypeVar
 
 from hitchopt.certificate import Certificate, certify
 from hitchopt.errors import InfeasibleError
+from hitchopt.export.asking import Wish, export_motion
 from hitchopt.export.directory import PLAN, SUMMARY, save_plan
+from hitchopt.export.exporting import Export
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
 from hitchopt.mission.loading import load_problem
@@ -89,6 +92,70 @@ class Plan(Generic[M]):
                 progress(f"writing setpoints, {fraction:.0%}")
 
         return save_plan(directory, motion, self.certificate, self.title, rate, pictures, share)
+
+    def export(
+        self,
+        format: str,
+        folder: Path | str,
+        *,
+        frame: str | None = None,
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        yaw: float = 0.0,
+        fleet: Path | str | None = None,
+        rate: float | None = None,
+        stretch: float = 1.0,
+        storage: str = "mcap",
+        progress: Progress | None = None,
+    ) -> tuple[Export, ...]:
+        """Write the plan as a fleet reads it; return what was written, one entry per part.
+
+        Certified as written: an export that loses a limit of what is flown is refused.
+
+        Parameters
+        ----------
+        format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
+            parquet, npz or json.
+        folder: made if it is missing; only files of an earlier export there are replaced.
+        frame: enu, nwu or ned; None for the format's usual one.
+        origin: where the plan's origin lies in the room, east, north and up (3,) [m].
+        yaw: how far the plan is turned there, counter-clockwise from above [rad].
+        fleet: a fleet file; None calls the drones as the plan does.
+        rate: samples a second [Hz], where the format samples; None for its usual rate.
+        stretch: how many times as slowly to fly, from 1 on.
+        storage: of a bag, mcap or sqlite3.
+        progress: called with what is being done now.
+
+        Raises
+        ------
+        InputError, FileError: what was asked is wrong in itself, or cannot be written.
+        CertificateError, InfeasibleError: the certificate does not hold, the format cannot hold
+            the plan, or it loses a limit; nothing is written.
+        UnsupportedError: a library that the format needs is not installed.
+        """
+        wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage)
+        return export_motion(self.motion, self.title, wish, folder, progress)
+
+    def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
+        """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
+
+        One entry for every part of the plan, mostly one; certified as ``export`` does it.
+
+        Parameters
+        ----------
+        options: ``frame``, ``origin``, ``yaw``, ``fleet`` and ``stretch`` of ``export``.
+
+        Raises
+        ------
+        InputError, FileError, CertificateError, InfeasibleError: as ``export``.
+        """
+        with tempfile.TemporaryDirectory() as place:
+            return tuple(
+                {
+                    Path(name).stem.rpartition("_")[0]: (part.folder / name).read_bytes()
+                    for name in part.files
+                }
+                for part in self.export("compressed", Path(place) / "bytes", **options)
+            )
 
 
 def solve(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:

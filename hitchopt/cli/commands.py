@@ -38,13 +38,15 @@ def _version() -> str:
 @click.group(cls=SafeGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version=_version(), prog_name="hitchopt")
 def main() -> None:
-    r"""Plan how teams of quadrotors reshape polygonal cable hitches in midair.
+    """Plan how teams of quadrotors reshape polygonal cable hitches in midair.
 
     Every plan comes with a certificate that holds for all of continuous time.
 
-    \b
     Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
     3 well-formed, but it cannot be met, or its certificate fails.
+
+    Models are kept from run to run in the user's cache directory; the environment variable
+    HITCHOPT_CACHE names another one, or says off.
     """
 
 

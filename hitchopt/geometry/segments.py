@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import dot
+
 Array = NDArray[np.float64]
 
 
@@ -57,7 +59,7 @@ def _of_segments(d00: Array, d01: Array, d10: Array, d11: Array) -> Array:
             _inner(d00, d10 - d00, d00 - d01),
         ]
     )
-    squared = np.sum(offsets * offsets, axis=-1)
+    squared = dot(offsets, offsets)
     best = np.argmin(squared, axis=0)
     chosen: Array = np.take_along_axis(offsets, best[None, ..., None], axis=0)[0]
     return chosen
@@ -66,8 +68,8 @@ def _of_segments(d00: Array, d01: Array, d10: Array, d11: Array) -> Array:
 def _nearest(first: Array, second: Array) -> Array:
     """Return the point nearest to the origin of the segment from ``first`` to ``second``."""
     along = first - second
-    squared = np.sum(along * along, axis=-1)
-    share = np.sum(first * along, axis=-1)
+    squared = dot(along, along)
+    share = dot(first, along)
     share = np.divide(share, squared, out=np.zeros_like(share), where=squared > 0.0)
     nearest: Array = first - np.clip(share, 0.0, 1.0)[..., None] * along
     return nearest
@@ -78,8 +80,8 @@ def _inner(w: Array, u: Array, v: Array) -> Array:
 
     Elsewhere infinity. ``w`` joins the segments' first ends, u and v lead from first to last.
     """
-    uu, uv, vv = (np.sum(x * y, axis=-1) for x, y in ((u, u), (u, v), (v, v)))
-    uw, vw = np.sum(u * w, axis=-1), np.sum(v * w, axis=-1)
+    uu, uv, vv = (dot(x, y) for x, y in ((u, u), (u, v), (v, v)))
+    uw, vw = dot(u, w), dot(v, w)
     det = uu * vv - uv * uv
     skew = det > 1e-14 * uu * vv
     safe = np.where(skew, det, 1.0)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from hitchopt.certificate import Certificate, certify
+from hitchopt.certificate import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.motions import Kept, flying
+from hitchopt.mission.motions import Certified, Kept, certified, flying
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight
 from hitchopt.planners.flown import fly_unhurried
-from hitchopt.planners.optimise.search import Candidate, Judge, candidates
+from hitchopt.planners.lead import leading
+from hitchopt.planners.leg_law import legs_clear
+from hitchopt.planners.optimise.search import candidates
 from hitchopt.planners.path import ShapePath
 
 
@@ -40,7 +42,7 @@ class WayTask:
     tension: tuple[float, float] | None = None
 
 
-def best_way(own: Callable[[], Motion], task: WayTask) -> Motion:
+def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
     """Return the motion of a step: its own one, or an optimised one where that is better.
 
     Parameters
@@ -54,65 +56,101 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Motion:
     HitchoptError: that one could not be timed, and no other way was found.
     """
     motion: Motion | None = None
-    refusal: HitchoptError
+    refusal: HitchoptError | None = None
     try:
         motion = own()
-        certificate = _certificate(motion)
-        if certificate.certified and not task.optimize and task.tension is None:
-            return motion
-        refusal = infeasible(certificate, task.kept.separation, motion.phases)
-        if not certificate.certified:
-            motion = None
+        if not (task.optimize or task.tension is not None):
+            return _sound(motion, task)
     except HitchoptError as error:
-        refusal = error
-    if not task.kept.optimiser:
-        if motion is None:
-            raise refusal
-        return motion
-    for candidate in candidates(
-        task.start, task.end, task.kept.distances, _judge(task), task.tension
-    ):
-        found = _as_asked(candidate, task, shut=motion is None)
-        if found is None or (motion is not None and found.duration >= motion.duration):
-            break  # the others are slower still
-        return found
-    if motion is not None:
-        return motion
-    if isinstance(refusal, InfeasibleError):
-        raise InfeasibleError(refusal.violations, _found_nothing(refusal))
-    raise refusal
+        motion, refusal = None, error
+    found = _optimised(task) if task.kept.optimiser else None
+    if motion is not None and (found is None or motion.duration <= found.motion.duration):
+        try:  # only now, as it is not needed where another way is faster
+            return _sound(motion, task)
+        except InfeasibleError as error:
+            motion, refusal = None, error
+    if found is None:
+        raise _refused(refusal, task)
+    remark = found.motion.phases[0].remark + _why(shut=motion is None)
+    phases = (replace(found.motion.phases[0], remark=remark),)
+    return Certified(replace(found.motion, phases=phases), found.certificate)
 
 
-def _judge(task: WayTask) -> Judge:
-    """Return what flies a path and believes the certificate alone."""
+def _sound(motion: Motion, task: WayTask) -> Certified:
+    """Return the motion with its certificate, or raise InfeasibleError for what it breaks."""
+    found = certified(motion)
+    if not found.certificate.certified:
+        raise infeasible(found.certificate, task.kept.separation, motion.phases)
+    return found
 
-    def judged(path: ShapePath) -> Flight | None:
+
+@dataclass(frozen=True, eq=False)
+class _Passed:
+    """A path that a flight has been certified along."""
+
+    path: ShapePath
+    flight: Flight
+    certificate: Certificate
+
+
+class _Judge:
+    """Flies paths and believes the certificate alone; keeps what has passed."""
+
+    def __init__(self, task: WayTask) -> None:
+        self.task = task
+        self.passed: list[_Passed] = []
+
+    def __call__(self, path: ShapePath) -> Flight | None:
+        task = self.task
         flight = fly_unhurried(path, task.kept.limits)
-        motion = flying(flight, task.start.team, task.kept, [task.phase])
-        return flight if _certificate(motion).certified else None
-
-    return judged
-
-
-def _as_asked(candidate: Candidate, task: WayTask, *, shut: bool) -> Motion | None:
-    """Return a candidate's motion in the step's duration; None where it cannot be so fast."""
-    flight = candidate.flight
-    if task.duration is not None:
-        if task.duration < flight.duration:
+        found = certified(flying(flight, task.start.team, task.kept, [task.phase]))
+        if not found.certificate.certified:
             return None
-        flight = flight.lasting(task.duration)
-    phase = replace(task.phase, end=flight.duration, remark=_remark(shut, candidate.name))
-    return flying(flight, task.start.team, task.kept, [phase])
+        self.passed.append(_Passed(path, flight, found.certificate))
+        return flight
 
 
-def _certificate(motion: Motion) -> Certificate:
-    """Return the certificate of one step, the whole plan's duration left open."""
-    return certify(replace(motion, limits=replace(motion.limits, duration=None)))
+def _optimised(task: WayTask) -> Certified | None:
+    """Return the fastest optimised motion in the step's duration; None where there is none."""
+    judge = _Judge(task)
+    found = candidates(task.start, task.end, task.kept.distances, judge, task.tension)
+    if not found:
+        return None
+    passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
+    if task.optimize and passed.flight.duration > (task.duration or 0.0):
+        passed = _led(passed, judge)
+    flight, remark = passed.flight, f"on an optimised way, first guess {found[0].name}: "
+    if task.duration is None:
+        phase = replace(task.phase, end=flight.duration, remark=remark)
+        return Certified(flying(flight, task.start.team, task.kept, [phase]), passed.certificate)
+    if task.duration < flight.duration:
+        return None
+    flight = flight.lasting(task.duration)
+    phase = replace(task.phase, end=flight.duration, remark=remark)
+    return certified(flying(flight, task.start.team, task.kept, [phase]))
 
 
-def _remark(shut: bool, name: str) -> str:
-    why = "the step's own way is shut" if shut else "faster than the step's own way"
-    return f"on an optimised way, first guess {name}: {why}"
+def _led(passed: _Passed, judge: _Judge) -> _Passed:
+    """Return what has passed, or a faster flight on which legs lead and lag."""
+    kept = judge.task.kept
+    for path in leading(passed.path, kept.limits):
+        try:
+            flight = judge(path) if legs_clear(path, kept.distances) else None
+        except HitchoptError:
+            continue
+        if flight is not None:
+            return min(passed, judge.passed[-1], key=lambda p: p.flight.duration)
+    return passed
+
+
+def _why(*, shut: bool) -> str:
+    return "the step's own way is shut" if shut else "faster than the step's own way"
+
+
+def _refused(refusal: HitchoptError | None, task: WayTask) -> HitchoptError:
+    if isinstance(refusal, InfeasibleError) and task.kept.optimiser:
+        return InfeasibleError(refusal.violations, _found_nothing(refusal))
+    return refusal or HitchoptError("no way was found")
 
 
 def _found_nothing(refusal: InfeasibleError) -> str:

@@ -37,6 +37,20 @@ class Kept:
         return KeptDistances(self.limits, self.separation, self.arena)
 
 
+@dataclass(frozen=True, eq=False)
+class Certified:
+    """A motion and the certificate that holds for it."""
+
+    motion: Motion
+    certificate: Certificate
+
+
+def certified(motion: Motion) -> Certified:
+    """Return the motion of one step with its certificate, the whole plan's duration left open."""
+    timeless = replace(motion, limits=replace(motion.limits, duration=None))
+    return Certified(motion, certify(timeless))
+
+
 def resting(hitch: Hitch, kept: Kept, seconds: float, phase: Phase) -> Motion:
     """Return the motion in which the hitch stays for ``seconds`` [s]; the phase's end is set."""
     breaks = np.array([0.0, seconds])

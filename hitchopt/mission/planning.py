@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.certificate import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.ends import End, broken_on_the_way, end_of_action, end_of_morph, shared_hitch
@@ -41,10 +42,18 @@ IDLE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """The motion of a step, not certified yet, and the hitch after it."""
+    """The motion of a step, and the hitch after it.
+
+    Attributes
+    ----------
+    motion: from rest to rest.
+    end: the hitch after it.
+    certificate: of the step alone, its duration left open; None where nobody has asked for it yet.
+    """
 
     motion: Motion
     end: Hitch
+    certificate: Certificate | None = None
 
 
 def plan_step(start: Hitch, step: HitchStep, i: int, kept: Kept) -> Planned:
@@ -123,7 +132,8 @@ def _shape(start: Hitch, step: ShapeStep, i: int, kept: Kept) -> Planned:
     task = WayTask(
         start, end.hitch, kept, Phase(step.name, i, 0.0, 0.0), step.duration, *_options(step)
     )
-    return Planned(best_way(own, task), end.hitch)
+    found = best_way(own, task)
+    return Planned(found.motion, end.hitch, found.certificate)
 
 
 def _options(step: ShapeStep) -> tuple[bool, tuple[float, float] | None]:

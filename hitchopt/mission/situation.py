@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.certificate import Certificate
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.motion import Motion
 from hitchopt.planners.forming.settings import SwapSettings
@@ -42,7 +43,15 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class Tied:
-    """The motion of a step, not certified yet, and where it ends."""
+    """The motion of a step, and where it ends.
+
+    Attributes
+    ----------
+    motion: from rest to rest.
+    after: where it ends.
+    certificate: of the step alone, its duration left open; None where nobody has asked for it yet.
+    """
 
     motion: Motion
     after: Situation
+    certificate: Certificate | None = None

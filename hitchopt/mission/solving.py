@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate import Certificate, certify
+from hitchopt.certificate import Certificate, merged
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
@@ -16,7 +16,7 @@ from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.free_flight import check_start, plan_hover, plan_land
-from hitchopt.mission.motions import Kept, check_at_rest
+from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.situation import Situation, Tied
@@ -33,14 +33,6 @@ Progress = Callable[[str], None]
 
 RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
 """Checks that hold more easily where everything goes slower."""
-
-
-@dataclass(frozen=True, eq=False)
-class Certified:
-    """A motion and the certificate that holds for it."""
-
-    motion: Motion
-    certificate: Certificate
 
 
 def solve_problem(
@@ -110,6 +102,7 @@ def _solved(
 ) -> Certified:
     situation = start
     motions: list[Motion] = []
+    certificates: list[Certificate] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
         try:
@@ -118,8 +111,11 @@ def _solved(
             raise _in_step(error, first, group) from None
         motions.append(planned.motion)
         situation = planned.after
+        if planned.certificate is None:
+            _tell(progress, f"certifying step {first} ({group[0].name})")
+        certificates.append(planned.certificate or certified(planned.motion).certificate)
     motion = joined_motions(motions)
-    certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
+    certificate = merged(motion, certificates)
     if not certificate.certified:
         broken = infeasible(certificate, kept.separation, motion.phases)
         raise _advised(broken, certificate, motion, steps)
@@ -157,7 +153,7 @@ def _planned(before: Situation, group: list[Step], first: int, kept: Kept) -> Ti
         shapes = [step for step in group if isinstance(step, ShapeStep)]
         planned = plan_blended(before.hitch, shapes, first, kept)
     after = replace(before, hitch=planned.end, drones=planned.end.drones)
-    return Tied(planned.motion, after)
+    return Tied(planned.motion, after, planned.certificate)
 
 
 def _in_step(error: InfeasibleError, first: int, group: list[Step]) -> InfeasibleError:

@@ -15,8 +15,8 @@ from hitchopt.model.robot import JET, clasp_function, robot_function
 
 Array = NDArray[np.float64]
 
-BATCH = 4096
-"""Columns evaluated in one go."""
+BATCH = 512
+"""Columns evaluated in one go: more take longer to map than they save."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,12 +5,12 @@ As in ``robot``, robot k depends on ``p_{k-1} … p_{k+2}``, ``d_k`` and ``T_{k-
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 
+from hitchopt.model.cache import kept
 
-@lru_cache
+
+@kept
 def planar_function(equal_tensions: bool) -> ca.Function:
     """Return robot k's drones, its other leg, and how sharply the outline turns at ``p_k``.
 

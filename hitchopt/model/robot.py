@@ -17,6 +17,7 @@ from functools import lru_cache
 import casadi as ca
 
 from hitchopt.hitch import GRAVITY
+from hitchopt.model.cache import kept
 
 ORDER = 3
 """Jets go up to the jerk."""
@@ -24,7 +25,7 @@ ORDER = 3
 JET = ORDER + 1
 
 
-@lru_cache
+@kept
 def robot_function(equal_tensions: bool) -> ca.Function:
     """Return robot k's drones as a function of the flat outputs' jets.
 

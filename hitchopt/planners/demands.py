@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Limits, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets
 
@@ -42,7 +43,7 @@ class Demands:
         """Return the demands of flat outputs and of the drones that follow from them."""
         return cls(
             drones.positions,
-            np.max(np.linalg.norm(flat.vertices[..., 1], axis=-1), axis=1),
+            np.max(length(flat.vertices[..., 1]), axis=1),
             loads_at_rest(team, drones.cable_forces),
             team.mass,
             team.max_thrust,
@@ -52,7 +53,7 @@ class Demands:
     @property
     def speed_bound(self) -> Array:
         """(J,): largest ṡ² within the speed limits of drones and vertices."""
-        fastest = np.max(np.linalg.norm(self.drones[..., 1], axis=-1), axis=1)
+        fastest = np.max(length(self.drones[..., 1]), axis=1)
         own = np.maximum(fastest / self.limits.speed, self.vertex_speed / self.limits.vertex_speed)
         bound: Array = (self.share / np.maximum(own, 1e-12)) ** 2
         return bound
@@ -72,16 +73,16 @@ class Demands:
         (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
         """
         q1, q2 = self.drones[..., 1], self.drones[..., 2]
-        aa, ab, bb = (np.sum(a * b, axis=-1)[:, :, None] for a, b in ((q1, q1), (q1, q2), (q2, q2)))
+        aa, ab, bb = (dot(a, b)[:, :, None] for a, b in ((q1, q1), (q1, q2), (q2, q2)))
         zu, zx = q1[..., 2][:, :, None], q2[..., 2][:, :, None]
-        lu = np.sum(q1 * self.loads, axis=-1)[:, :, None]
-        lx = np.sum(q2 * self.loads, axis=-1)[:, :, None]
+        lu = dot(q1, self.loads)[:, :, None]
+        lx = dot(q2, self.loads)[:, :, None]
         u, x = u[:, None, :], x[:, None, :]
         squared = aa * u**2 + 2.0 * ab * u * x + bb * x**2  # |q' u + q'' x|²
         upward = zu * u + zx * x
         along = lu * u + lx * x
         m = self.mass[None, :, None]
-        load2 = np.sum(self.loads**2, axis=-1)[:, :, None]
+        load2 = dot(self.loads, self.loads)[:, :, None]
         load_z = self.loads[..., 2][:, :, None]
         most = self.share * self.max_thrust[None, :, None]
         slope2 = 1.0 + np.tan(self.share * self.limits.tilt) ** 2
@@ -105,7 +106,7 @@ class Demands:
         κ² and jerks with κ³.
         """
         still = np.zeros((len(self.drones), 1))
-        jerk = np.max(np.linalg.norm(self.drones[..., 3], axis=-1))
+        jerk = np.max(length(self.drones[..., 3]))
         return float(
             max(
                 1.0 / np.sqrt(np.min(self.speed_bound)),
@@ -116,7 +117,7 @@ class Demands:
 
     def at_rest(self) -> tuple[Array, Array]:
         """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""
-        thrust = np.linalg.norm(self.loads, axis=-1) / self.max_thrust
+        thrust = length(self.loads) / self.max_thrust
         level = np.hypot(self.loads[..., 0], self.loads[..., 1])
         return thrust, np.arctan2(level, self.loads[..., 2]) / self.limits.tilt
 

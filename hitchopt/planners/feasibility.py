@@ -8,8 +8,9 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Limits
+from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
-from hitchopt.planners.path import Path, drones_along, legs_along, polygons_along
+from hitchopt.planners.path import Path, shapes_along
 
 FLATTEST = math.radians(0.01)
 """[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
@@ -20,15 +21,16 @@ SHORTEST_EDGE = 1e-3
 SHORTEST_LEG = 1e-3
 """[m] A shorter leg on the way has no direction to speak of."""
 
-PROBES = 401
-"""Points of the path at which it is looked at before it is timed."""
+PROBES, LOAD_PROBES = 401, 161
+"""Points of the path at which its shapes, and loads at rest, are looked at before it is timed."""
 
 
 def check_shapes(path: Path) -> None:
     """Raise InfeasibleError where the path has no hitch to fly."""
     s = np.linspace(0.0, 1.0, PROBES)
     layout = path.team.layout
-    edges = layout.edges(polygons_along(path, s))
+    shapes = shapes_along(path, s)
+    edges = layout.edges(shapes.polygons)
     ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
     right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
     angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
@@ -52,7 +54,7 @@ def check_shapes(path: Path) -> None:
                 )
             ]
         )
-    legs = np.where(layout.has_leg, legs_along(path, s), np.inf)
+    legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         raise InfeasibleError(
@@ -73,8 +75,9 @@ def check_shapes(path: Path) -> None:
 
 def check_loads(path: Path, limits: Limits) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
-    s = np.linspace(0.0, 1.0, PROBES)
-    demands = Demands.of(path.team, limits, path.flat(s), drones_along(path, s))
+    s = np.linspace(0.0, 1.0, LOAD_PROBES)
+    flat = path.flat(s)
+    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
     names = path.team.drone_names
     for name, unit, ratios, scale, remedy in (
         ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),

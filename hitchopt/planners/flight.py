@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.demands import Demands, loads_at_rest
+from hitchopt.planners.demands import Demands
 from hitchopt.planners.jets import chained
 from hitchopt.planners.mesh import time_mesh
 from hitchopt.planners.path import Path
+from hitchopt.planners.stretch import needed_stretch
 from hitchopt.planners.timing import SpeedProfile, fastest_profile, path_grid
 from hitchopt.planners.warp import Clock, first_clock, jerk_limited
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
-GRID = 240
+GRID = 160
 """Steps of toppra's grid along the path."""
 
 MODEL_ERROR = 1e-6
@@ -30,13 +32,6 @@ MODEL_ERROR = 1e-6
 
 FINEST = 400
 """Pieces at which refining for the model's sake ends."""
-
-FINAL_SHARE = 0.9995
-"""Share of the limits that the polynomials' enclosures may use; the certificate, which bounds
-them by other means, has the rest to itself."""
-
-SPANS = 8
-"""Of a piece, on which its rates are enclosed: within about 0.1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +112,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
         if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    flight = flight.stretched(_needed_stretch(path, limits, flight))
+    flight = flight.stretched(needed_stretch(path, limits, flight))
     if duration is None:
         return flight
     if duration < flight.duration:
@@ -144,7 +139,7 @@ def _ramp(profile: SpeedProfile, demands: Demands) -> float:
     Or as long as matters, where the jerk never lets it come to its limits: for the largest speed
     that is reached, and for the longest way of a drone.
     """
-    rates = np.linalg.norm(demands.drones[..., 1], axis=-1)
+    rates = length(demands.drones[..., 1])
     speed = float(np.max(rates * profile.speed[:, None]))
     steps = np.diff(profile.s)[:, None]
     longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
@@ -189,56 +184,6 @@ def _cable_error(path: Path, flight: Flight) -> float:
     legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
     length = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
     return float(np.max(np.abs(length / path.team.cable_length - 1.0)))
-
-
-def _needed_stretch(path: Path, limits: Limits, flight: Flight) -> float:
-    """Return how many times slower the flight must be to keep its limits.
-
-    Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
-    coefficients, which lie close to it on a short span of time.
-    """
-    breaks = flight.drones.breaks
-    factors = []
-    for piece in range(flight.drones.pieces):  # one at a time: a thousand robots fill the memory
-        h = breaks[piece + 1] - breaks[piece]
-        drones = _rates(flight.drones.coefficients[piece], h)
-        vertices = _rates(flight.vertices.coefficients[piece], h)
-        at = breaks[piece] + h * np.linspace(0.0, 1.0, len(drones))
-        demands = Demands(
-            drones,
-            np.max(np.linalg.norm(vertices[..., 1], axis=-1), axis=1),
-            _loads(path, flight, at),
-            path.team.mass,
-            path.team.max_thrust,
-            limits,
-            FINAL_SHARE,
-        )
-        factors.append(demands.stretch())
-    return max(factors)
-
-
-def _rates(coefficients: Array, h: float) -> Array:
-    """Return (SPANS · 8, items, 3, 4): coefficients of value, velocity, acceleration and jerk.
-
-    Of one piece of h seconds, (items, 3, 8), on each of its SPANS spans in turn.
-    """
-    orders = [coefficients]
-    for _ in range(3):
-        orders.append(bernstein.differentiate(orders[-1]) / h)
-    same = np.stack([bernstein.elevate(c, 7) for c in orders])
-    starts = np.arange(SPANS).reshape(SPANS, 1, 1) / SPANS
-    spans = bernstein.restrict(same[:, None], starts, starts + 1.0 / SPANS)
-    return spans.transpose(1, 4, 2, 3, 0).reshape(-1, *coefficients.shape[:2], 4)
-
-
-def _loads(path: Path, flight: Flight, t: Array) -> Array:
-    """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
-    p, drones = flight.vertices.at(t), flight.drones.at(t)
-    outward = drones - p[:, path.team.layout.pulled_to]
-    directions = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
-    forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
-    forces[..., 2] -= path.team.cable_weight
-    return loads_at_rest(path.team, forces)
 
 
 def _probes(breaks: Array, count: int) -> Array:

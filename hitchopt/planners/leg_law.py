@@ -11,7 +11,7 @@ from scipy.interpolate import make_interp_spline
 from hitchopt.hitch import Arena, Limits, Separation
 from hitchopt.hitch.sharing import measured, share
 from hitchopt.hitch.sharing_task import SharingTask
-from hitchopt.planners.path import LegLaw, ShapePath, legs_along, polygons_along
+from hitchopt.planners.path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -72,24 +72,31 @@ def with_legs_clear(path: ShapePath, kept: KeptDistances) -> ShapePath:
 def legs_clear(path: ShapePath, kept: KeptDistances) -> bool:
     """Return whether legs are long enough and distances kept at the probes."""
     s = np.linspace(0.0, 1.0, PROBES)
-    legs = legs_along(path, s)[:, path.team.layout.has_leg]
+    shapes = shapes_along(path, s)
+    legs = shapes.legs[:, path.team.layout.has_leg]
     # The ends are what was asked for; whether they hold is told apart from the way.
     long_enough = float(np.min(legs[1:-1])) >= kept.limits.leg
-    return long_enough and measured(sharing_task(path, kept, s, CLEAR)) >= CLEAR
+    return long_enough and measured(_task(path, kept, shapes, CLEAR)) >= CLEAR
 
 
 def sharing_task(
     path: ShapePath, kept: KeptDistances, s: Array, margin: float | Array
 ) -> SharingTask:
     """Return the task of sharing the legs at the points s (J,) of a path, the ends fixed."""
-    fixed = np.zeros(len(s), dtype=np.bool_)
+    return _task(path, kept, shapes_along(path, s), margin)
+
+
+def _task(
+    path: ShapePath, kept: KeptDistances, shapes: Shapes, margin: float | Array
+) -> SharingTask:
+    fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
     return SharingTask(
         path.team,
         kept.separation,
         kept.arena,
-        polygons_along(path, s),
-        legs_along(path, s)[..., 0],
+        shapes.polygons,
+        shapes.legs[..., 0],
         kept.limits.leg,
         margin,
         ROUGHNESS,

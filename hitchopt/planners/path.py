@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.robot import JET
@@ -56,11 +57,7 @@ class LegLaw:
 
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, 4) of ``d`` for those of the slack."""
-        length, share = (
-            np.stack([part.at(s, order) for order in range(JET)], axis=-1)
-            for part in (self.length, self.share)
-        )
-        return length + jets.product(share, slack)
+        return self.length.jet(s, JET) + jets.product(self.share.jet(s, JET), slack)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +91,14 @@ class ShapePath:
 
     def flat(self, s: Array) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,)."""
-        vertices = np.stack([self.vertices.at(s, order) for order in range(JET)], axis=-1)
+        vertices = self.vertices.jet(s, JET)
         edges = self.team.layout.edges(vertices, axis=1)
         slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += self.team.cable_length
         tensions = np.zeros((len(s), self.team.robots, JET))
         tensions[..., 0] = self.team.tension
         if self.tensions is not None:
-            tensions = np.stack([self.tensions.at(s, order) for order in range(JET)], axis=-1)
+            tensions = self.tensions.jet(s, JET)
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
@@ -112,12 +109,25 @@ def legs_along(path: Path, s: Array) -> Array:
 
     Negative where a cable is too short; zero where a chain's end has no leg.
     """
-    flat, layout = path.flat(s), path.team.layout
-    edges = np.linalg.norm(layout.edges(flat.vertices[..., 0]), axis=-1)
-    return layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
+    return shapes_along(path, s).legs
 
 
 def polygons_along(path: Path, s: Array) -> Array:
     """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
-    polygons: Array = path.flat(s).vertices[:, :, :2, 0]
-    return polygons
+    return shapes_along(path, s).polygons
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Polygons (J, points, 2) in plan view, and legs ``d``, ``e`` (J, n, 2) [m]."""
+
+    polygons: Array
+    legs: Array
+
+
+def shapes_along(path: Path, s: Array) -> Shapes:
+    """Return what ``polygons_along`` and ``legs_along`` do, at once."""
+    flat, layout = path.flat(s), path.team.layout
+    edges = length(layout.edges(flat.vertices[..., 0]))
+    legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
+    return Shapes(flat.vertices[:, :, :2, 0], legs)

@@ -12,6 +12,7 @@ from toppra import algorithm, constraint
 from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt.errors import HitchoptError
+from hitchopt.geometry.vectors import length
 from hitchopt.planners.demands import Demands
 
 Array = NDArray[np.float64]
@@ -134,8 +135,7 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     """
     fastest = demands.speed_bound
     steepest = np.min(
-        demands.limits.acceleration
-        / np.maximum(np.linalg.norm(demands.drones[..., 1], axis=-1), 1e-12),
+        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12),
         axis=1,
     )
     angles = np.pi * np.arange(RAYS + 1) / RAYS

@@ -17,14 +17,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.errors import HitchoptError
 from hitchopt.planners.demands import LIMIT_SHARE, Demands
+from hitchopt.planners.fastest_rate import DEGREE, RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.jets import chained
+from hitchopt.planners.rate_rows import ClockedPath, RateRows
 from hitchopt.planners.timing import SpeedProfile
 
 Array = NDArray[np.float64]
@@ -42,6 +43,9 @@ ROUNDS = 6
 
 TOLERANCE = 2e-4
 """Relative; limits are planned at LIMIT_SHARE, which leaves more than this."""
+
+STEADY = 0.97
+"""Share of a squared rate at which limits bind from which the search starts: inside of them."""
 
 
 class WarpError(HitchoptError):
@@ -96,172 +100,53 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
     Raises
     ------
-    WarpError: the solver finds no rate that keeps the limits at the samples.
+    WarpError: no rate, however slow, keeps the limits at the samples.
     """
     tau = _samples(clock.knots)
     progress = _spline_jet(clock.progress, tau)
-    demands = demands_at(np.clip(progress[:, 0], 0.0, 1.0))
-    path = _Path(demands, chained(demands.drones, progress[:, None, None, :]), progress)
+    path = _clocked(demands_at(np.clip(progress[:, 0], 0.0, 1.0)), progress)
     spline = clock.squared_rate
-    count = len(spline.c)
-    steady = np.full(len(tau), path.steady_rate())
-    flat = np.zeros_like(steady)
-    rows = path.nearest(steady, flat, flat)
-    rate = np.full(count, steady[0])
+    basis = SplineBasis.of(spline, tau)
+    steady = np.full(len(spline.c), _steady_rate(path))
+    drones = _nearest(path.ratios(*basis.at(steady).T))
     for _ in range(ROUNDS):
-        try:
-            rate = _solve(clock, tau, path, rows, rate)
-        except WarpError:  # a steady clock keeps the limits as well, and is only slower
-            even = np.full(count, steady[0])
-            return Clock(clock.knots, clock.progress, BSpline(spline.t, even, 3))
-        squared = BSpline(spline.t, rate, 3)
-        x = [squared(tau, order) for order in range(3)]
-        broken = path.broken(*x)
-        if not np.any(broken):
-            return Clock(clock.knots, clock.progress, squared)
-        rows = rows | broken
-    return Clock(clock.knots, clock.progress, squared)  # the stretch that follows mends the rest
+        program = RateProgram(basis, RateRows.of(path, drones), _quadrature(clock.knots))
+        rate = fastest_rate(program, steady)
+        ratios = path.ratios(*basis.at(rate).T)
+        if np.max(ratios) <= LIMIT_SHARE + TOLERANCE:
+            break
+        worst = np.argmax(ratios, axis=-1)[..., None]
+        drones = np.concatenate([drones, worst], axis=-1)
+    # Whatever is still broken, the stretch that follows mends.
+    return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
 
 
-ACCELERATION, JERK, THRUST, TILT = range(4)
+def _clocked(demands: Demands, progress: Array) -> ClockedPath:
+    """Return the path by τ at the samples, for the jets (M, 4) of s by τ there."""
+    jets = chained(demands.drones, progress[:, None, None, :])
+    speed = np.maximum(progress[:, 1], 1e-12)
+    most = demands.speed_bound / speed**2
+    return ClockedPath(demands, jets[..., 1], jets[..., 2], jets[..., 3], most)
 
 
-class _Path:
-    """The path by τ at the samples, and how near each drone comes to each limit for given x."""
+def _steady_rate(path: ClockedPath) -> float:
+    """Return a constant x inside of all limits.
 
-    def __init__(self, demands: Demands, jets: Array, progress: Array) -> None:
-        self.demands = demands
-        self.first, self.second, self.third = jets[..., 1], jets[..., 2], jets[..., 3]
-        speed = np.maximum(progress[:, 1], 1e-12)
-        self.most = demands.speed_bound / speed**2  # of x
-
-    def ratios(self, x: Array, x1: Array, x2: Array) -> Array:
-        """Return (4, M, 2n): acceleration, jerk, thrust, tilt over their limits."""
-        limits, m = self.demands.limits, self.demands.mass[:, None]
-        x, x1, x2 = (a[:, None, None] for a in (x, x1, x2))
-        a = x * self.second + 0.5 * x1 * self.first
-        j = np.sqrt(x) * (x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first)
-        f = m * a + self.demands.loads
-        level = np.hypot(f[..., 0], f[..., 1])
-        return np.stack(
-            [
-                np.linalg.norm(a, axis=-1) / limits.acceleration,
-                np.linalg.norm(j, axis=-1) / limits.jerk,
-                np.linalg.norm(f, axis=-1) / self.demands.max_thrust,
-                np.arctan2(level, f[..., 2]) / limits.tilt,
-            ]
-        )
-
-    def steady_rate(self) -> float:
-        """Return a constant x that keeps all limits."""
-        rate = min(1.0, float(np.min(self.most)))
-        ones = np.ones(len(self.most))
-        for _ in range(200):
-            if np.all(self.ratios(rate * ones, 0 * ones, 0 * ones) <= LIMIT_SHARE):
-                return rate
-            rate *= 0.8
-        raise WarpError("no constant speed along the path keeps the limits")
-
-    def nearest(self, x: Array, x1: Array, x2: Array) -> NDArray[np.bool_]:
-        """Return (4, M, 2n): the drones that come nearest to each limit at each sample."""
-        ratios = self.ratios(x, x1, x2)
-        count = min(NEAREST, ratios.shape[-1])
-        top = np.argpartition(-ratios, count - 1, axis=-1)[..., :count]
-        rows = np.zeros(ratios.shape, dtype=np.bool_)
-        np.put_along_axis(rows, top, True, axis=-1)
-        return rows
-
-    def broken(self, x: Array, x1: Array, x2: Array) -> NDArray[np.bool_]:
-        """Return (4, M, 2n): the worst drone of each sample and limit where it breaks it."""
-        ratios = self.ratios(x, x1, x2)
-        worst = ratios == np.max(ratios, axis=-1, keepdims=True)
-        broken: NDArray[np.bool_] = worst & (ratios > LIMIT_SHARE + TOLERANCE)
-        return broken
+    Along constant x every limit allows a stretch from rest on, so less than allowed is inside.
+    """
+    rate = min(1.0, float(np.min(path.most)))
+    ones = np.ones(len(path.most))
+    for _ in range(200):
+        if np.all(path.ratios(rate * ones, 0.0 * ones, 0.0 * ones) <= LIMIT_SHARE):
+            return STEADY * rate
+        rate *= 0.8
+    raise WarpError("no constant speed along the path keeps the limits")
 
 
-def _solve(clock: Clock, tau: Array, path: _Path, rows: NDArray[np.bool_], start: Array) -> Array:
-    """Return the coefficients of x that minimise the duration with the given rows."""
-    spline = clock.squared_rate
-    c = ca.MX.sym("c", len(start))
-    values = [
-        ca.DM(BSpline.design_matrix(tau, spline.t, 3)) @ c,
-        *(_derivative_matrix(spline, tau, order) @ c for order in (1, 2)),
-    ]
-    constraints, upper = _constraints(path, rows, values)
-    h = np.repeat(np.diff(clock.knots), SAMPLES)
-    _, weights = np.polynomial.legendre.leggauss(SAMPLES)
-    weight = 0.5 * h * np.tile(weights, len(clock.knots) - 1)
-    duration = ca.dot(ca.DM(weight), 1.0 / ca.sqrt(values[0]))
-    program = {"x": c, "f": duration, "g": ca.vertcat(values[0], *constraints)}
-    solver = ca.nlpsol(
-        "warp",
-        "ipopt",
-        program,
-        {
-            "print_time": False,
-            "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200, "tol": 1e-7},
-        },
-    )
-    try:
-        solution = solver(
-            x0=start,
-            lbx=1e-4,
-            ubx=1e4,
-            lbg=np.append(np.full(len(tau), 1e-4), np.full(len(upper), -np.inf)),
-            ubg=np.append(path.most, upper),
-        )
-    except RuntimeError as error:  # casadi's word for numbers that are none
-        raise WarpError("the jerk-limited timing met numbers out of range") from error
-    rate = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not np.all(np.isfinite(rate)):
-        raise WarpError(f"the jerk-limited timing failed: {solver.stats()['return_status']}")
-    return np.clip(rate, 1e-4, 1e4)
-
-
-def _constraints(
-    path: _Path, rows: NDArray[np.bool_], values: list[ca.MX]
-) -> tuple[list[ca.MX], Array]:
-    """Return the rows' quantities, each over its limit, and their bounds."""
-    demands, limits = path.demands, path.demands.limits
-    constraints: list[ca.MX] = []
-    bounds: list[Array] = []
-    for kind in range(4):
-        sample, drone = np.nonzero(rows[kind])
-        if len(sample) == 0:
-            continue
-        x, x1, x2 = (v[sample.tolist()] for v in values)
-        first, second, third = (d[sample, drone] for d in (path.first, path.second, path.third))
-        load, m = demands.loads[sample, drone], demands.mass[drone]
-        if kind == JERK:
-            jerk = [
-                (x * third[:, i] + 1.5 * x1 * second[:, i] + 0.5 * x2 * first[:, i]) / limits.jerk
-                for i in range(3)
-            ]
-            constraints.append(x * _squared(jerk))
-            bounds.append(np.full(len(sample), LIMIT_SHARE**2))
-            continue
-        a = [x * second[:, i] + 0.5 * x1 * first[:, i] for i in range(3)]
-        if kind == ACCELERATION:
-            constraints.append(_squared([v / limits.acceleration for v in a]))
-            bounds.append(np.full(len(sample), LIMIT_SHARE**2))
-            continue
-        force = [ca.times(m, a[i]) + load[:, i] for i in range(3)]
-        if kind == THRUST:
-            most = demands.max_thrust[drone]
-            constraints.append(_squared([v / most for v in force]))
-            bounds.append(np.full(len(sample), LIMIT_SHARE**2))
-        else:
-            weight = np.linalg.norm(load, axis=1)
-            slope = np.tan(LIMIT_SHARE * limits.tilt)
-            level = ca.sqrt((force[0] ** 2 + force[1] ** 2) / weight**2 + 1e-12)
-            constraints.append(level - slope * force[2] / weight)
-            bounds.append(np.zeros(len(sample)))
-    return constraints, np.concatenate(bounds)
-
-
-def _squared(vector: list[ca.MX]) -> ca.MX:
-    x, y, z = vector
-    return x * x + y * y + z * z
+def _nearest(ratios: Array) -> NDArray[np.intp]:
+    """Return (4, M, NEAREST): the drones that come nearest to each limit at each sample."""
+    count = min(NEAREST, ratios.shape[-1])
+    return np.argpartition(-ratios, count - 1, axis=-1)[..., :count]
 
 
 def _samples(knots: Array) -> Array:
@@ -271,11 +156,11 @@ def _samples(knots: Array) -> Array:
     return tau.reshape(-1)
 
 
-def _derivative_matrix(spline: BSpline, tau: Array, order: int) -> ca.DM:
-    """Return the matrix from a cubic spline's coefficients to a derivative at tau."""
-    count = len(spline.c)
-    rows = BSpline(spline.t, np.eye(count), 3)(tau, order)
-    return ca.DM(ca.sparsify(ca.DM(rows)))
+def _quadrature(knots: Array) -> Array:
+    """Return the weights (K · SAMPLES,) of an integral over the samples."""
+    _, weights = np.polynomial.legendre.leggauss(SAMPLES)
+    quadrature: Array = 0.5 * np.diff(knots)[:, None] * weights
+    return quadrature.reshape(-1)
 
 
 def _spline_jet(spline: BSpline, tau: Array) -> Array:

@@ -31,7 +31,7 @@ def basis(x: Array, order: int) -> Array:
 def evaluate(coefficients: Array, x: Array | float) -> Array:
     """Return the values at x, which broadcasts against the coefficients' leading axes."""
     weights = basis(np.asarray(x, dtype=np.float64), degree(coefficients))
-    values: Array = np.sum(coefficients * weights, axis=-1)
+    values: Array = np.einsum("...i,...i->...", coefficients, weights)
     return values
 
 
@@ -40,7 +40,7 @@ def differentiate(coefficients: Array) -> Array:
     order = degree(coefficients)
     if order == 0:
         return np.zeros_like(coefficients)
-    return order * np.diff(coefficients, axis=-1)
+    return order * (coefficients[..., 1:] - coefficients[..., :-1])
 
 
 def elevate(coefficients: Array, order: int) -> Array:
@@ -65,8 +65,15 @@ def multiply(a: Array, b: Array) -> Array:
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
-    summed: Array = np.sum(multiply(a, b), axis=-2)
-    return summed
+    m, n = degree(a), degree(b)
+    if m > n:
+        a, b, m, n = b, a, n, m
+    weighted = b * binomials(n)
+    shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    product = np.zeros((*shape, m + n + 1))
+    for i, weight in enumerate(binomials(m)):
+        product[..., i : i + n + 1] += weight * np.einsum("...d,...dj->...j", a[..., i], weighted)
+    return product / binomials(m + n)
 
 
 def halve(coefficients: Array) -> tuple[Array, Array]:

@@ -122,15 +122,35 @@ class PiecewisePolynomial:
         ------
         InputError: a time outside the breaks by more than 1e-9 s, or not finite.
         """
+        function = self.differentiated(derivative)
+        piece, x = self._places(t)
+        return bernstein.evaluate(function.coefficients[piece], x)
+
+    def jet(self, t: ArrayLike, count: int) -> Array:
+        """Return values and derivatives by time at times t (…) as (…, *shape, count).
+
+        Raises
+        ------
+        InputError: as at.
+        """
+        piece, x = self._places(t)
+        h = self.durations[piece].reshape(x.shape)
+        c = self.coefficients[piece]
+        orders = [bernstein.evaluate(c, x)]
+        for order in range(1, count):
+            c = bernstein.differentiate(c)
+            orders.append(bernstein.evaluate(c, x) / h**order)
+        return np.stack(orders, axis=-1)
+
+    def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        """Return the pieces (…) of times t, and where in them (…, 1, …, 1), from 0 to 1."""
         times = np.asarray(t, dtype=np.float64)
         first, last = self.breaks[0], self.breaks[-1]
         if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
             raise InputError("t", t, f"within [{first:g}, {last:g}] s", "ask within the plan")
-        function = self.differentiated(derivative)
         piece = np.clip(np.searchsorted(self.breaks, times, side="right") - 1, 0, self.pieces - 1)
-        x = (times - self.breaks[piece]) / self.durations[piece]
-        x = np.clip(x, 0.0, 1.0).reshape(*times.shape, *(1,) * len(self.shape))
-        return bernstein.evaluate(function.coefficients[piece], x)
+        x = np.clip((times - self.breaks[piece]) / self.durations[piece], 0.0, 1.0)
+        return piece, x.reshape(*times.shape, *(1,) * len(self.shape))
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of the given order by time."""

@@ -79,7 +79,9 @@ def test_the_vertices_table_has_rows_only_while_there_is_a_hitch(tmp_path: Path)
     read = ho.load(tmp_path)
     assert read.motion.phases == plan.motion.phases
     assert read.motion.assignment == plan.motion.assignment
-    assert read.certificate == plan.certificate
+    for here, there in zip(read.certificate.checks, plan.certificate.checks, strict=True):
+        assert (here.name, here.holds) == (there.name, there.holds)
+        assert here.worst == pytest.approx(there.worst, rel=1e-3, abs=2e-3)
     content = json.loads((tmp_path / "certificate.json").read_text())
     assignment = plan.motion.assignment
     assert content["assignment"] == {

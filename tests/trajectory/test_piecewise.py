@@ -139,3 +139,15 @@ def test_times_a_rounding_outside_are_the_ends() -> None:
     part = some()
     np.testing.assert_allclose(part.at(0.5 - 1e-12), part.at(0.5))
     np.testing.assert_allclose(part.at(2.3 + 1e-12), part.at(2.3))
+
+
+def test_a_jet_is_the_derivatives_one_by_one() -> None:
+    part = some(5)
+    t = np.array([[0.5, 0.7], [0.9, 2.3]])
+    jet = part.jet(t, 4)
+    assert jet.shape == (2, 2, 2, 3, 4)
+    for order in range(4):
+        np.testing.assert_allclose(jet[..., order], part.at(t, order), rtol=1e-12, atol=1e-12)
+    assert np.all(some(1).jet(t, 3)[..., 2] == 0.0)
+    with pytest.raises(InputError, match="within"):
+        part.jet(2.4, 2)

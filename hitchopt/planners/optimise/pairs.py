@@ -17,9 +17,56 @@ from hitchopt.planners.optimise.layout import Layout
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-REACH = 0.5
-"""[m] Pairs farther apart than their limit and this are let go: within a step of the optimiser
-(STEP in ``program``) they cannot come near."""
+
+@dataclass(frozen=True, eq=False)
+class NearPairs:
+    """Pairs of bodies that come near one another, each at one of K instants.
+
+    Attributes
+    ----------
+    frame: (m,), the instant.
+    first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
+    kind: (m,), as in ``hitch.parts``.
+    normal: (m, 2), unit vector from the second body to the first where they are closest.
+    kept: (m,) [m], the distance to keep.
+    """
+
+    frame: Index
+    first: Index
+    second: Index
+    kind: Index
+    normal: Array
+    kept: Array
+
+    def of(self, chosen: Index) -> NearPairs:
+        """Return the chosen pairs."""
+        return NearPairs(
+            self.frame[chosen],
+            self.first[chosen],
+            self.second[chosen],
+            self.kind[chosen],
+            self.normal[chosen],
+            self.kept[chosen],
+        )
+
+    def sides(self) -> tuple[Index, Index, Index]:
+        """Return (pair, node of the first, node of the second) of all their ends against all.
+
+        Bodies whose ends all lie on their sides of a normal are apart by as much.
+        """
+        combinations = [
+            (pair, self.first[pair, a], self.second[pair, b])
+            for which, firsts, seconds in (
+                (SEPARATION, (0,), (0,)),
+                (CABLE, (0,), (0, 1)),
+                (CROSSING, (0, 1), (0, 1)),
+            )
+            for pair in [np.flatnonzero(self.kind == which)]
+            for a in firsts
+            for b in seconds
+        ]
+        pair, a, b = (np.concatenate(column) for column in zip(*combinations, strict=True))
+        return pair, a, b
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +88,9 @@ class PairRows:
     least: Array
 
 
-def pair_rows(layout: Layout, table: Array, separation: Separation, margins: Array) -> PairRows:
+def pair_rows(
+    layout: Layout, table: Array, separation: Separation, margins: Array, reach: float
+) -> PairRows:
     """Return the rows of all near pairs at the inner knots of a table (knots, size).
 
     Normals are those of the table: a row bounds the distance from below whatever the bodies do,
@@ -52,59 +101,67 @@ def pair_rows(layout: Layout, table: Array, separation: Separation, margins: Arr
     layout, table: the variables and the way.
     separation: distances to keep.
     margins: (knots - 2,), how many times those.
+    reach: pairs farther apart than their limit and this [m] are let go.
     """
     inner = table[1:-1]
-    parts = Parts.of(layout.robots)
-    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
-    nodes = inner[:, layout.nodes]
-    frame, i, j, kind = _near(nodes, parts, limits * float(np.max(margins)))
-    ends = [nodes[frame[:, None], parts.nodes[body]] for body in (i, j)]
-    offset = shortest_offset(differences(*ends))
-    distance = np.linalg.norm(offset, axis=1)
-    kept = limits[kind] * margins[frame]
-    close = distance < kept + REACH
-    frame, i, j, kind = (a[close] for a in (frame, i, j, kind))
-    offset, distance, kept = offset[close], distance[close], kept[close]
-    middle = (ends[0] - ends[1]).mean(axis=1)[close]
-    normal = np.where(distance[:, None] > 1e-6, offset, middle)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    pairs = near_pairs(inner[:, layout.nodes], separation, margins, reach)
 
-    def places(pair: Index, node: Index) -> Index:
-        columns: Index = layout.size * frame[pair, None] + layout.nodes[node]
+    def places(frame: Index, node: Index) -> Index:
+        columns: Index = layout.size * frame[:, None] + layout.nodes[node]
         return columns
 
-    drones = np.flatnonzero(kind == SEPARATION)
-    combinations = [
-        (pair, parts.nodes[i[pair], a], parts.nodes[j[pair], b])
-        for which, firsts in ((CABLE, (0,)), (CROSSING, (0, 1)))
-        for pair in [np.flatnonzero(kind == which)]
-        for a in firsts
-        for b in (0, 1)
-    ]
-    pair, a, b = (np.concatenate(column) for column in zip(*combinations, strict=True))
+    drones = pairs.of(np.flatnonzero(pairs.kind == SEPARATION))
+    others = pairs.of(np.flatnonzero(pairs.kind != SEPARATION))
+    pair, a, b = others.sides()
     row = np.repeat(np.arange(len(pair)), 2)
+    frame, normal = others.frame[pair], others.normal[pair]
     rows = sparse.csc_matrix(
         (
-            np.concatenate([normal[pair].ravel(), -normal[pair].ravel()]),
-            (np.tile(row, 2), np.concatenate([places(pair, a).ravel(), places(pair, b).ravel()])),
+            np.concatenate([normal.ravel(), -normal.ravel()]),
+            (np.tile(row, 2), np.concatenate([places(frame, a).ravel(), places(frame, b).ravel()])),
         ),
         shape=(len(pair), inner.size),
     )
     return PairRows(
-        places(drones, parts.nodes[i[drones], 0]),
-        places(drones, parts.nodes[j[drones], 0]),
-        kept[drones],
+        places(drones.frame, drones.first[:, 0]),
+        places(drones.frame, drones.second[:, 0]),
+        drones.kept,
         rows,
-        kept[pair],
+        others.kept[pair],
     )
 
 
-def _near(nodes: Array, parts: Parts, limits: Array) -> tuple[Index, Index, Index, Index]:
-    """Return (knot, body, body, kind) of all pairs whose boxes come near; nodes (K, 3n, 2)."""
+def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: float) -> NearPairs:
+    """Return all pairs that come within ``reach`` [m] of what they have to keep.
+
+    Parameters
+    ----------
+    nodes: (K, 3n, 2) [m]
+    separation: distances to keep.
+    margins: (K,), how many times those.
+    reach: [m]
+    """
+    parts = Parts.of(nodes.shape[1] // 3)
+    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
+    frame, i, j, kind = _near(nodes, parts, limits, float(np.max(limits * np.max(margins))) + reach)
+    ends = [nodes[frame[:, None], parts.nodes[body]] for body in (i, j)]
+    offset = shortest_offset(differences(*ends))
+    distance = np.linalg.norm(offset, axis=1)
+    middle = (ends[0] - ends[1]).mean(axis=1)
+    normal = np.where(distance[:, None] > 1e-6, offset, middle)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    kept = limits[kind] * margins[frame]
+    found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, kept)
+    return found.of(np.flatnonzero(distance < kept + reach))
+
+
+def _near(
+    nodes: Array, parts: Parts, limits: Array, cutoff: float
+) -> tuple[Index, Index, Index, Index]:
+    """Return (instant, body, body, kind) of all pairs whose boxes come near; nodes (K, 3n, 2)."""
     corners = nodes[:, parts.nodes]
     lower, upper = corners.min(axis=2).reshape(-1, 2), corners.max(axis=2).reshape(-1, 2)
-    cutoff = float(np.max(limits)) + REACH
-    # A third coordinate keeps the knots apart, so that one tree serves them all.
+    # A third coordinate keeps the instants apart, so that one tree serves them all.
     step = 4.0 * (cutoff + float(np.max(upper) - np.min(lower)))
     level = np.repeat(np.arange(len(nodes)) * step, len(parts.nodes))
     boxes = Boxes(np.column_stack([lower, level]), np.column_stack([upper, level]))

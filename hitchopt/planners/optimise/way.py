@@ -69,7 +69,10 @@ class Way:
 
     def resampled(self, count: int) -> Way:
         """Return the same way at ``count`` knots, read off its path."""
-        s = np.linspace(0.0, 1.0, count)
+        return self.at(np.linspace(0.0, 1.0, count))
+
+    def at(self, s: Array) -> Way:
+        """Return the hitches at s (K,) of its path, as if they were knots."""
         path = self.path()
         return Way(
             self.name,

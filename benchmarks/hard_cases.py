@@ -1,0 +1,108 @@
+"""Hard morphs: the named ones, and random ones by seeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import hitchopt as ho
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.outline import Outline
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.random_morph import random_morph
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.planners.flight import Flight, fly
+from hitchopt.planners.leg_law import KeptDistances
+from hitchopt.planners.path import ShapePath
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One morph: its ends and what they keep."""
+
+    name: str
+    start: ho.Hitch
+    end: ho.Hitch
+    kept: KeptDistances
+
+    def judge(self, path: ShapePath) -> Flight | None:
+        """Return the flight along a path if its certificate holds."""
+        flight = fly(path, self.kept.limits)
+        motion = Motion(
+            self.start.team,
+            self.kept.limits,
+            self.kept.separation,
+            self.kept.arena,
+            flight.drones,
+            flight.vertices,
+            flight.legs,
+            flight.tensions,
+            (Phase("morph", 0, 0.0, flight.duration),),
+        )
+        return flight if ho.certify(motion).certified else None
+
+    def rests(self) -> bool:
+        """Return whether both ends keep all limits at rest."""
+        kept = self.kept
+        try:
+            for hitch in (self.start, self.end):
+                ho.hold(
+                    hitch, 1.0, limits=kept.limits, separation=kept.separation, arena=kept.arena
+                )
+        except ho.InfeasibleError:
+            return False
+        return True
+
+
+def random_name(n: int, seed: int) -> str:
+    """Return what a random morph is called."""
+    return f"n = {n}, seed {seed}"
+
+
+def random_case(n: int, seed: int) -> Case | None:
+    """Return a random hard morph, or None where an end breaks a limit at rest."""
+    problem = problem_from_dict(random_morph(n, seed, hard=True))
+    (step,) = problem.mission
+    if not isinstance(step, ho.Morph) or not isinstance(problem.start, ho.HitchStart):
+        raise TypeError("a random morph is one morph")
+    kept = KeptDistances(problem.limits, problem.separation, problem.arena)
+    case = make_case(random_name(n, seed), problem.team, problem.start.polygon, step.polygon, kept)
+    return case if case.rests() else None
+
+
+def make_case(name: str, team: ho.Team, first: Outline, last: Outline, kept: KeptDistances) -> Case:
+    """Return the morph from a spread hitch to the sharing nearest to it."""
+    start = ho.Hitch.spread(team, first, limits=kept.limits, separation=kept.separation)
+    end = ho.Hitch.nearest(
+        team,
+        last,
+        1.0,
+        start.fractions,
+        limits=kept.limits,
+        separation=kept.separation,
+        arena=kept.arena,
+    )
+    return Case(name, start, end, kept)
+
+
+def named_cases() -> list[Case]:
+    """Return the hard morphs that every version must plan."""
+    free = KeptDistances(ho.Limits(), ho.Separation(), None)
+    narrow = KeptDistances(
+        ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0.0], [1.55, 1.55, 3.0])
+    )
+    square = ho.regular_polygon(4, 1.2, np.pi / 4)
+    pentagon = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
+    octagon = ho.regular_polygon(8, 1.3)
+    four, weak = ho.Team(4, 2.4), ho.Quadrotor(0.132, 1.6)
+    thrust_bound = ho.Team(4, 2.4, tension=0.8, quadrotor=weak)
+    moved = square.rotated(0.9).translated([0.5, 0.2])
+    return [
+        make_case("square, quarter turn", four, square, square.renumbered(1), free),
+        make_case("square, half turn", four, square, square.renumbered(2), free),
+        make_case("octagon, 45°", ho.Team(8, 2.0), octagon, octagon.rotated(np.pi / 4), free),
+        make_case("pentagon", ho.Team(5, 2.6), pentagon, pentagon.renumbered(2), free),
+        make_case("thrust-bound", thrust_bound, square, moved, free),
+        make_case("narrow arena", four, square, square.renumbered(1), narrow),
+    ]

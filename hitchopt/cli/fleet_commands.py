@@ -1,0 +1,168 @@
+"""The commands for fleets: export, lint."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hitchopt.cli.commands import PLAN_FILE, main
+from hitchopt.cli.failures import UNMET, say
+
+if TYPE_CHECKING:
+    from hitchopt.export.exporting import Export
+
+
+@main.command()
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--format", "name", metavar="NAME", required=True, help="One of those below.")
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    metavar="PATH",
+    type=click.Path(path_type=Path),
+    help="The folder to write; by default DIR's name, a dash and NAME, beside DIR.",
+)
+@click.option("--frame", metavar="FRAME", help="enu, nwu or ned; by default the format's usual.")
+@click.option(
+    "--origin",
+    metavar="X Y Z",
+    type=(float, float, float),
+    default=(0.0, 0.0, 0.0),
+    help="Where the plan's origin lies in the room: east, north, up [m].",
+)
+@click.option(
+    "--yaw-deg",
+    metavar="DEG",
+    type=float,
+    default=0.0,
+    help="How far the plan is turned in the room, counter-clockwise from above.",
+)
+@click.option(
+    "--fleet",
+    "fleet_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}",
+)
+@click.option("--rate", metavar="HZ", type=float, help="Samples per second, where it samples.")
+@click.option(
+    "--stretch",
+    metavar="FACTOR",
+    type=float,
+    default=1.0,
+    help="Fly it so many times as slowly, from 1 on.",
+)
+@click.option(
+    "--storage",
+    type=click.Choice(["mcap", "sqlite3"]),
+    default="mcap",
+    help="Of a ros2bag.",
+)
+def export(
+    directory: Path,
+    name: str,
+    folder: Path | None,
+    frame: str | None,
+    origin: tuple[float, float, float],
+    yaw_deg: float,
+    fleet_file: Path | None,
+    rate: float | None,
+    stretch: float,
+    storage: str,
+) -> None:
+    """Write the plan in DIR as fleets read it, and certify what was written.
+
+    Formats: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag; csv,
+    parquet, npz, json for scripts.
+    """
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.export.asking import Wish, export_motion
+    from hitchopt.export.formats.registry import format_of
+    from hitchopt.export.plan_file import read_plan, read_title
+
+    format_of(name)  # a wrong name before a long read
+    path = directory / PLAN_FILE
+    wish = Wish(name, frame, origin, math.radians(yaw_deg), fleet_file, rate, stretch, storage)
+    place = _place(directory, name) if folder is None else folder
+    with LateProgress(sys.stderr, "certifying") as progress:
+        done = export_motion(read_plan(path), read_title(path), wish, place, progress)
+    for part in done:
+        _show(part)
+
+
+def _place(directory: Path, name: str) -> Path:
+    """Return the folder beside DIR that is called after both."""
+    own = directory.resolve().name or "plan"
+    return (
+        directory / ".." / f"{own}-{name}"
+        if directory.name in {"", ".."}
+        else (directory.with_name(f"{own}-{name}"))
+    )
+
+
+def _show(part: Export) -> None:
+    from hitchopt.certificate import Certificate
+    from hitchopt.cli.tables import certificate_table
+
+    verdict = part.verdict
+    say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+    position, velocity = verdict.position, verdict.velocity
+    say(
+        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) and "
+        f"{1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+        "from the plan, over all time"
+    )
+    say(f"not carried: {verdict.not_carried}")
+    for note in part.notes:
+        say(f"note: {note}")
+    say(f"certified as exported; {len(part.files)} files in {part.folder}")
+
+
+@main.command()
+@click.argument("path", metavar="PATH", type=click.Path(path_type=Path))
+@click.option("--speed", metavar="M/S", type=float, default=3.0, show_default=True, help="Limit.")
+@click.option(
+    "--acceleration", metavar="M/S²", type=float, default=10.0, show_default=True, help="Limit."
+)
+@click.option(
+    "--radius",
+    metavar="M",
+    type=float,
+    default=0.12,
+    show_default=True,
+    help="Of a drone's ellipsoid, across.",
+)
+@click.option(
+    "--height",
+    metavar="M",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="Of a drone's ellipsoid, up.",
+)
+def lint(path: Path, speed: float, acceleration: float, radius: float, height: float) -> None:
+    """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
+
+    PATH is a file or a folder of any format that `export` writes. Ends with 3 if there are errors.
+    """
+    from hitchopt.cli.lint_report import say_report
+    from hitchopt.export.lint.linting import lint as linted
+    from hitchopt.export.lint.together import Rules
+    from hitchopt.hitch import Separation
+    from hitchopt.hitch.values import positive
+
+    rules = Rules(
+        positive("--speed", speed),
+        positive("--acceleration", acceleration),
+        Separation(positive("--radius", radius), positive("--height", height)),
+    )
+    reports = linted(path, rules)
+    for report in reports:
+        say_report(report, rules)
+    if not all(report.sound for report in reports):
+        click.get_current_context().exit(UNMET)

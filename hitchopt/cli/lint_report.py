@@ -1,0 +1,59 @@
+"""A lint's report, to read on a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from hitchopt.cli.failures import say
+from hitchopt.export.formats.memory import BYTES
+from hitchopt.export.lint.findings import ERROR, WARNING
+
+if TYPE_CHECKING:
+    from hitchopt.export.lint.findings import Report
+    from hitchopt.export.lint.together import Rules
+
+SAME = 5
+"""Findings of one rule that are written out; the rest are counted."""
+
+
+def say_report(report: Report, rules: Rules) -> None:
+    """Write what is in the files, then the findings, then how many."""
+    facts, flight = report.facts, report.flight
+    frame = f", frame {report.frame}" if report.frame else ""
+    drones = "drone" if len(facts) == 1 else "drones"
+    say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
+    pieces = [fact.pieces for fact in facts if fact.pieces]
+    if pieces:
+        say(f"  pieces        {_span(pieces)} per drone")
+    sizes = [fact.size for fact in facts if fact.size]
+    if sizes:
+        say(f"  memory        {_span(sizes)} of {BYTES} bytes per drone")
+    say(f"  speed         {flight.speed:.4g} of {rules.speed:g} m/s")
+    if math.isfinite(flight.acceleration):
+        say(f"  acceleration  {flight.acceleration:.4g} of {rules.acceleration:g} m/s²")
+    if math.isfinite(flight.separation):
+        say(f"  separation    {flight.separation:.4g}, 1 where ellipsoids touch")
+    jumps = ", ".join(
+        f"{size:.2g} {unit}" for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
+    )
+    say(f"  jumps         {jumps} where pieces join")
+    say(f"  reach         {flight.reach:.4g} m from the origin")
+    said: Counter[tuple[str, str]] = Counter()
+    for finding in report.findings:
+        key = (finding.level, finding.rule)
+        said[key] += 1
+        if said[key] <= SAME:
+            say(str(finding), err=finding.level == ERROR)
+    for (level, rule), count in said.items():
+        if count > SAME:
+            say(f"{level}: {rule}: and {count - SAME} more", err=level == ERROR)
+    errors = sum(finding.level == ERROR for finding in report.findings)
+    warnings = sum(finding.level == WARNING for finding in report.findings)
+    say(f"{errors} errors, {warnings} warnings")
+
+
+def _span(values: list[int]) -> str:
+    low, high = min(values), max(values)
+    return f"{low}" if low == high else f"{low} to {high}"

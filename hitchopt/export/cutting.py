@@ -1,0 +1,77 @@
+"""Plans cut where everything rests, and plans flown more slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.model.motion import JOINT, Flying, Motion
+from hitchopt.trajectory import PiecewisePolynomial
+
+REST = 1e-6
+"""[m/s], [m/s²] What moves less than this rests."""
+
+Change = Callable[[PiecewisePolynomial], PiecewisePolynomial]
+
+
+def rests(motion: Flying) -> NDArray[np.intp]:
+    """Return the breaks, first and last included, at which no drone moves or accelerates."""
+    still = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
+    for order in (1, 2):
+        left, right = motion.drones.ends(order)
+        for here in (right[:-1], left[1:]):
+            still &= np.max(np.linalg.norm(here, axis=-1), axis=-1) <= REST
+    return np.concatenate([[0], 1 + np.flatnonzero(still), [motion.drones.pieces]])
+
+
+def cut(motion: Flying, first: int, last: int) -> Flying:
+    """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
+    start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        run = whole.taken(slice(first, last))
+        return PiecewisePolynomial(run.breaks - start, run.coefficients)
+
+    phases = tuple(
+        replace(phase, start=max(phase.start, start) - start, end=min(phase.end, end) - start)
+        for phase in motion.phases
+        if phase.end > start + JOINT and phase.start < end - JOINT
+    )
+    return replace(changed(motion, part), phases=phases)
+
+
+def stretched(motion: Flying, factor: float) -> Flying:
+    """Return the same curves flown ``factor`` times as slowly, the plan's own duration let go.
+
+    Raises
+    ------
+    InputError: a factor below 1.
+    """
+    if not 1.0 <= factor <= 100.0:
+        raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
+    if factor == 1.0:
+        return motion
+    phases = tuple(
+        replace(phase, start=factor * phase.start, end=factor * phase.end)
+        for phase in motion.phases
+    )
+    slower = changed(motion, lambda part: part.stretched(factor))
+    return replace(slower, phases=phases, limits=replace(motion.limits, duration=None))
+
+
+def changed(motion: Flying, change: Change) -> Flying:
+    """Return the motion with all its polynomials changed alike; phases are left to the caller."""
+    if not isinstance(motion, Motion):
+        return replace(motion, drones=change(motion.drones))
+    return replace(
+        motion,
+        phases=(),  # those of the old times would not fit
+        drones=change(motion.drones),
+        vertices=change(motion.vertices),
+        legs=change(motion.legs),
+        tensions=change(motion.tensions),
+    )

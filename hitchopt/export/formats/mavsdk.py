@@ -1,0 +1,174 @@
+"""Format mavsdk_drone_show: ``Drone N.csv``, setpoints for PX4 through MAVSDK, north-east-down.
+
+``idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb`` at 20 Hz, mode 70 (manoeuvring), yaw in
+degrees as MAVSDK takes it. All drones share one frame; the show's own configuration tells where
+each one is launched.
+
+Feed-forward: PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
+cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
+then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration feed-forward on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import FileError
+from hitchopt.export.atomic import Writer
+from hitchopt.export.formats.format import Candidate, Task, Whole, pull_of
+from hitchopt.export.recording import Recording, Samples, recording_of_samples
+from hitchopt.export.sampling import states_at
+
+Array = NDArray[np.float64]
+
+COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
+
+MODE = 70
+
+SMOOTH = 2
+
+BLOCK = 50_000
+"""Rows that are formatted at once."""
+
+OPEN = 200
+"""Files that are open at once."""
+
+
+class MavsdkDroneShow(Whole):
+    """Setpoints of 20 Hz for PX4."""
+
+    name = "mavsdk_drone_show"
+    summary = "one CSV per drone for mavsdk_drone_show (PX4)"
+    frames = ("ned",)
+    rate = 20.0
+    accuracy = 2e-3
+    feed_forward = (
+        "ax, ay, az = a - F/m, the cable's force F and the drone's mass m: PX4 adds gravity itself "
+        "and knows no cable; fly it with acceleration feed-forward on"
+    )
+
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give the files, numbered from 1 in the plan's order."""
+        names = file_names(len(task.names))
+        writers: dict[str, Writer] = dict.fromkeys(names, _written_already)
+        writers[names[0]] = lambda path: write_files(path.parent, task)
+        notes = (
+            "Drone N.csv in the plan's order: "
+            + ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
+            + (", …" if len(task.names) > 6 else ""),
+            "one north-east-down frame for all: tell the show where each drone is launched in it",
+        )
+        yield Candidate(writers, notes)
+
+    def read(self, folder: Path, task: Task) -> Recording:
+        """Return the curves through the setpoints, the cables' pull taken out of accelerations."""
+        tables = [read_table(folder / name) for name in file_names(len(task.names))]
+        return recording_of_tables(task.names, tables, task)
+
+
+def file_names(drones: int) -> tuple[str, ...]:
+    """Return the files' names."""
+    return tuple(f"Drone {i + 1}.csv" for i in range(drones))
+
+
+def write_files(folder: Path, task: Task) -> None:
+    """Write all drones' files, block by block of the samples.
+
+    Raises
+    ------
+    OSError: a file cannot be written.
+    """
+    samples = ceil(task.motion.duration * task.rate - 1e-6) + 1
+    names = file_names(len(task.names))
+    size = max(1, BLOCK // len(names))
+    for name in names:
+        (folder / name).write_text(COLUMNS + "\n", encoding="ascii", newline="\n")
+    for first in range(0, samples, size):
+        index = np.arange(first, min(first + size, samples))
+        states = states_at(task.motion, index / task.rate)
+        room = task.room
+        parts = (
+            room.points(states.positions),
+            room.vectors(states.velocities),
+            room.vectors(states.accelerations) - pull_of(task, states),
+        )
+        values = np.concatenate(parts, axis=-1) + 0.0
+        for start in range(0, len(names), OPEN):
+            with ExitStack() as stack:
+                for i, name in enumerate(names[start : start + OPEN], start):
+                    file = stack.enter_context((folder / name).open("a", newline="\n"))
+                    file.write(_rows(index, index / task.rate, values[:, i], room.heading))
+
+
+def _rows(index: NDArray[np.int64], t: Array, values: Array, heading: float) -> str:
+    yaw = f"{math.degrees(heading):.6g}"
+    lines = [
+        f"{i},{at:.9g},"
+        + ",".join(f"{value:.9g}" for value in row)
+        + f",{yaw},{MODE},255,255,255\n"
+        for i, at, row in zip(index.tolist(), t.tolist(), values.tolist(), strict=True)
+    ]
+    return "".join(lines)
+
+
+def _written_already(path: Path) -> None:
+    if not path.exists():
+        raise FileNotFoundError(2, "was not written with the first drone's", str(path))
+
+
+def read_table(path: Path) -> Array:
+    """Return the rows (S, 10) of one drone: t, positions, velocities, accelerations as they stand.
+
+    Raises
+    ------
+    FileError: another header, rows of other lengths, fewer than two rows.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: cannot be read: {error}") from error
+    header = lines[0].split(",") if lines else []
+    wanted = COLUMNS.split(",")[1:11]
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        raise FileError(f"{path}: its first line has no column {missing[0]!r}, not {COLUMNS}")
+    columns = [header.index(name) for name in wanted]
+    try:
+        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, usecols=columns)
+    except (ValueError, IndexError) as error:
+        raise FileError(f"{path}: {error}; it is truncated or damaged") from error
+    if len(table) < 2:
+        raise FileError(f"{path}: has {len(table)} rows; two are the least")
+    return np.asarray(table, dtype=np.float64)
+
+
+def recording_of_tables(
+    names: tuple[str, ...], tables: list[Array], task: Task | None
+) -> Recording:
+    """Return the curves through all drones' rows, which share their times.
+
+    With a task the cables' pull is taken out of the accelerations, and quintics run through all
+    three; without one nobody knows the pull, and cubics run through positions and velocities.
+
+    Raises
+    ------
+    FileError: times that differ between the drones.
+    """
+    t = tables[0][:, 0]
+    for name, table in zip(names, tables, strict=True):
+        if not np.array_equal(table[:, 0], t):
+            raise FileError(f"{name}: its times are not those of {names[0]}")
+    values = np.stack(tables, axis=1)[..., 1:]  # (S, D, 9)
+    derivatives = np.moveaxis(values.reshape(*values.shape[:2], 3, 3), 2, 0).copy()
+    if task is None:
+        return recording_of_samples(names, lambda: [Samples(t, derivatives[:2])], "ned", 1)
+    derivatives[2] += task.pulls(t)
+    derivatives[2][t > task.motion.duration] = 0.0
+    return recording_of_samples(names, lambda: [Samples(t, derivatives)], "ned", SMOOTH)

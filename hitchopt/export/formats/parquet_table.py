@@ -1,0 +1,125 @@
+"""Format parquet: ``setpoints.parquet``, a row per sample and drone; its metadata say the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import FileError
+from hitchopt.export.formats.extras import needed
+from hitchopt.export.formats.format import Candidate, Task, Whole
+from hitchopt.export.formats.long_table import (
+    COLUMNS,
+    FEED_FORWARD,
+    FLOWN,
+    Rows,
+    blocks_of,
+    first_names,
+    grouped,
+    recording_of_rows,
+)
+from hitchopt.export.recording import Recording
+from hitchopt.export.room import AXES
+
+FILE = "setpoints.parquet"
+
+FRAME = b"hitchopt.frame"
+"""Key of the schema's metadata."""
+
+
+class ParquetTable(Whole):
+    """Columns for data frames; a row group holds whole samples."""
+
+    name = "parquet"
+    summary = "one table of columns, a row per sample and drone"
+    frames = tuple(AXES)
+    rate = 100.0
+    accuracy = 1e-3
+    feed_forward = FEED_FORWARD
+
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give the one table there is."""
+        needed("pyarrow")
+        yield Candidate({FILE: lambda path: write_parquet(path, task)})
+
+    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
+        """Return what the table says."""
+        return read_parquet(folder / FILE)
+
+
+def write_parquet(path: Path, task: Task) -> None:
+    """Write the table, block by block, in double precision.
+
+    Raises
+    ------
+    UnsupportedError: pyarrow is not installed.
+    OSError: the file cannot be written.
+    """
+    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    names = arrow.array(task.names)
+    number = arrow.float64()
+    fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
+    fields += [(column, number) for column in COLUMNS]
+    room = task.room
+    metadata = {FRAME: room.frame.encode(), b"hitchopt.room": repr(room.to_dict()).encode()}
+    schema = arrow.schema(fields, metadata=metadata)
+    with parquet.ParquetWriter(path, schema) as writer:
+        for block in blocks_of(task):
+            samples, drones = block.values.shape[:2]
+            who = np.tile(np.arange(drones, dtype=np.int32), samples)
+            columns = [
+                arrow.array(np.repeat(block.t, drones)),
+                arrow.DictionaryArray.from_arrays(who, names),
+                *(arrow.array(block.values[..., i].ravel()) for i in range(len(COLUMNS))),
+            ]
+            writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
+
+
+def read_parquet(path: Path) -> Recording:
+    """Return what a table of these columns says; other columns are not looked at.
+
+    Raises
+    ------
+    UnsupportedError: pyarrow is not installed.
+    FileError: it is not such a table, or a damaged one; from the windows too.
+    """
+    with _opened(path) as file:
+        metadata = file.schema_arrow.metadata or {}
+        first = next(_rows(path), None)
+    if first is None:
+        raise FileError(f"{path}: holds no rows; it is truncated")
+    names = first_names(first)
+    frame = metadata.get(FRAME, b"").decode("ascii", "replace")
+    return recording_of_rows(
+        names, lambda: grouped(_rows(path), names), frame if frame in AXES else ""
+    )
+
+
+def _opened(path: Path) -> Any:
+    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    try:
+        file = parquet.ParquetFile(path)
+        missing = [name for name in ("t", "drone", *FLOWN) if name not in file.schema_arrow.names]
+    except (arrow.ArrowException, OSError) as error:
+        raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
+    if missing:
+        raise FileError(
+            f"{path}: has no column {missing[0]!r}; hitchopt writes t, drone and others"
+        )
+    return file
+
+
+def _rows(path: Path) -> Iterator[Rows]:
+    arrow = needed("pyarrow")
+    wanted = ["t", "drone", *FLOWN]
+    try:
+        with _opened(path) as file:
+            for batch in file.iter_batches(columns=wanted):
+                values = np.column_stack([batch[name].to_numpy(False) for name in FLOWN])
+                t = batch["t"].to_numpy(False).astype(np.float64)
+                yield Rows(t, [str(name) for name in batch["drone"].to_pylist()], values)
+    except (arrow.ArrowException, OSError, ValueError, TypeError) as error:
+        raise FileError(f"{path}: is damaged: {error}") from error

@@ -1,0 +1,1 @@
+"""Pre-flight lint: fleet files read back, ours or anybody else's, and what would go wrong."""

@@ -1,0 +1,120 @@
+"""What a lint says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hitchopt.export.recording import Recording
+
+ERROR, WARNING, NOTE = "error", "warning", "note"
+"""It will go wrong; it may; it is good to know."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to be said.
+
+    Attributes
+    ----------
+    level: ERROR, WARNING or NOTE.
+    rule: in one word or two, such as ``memory`` or ``end marker``.
+    where: drone or file; empty for all of them.
+    message: value, bound, and the remedy.
+    """
+
+    level: str
+    rule: str
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        place = f" {self.where}:" if self.where else ""
+        return f"{self.level}: {self.rule}:{place} {self.message}"
+
+
+@dataclass(frozen=True)
+class DroneFacts:
+    """What one drone's file amounts to.
+
+    Attributes
+    ----------
+    name: of the drone.
+    pieces: of its curve; 0 where it is sampled.
+    size: [bytes] in the drone's memory; 0 where it is not uploaded.
+    duration: [s] of its own file; 0 where all drones share their times.
+    """
+
+    name: str
+    pieces: int = 0
+    size: int = 0
+    duration: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """What a path holds, read.
+
+    Attributes
+    ----------
+    kind: of format, as in ``hitchopt export --format``.
+    recording: what the drones fly.
+    facts: one per drone.
+    findings: what has been seen while reading.
+    streamed: whether samples are sent in flight: gaps between them count then.
+    """
+
+    kind: str
+    recording: Recording
+    facts: tuple[DroneFacts, ...]
+    findings: tuple[Finding, ...] = field(default=())
+    streamed: bool = False
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What the drones of a folder fly together, over all of the time.
+
+    Attributes
+    ----------
+    duration: [s]
+    speed, acceleration: the largest of any drone [m/s], [m/s²]; nan where the files have none.
+    separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone.
+    jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
+        far as the format means them to be smooth.
+    reach: the largest coordinate, control points included [m].
+    """
+
+    duration: float
+    speed: float
+    acceleration: float
+    separation: float
+    jumps: tuple[float, ...]
+    reach: float
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that is to be said of a path.
+
+    Attributes
+    ----------
+    path: what was read.
+    kind: of format.
+    frame: enu, nwu or ned; empty where the files do not say.
+    facts: one per drone.
+    flight: of all drones together.
+    findings: the errors first.
+    """
+
+    path: Path
+    kind: str
+    frame: str
+    facts: tuple[DroneFacts, ...]
+    flight: Flight
+    findings: tuple[Finding, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is no error; warnings are for the pilot to judge."""
+        return all(finding.level != ERROR for finding in self.findings)

@@ -1,0 +1,188 @@
+"""Lint of shows and setpoints: Skybrush, mavsdk_drone_show, ROS 2 bags, tables."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import FileError
+from hitchopt.export.formats.mavsdk import read_table, recording_of_tables
+from hitchopt.export.formats.skybrush_csv import lines_of, read_zip
+from hitchopt.export.formats.skybrush_show import drones_of_show
+from hitchopt.export.lint.findings import ERROR, WARNING, DroneFacts, Finding, Loaded
+from hitchopt.export.recording import Recording, recording_of_curves
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+MILLISECOND = 1e-3
+"""[s] Skybrush rounds durations to it."""
+
+AT_HOME = 0.1
+"""[m] How far from its home a drone's show may begin."""
+
+
+def show_file(path: Path) -> Loaded:
+    """Return what a ``.skyc`` holds.
+
+    Raises
+    ------
+    FileError: it is none, or a damaged one.
+    """
+    curves = drones_of_show(path)
+    findings = []
+    for name, curve in curves.items():
+        if float(np.min(curve.durations)) < 0.5 * MILLISECOND:
+            findings.append(
+                Finding(
+                    ERROR,
+                    "duration",
+                    name,
+                    f"a piece lasts {np.min(curve.durations):.2g} s, which Skybrush rounds to "
+                    "none; leave its point out",
+                )
+            )
+    findings += _homes(path, curves)
+    recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 1)
+    return Loaded("skybrush", recording, _facts(curves), tuple(findings))
+
+
+def _homes(path: Path, curves: Mapping[str, PiecewisePolynomial]) -> list[Finding]:
+    with zipfile.ZipFile(path) as archive:
+        drones = json.loads(archive.read("show.json"))["swarm"]["drones"]
+    found = []
+    for drone, (name, curve) in zip(drones, curves.items(), strict=True):
+        home = drone["settings"].get("home")
+        if not isinstance(home, list) or len(home) < 2:
+            found.append(Finding(WARNING, "start", name, "has no home"))
+            continue
+        apart = float(np.linalg.norm(np.array(home[:2]) - curve.coefficients[0, :2, 0]))
+        if apart > AT_HOME:
+            found.append(
+                Finding(
+                    WARNING,
+                    "start",
+                    name,
+                    f"its home is {apart:.3g} m beside where its trajectory begins; set it there",
+                )
+            )
+    return found
+
+
+def show_zip(path: Path) -> Loaded:
+    """Return what a zip of Skybrush CSV files holds.
+
+    Raises
+    ------
+    FileError: it is none, or a damaged one.
+    """
+    return _lines(read_zip(path))
+
+
+def show_csv(files: Sequence[Path]) -> Loaded:
+    """Return what Skybrush CSV files hold, one drone each.
+
+    Raises
+    ------
+    FileError: a damaged one.
+    """
+    return _lines({p.stem: lines_of(p.read_text(encoding="utf-8-sig"), str(p)) for p in files})
+
+
+def _lines(curves: dict[str, PiecewisePolynomial]) -> Loaded:
+    recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
+    return Loaded("skybrush_csv", recording, _facts(curves))
+
+
+def _facts(curves: Mapping[str, PiecewisePolynomial]) -> tuple[DroneFacts, ...]:
+    return tuple(DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+
+
+def setpoint_files(files: Sequence[Path]) -> Loaded:
+    """Return what CSV files of mavsdk_drone_show hold, one drone each.
+
+    Raises
+    ------
+    FileError: a damaged one, or times that differ.
+    """
+    tables = [read_table(path) for path in files]
+    names = tuple(path.stem for path in files)
+    lengths = [len(table) for table in tables]
+    findings = []
+    if len(set(lengths)) > 1:
+        shortest = int(np.argmin(lengths))
+        findings.append(
+            Finding(
+                WARNING,
+                "duration",
+                names[shortest],
+                f"has {lengths[shortest]} rows, others up to {max(lengths)}; let it rest at its "
+                "end",
+            )
+        )
+        tables = [_rested(table, max(tables, key=len)[:, 0]) for table in tables]
+    facts = tuple(DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
+    recording = recording_of_tables(names, tables, None)
+    return Loaded("mavsdk_drone_show", recording, facts, tuple(findings), streamed=True)
+
+
+def _rested(table: Array, t: Array) -> Array:
+    rest = np.repeat(table[-1:], len(t) - len(table), axis=0)
+    rest[:, 0] = t[len(table) :]
+    rest[:, 4:] = 0.0
+    return np.concatenate([table, rest])
+
+
+def bag(path: Path) -> Loaded:
+    """Return what a bag of trajectories holds.
+
+    Raises
+    ------
+    UnsupportedError: rosbags is not installed.
+    FileError: no bag, a damaged one, or one of other messages.
+    """
+    from hitchopt.export.formats.ros2_messages import bag_recording
+
+    return _sampled("ros2bag", bag_recording(path), streamed=True)
+
+
+def table_file(path: Path) -> Loaded:
+    """Return what a table for scripts holds: csv, parquet, npz or json.
+
+    Raises
+    ------
+    UnsupportedError: pyarrow is not installed.
+    FileError: a damaged one.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind == "csv":
+        from hitchopt.export.formats.csv_table import read_csv
+        from hitchopt.export.room import AXES
+
+        frame = path.stem.rpartition("_")[2]
+        recording = read_csv(path, frame if frame in AXES else "")
+    elif kind == "parquet":
+        from hitchopt.export.formats.parquet_table import read_parquet
+
+        recording = read_parquet(path)
+    elif kind == "npz":
+        from hitchopt.export.formats.npz_table import read_npz
+
+        recording = read_npz(path)
+    elif kind == "json":
+        from hitchopt.export.formats.json_table import read_json
+
+        recording = read_json(path)
+    else:
+        raise FileError(f"{path}: is no file of a known format")
+    return _sampled(kind, recording)
+
+
+def _sampled(kind: str, recording: Recording, *, streamed: bool = False) -> Loaded:
+    facts = tuple(DroneFacts(name) for name in recording.names)
+    return Loaded(kind, recording, facts, (), streamed)

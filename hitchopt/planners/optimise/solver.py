@@ -1,0 +1,48 @@
+"""IPOPT on the program of a way."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from hitchopt.planners.optimise.program import WayProgram
+from hitchopt.planners.optimise.way import Way
+
+TOLERANCE = 1e-3
+"""Of the scaled conditions: a way is settled and measured anyway, and never believed."""
+
+
+def solve_program(program: WayProgram) -> Way | None:
+    """Return the way that IPOPT finds, or None where it does not converge.
+
+    Its word is not taken for more than that: what the way keeps is measured on its path.
+    """
+    solver = ca.nlpsol(
+        "way",
+        "ipopt",
+        {"x": program.x, "f": program.f, "g": program.g},
+        {
+            "print_time": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "max_iter": program.iterations,
+                "tol": TOLERANCE,
+                "mu_strategy": "adaptive",
+            },
+        },
+    )
+    solution = solver(
+        x0=program.start,
+        lbx=program.lower,
+        ubx=program.upper,
+        lbg=program.least,
+        ubg=program.most,
+    )
+    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
+    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
+        return None
+    table = program.layout.table(program.way)
+    inner = table[1:-1]
+    solved = x[: inner.size].reshape(inner.shape)
+    return program.layout.way(np.concatenate([table[:1], solved, table[-1:]]), program.way)

@@ -1,0 +1,136 @@
+"""export and lint as a user types them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from hitchopt.cli import main
+from hitchopt.export.formats.registry import HOMES
+from hitchopt.export.plan_file import write_plan
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.solving import solve_problem
+
+PROBLEM = {
+    "team": {"robots": 3, "cable_length": 2.4},
+    "limits": {"speed": 0.3},
+    "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}},
+    "mission": [{"transport": {"to": [0.5, 0.5, 1.0]}}],
+}
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a plan that goes at its limit of speed."""
+    folder = tmp_path_factory.mktemp("plans") / "out"
+    folder.mkdir()
+    write_plan(folder / "plan.npz", solve_problem(problem_from_dict(PROBLEM)).motion, "Carried")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize("name", [name for name in HOMES if name != "compressed"])
+def test_every_format_there_and_back(name: str, plan: Path) -> None:
+    done = run("export", plan, "--format", name, "-o", "files")
+    assert done.exit_code == 0, done.output
+    assert "certified as exported" in done.stdout
+    assert "from the plan, over all time" in done.stdout
+    assert "not carried: " in done.stdout
+    again = run("lint", "files")
+    assert again.exit_code == 0, again.output
+    assert "0 errors, 0 warnings" in again.stdout
+
+
+def test_a_lost_limit_ends_with_3_and_what_would_do(plan: Path, tmp_path: Path) -> None:
+    done = run("export", plan, "--format", "compressed", "-o", "files")
+    assert done.exit_code == 3
+    assert done.stdout == ""
+    assert "error: speed: " in done.stderr
+    assert "(the plan keeps 0.29" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+    (line,) = (line for line in done.stderr.splitlines() if "verified: --stretch" in line)
+    factor = line.split()[3]
+    slower = run("export", plan, "--format", "compressed", "-o", "files", "--stretch", factor)
+    assert slower.exit_code == 0, slower.output
+
+
+def test_beside_the_plan_by_default(plan: Path) -> None:
+    done = run("export", plan, "--format", "npz")
+    assert done.exit_code == 0
+    assert (plan.parent / "out-npz" / "setpoints.npz").exists()
+
+
+def test_frames_origin_yaw_and_fleet(plan: Path, tmp_path: Path) -> None:
+    roles = [f"{end}{k}" for k in range(3) for end in "qr"]
+    entries = [
+        f"  {role}: {{name: cf{i}, uri: radio://0/80/2M/E7E7E7E70{i}}}"
+        for i, role in enumerate(roles)
+    ]
+    Path("fleet.yaml").write_text("\n".join(["drones:", *entries]))
+    done = run(
+        *("export", plan, "--format", "csv", "--frame", "ned", "--origin", "1", "2", "0.5"),
+        *("--yaw-deg", "90", "--fleet", "fleet.yaml", "-o", "files", "--rate", "10"),
+    )
+    assert done.exit_code == 0, done.output
+    header, first, *_ = (tmp_path / "files" / "setpoints_ned.csv").read_text().splitlines()
+    row = dict(zip(header.split(","), first.split(","), strict=True))
+    assert row["drone"] == "cf0"
+    assert float(row["z"]) == -1.5
+    assert math.isclose(float(row["yaw"]), 0.0, abs_tol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--format", "crazyswarm"], "did you mean crazyswarm2?"),
+        (["--format", "csv", "--frame", "up"], "must be one of enu, nwu, ned"),
+        (["--format", "mavsdk_drone_show", "--frame", "enu"], "must be one of ned for mavsdk"),
+        (["--format", "csv", "--rate", "0"], "--rate = 0.0: must be above 0"),
+        (["--format", "csv", "--rate", "nan"], "--rate = nan"),
+        (["--format", "skybrush", "--rate", "10"], "it does not sample"),
+        (["--format", "csv", "--stretch", "0.9"], "--stretch = 0.9: must be from 1"),
+        (["--format", "csv", "--origin", "1", "2", "inf"], "three finite numbers"),
+        (["--format", "csv", "--yaw-deg", "nan"], "yaw = nan"),
+        (["--format", "csv", "--fleet", "nowhere.yaml"], "nowhere.yaml"),
+        ([], "Missing option '--format'"),
+    ],
+)
+def test_usage_that_is_wrong_ends_with_2(
+    arguments: list[str], told: str, plan: Path, tmp_path: Path
+) -> None:
+    done = run("export", plan, *arguments, "-o", "files")
+    assert done.exit_code == 2, done.output
+    assert told in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
+    assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
+    Path("taken").write_text("mine")
+    done = run("export", plan, "--format", "csv", "-o", "taken")
+    assert done.exit_code == 2
+    assert "an export is a folder" in done.stderr
+    assert Path("taken").read_text() == "mine"
+
+
+def test_lint_ends_with_3_where_something_would_go_wrong(plan: Path) -> None:
+    run("export", plan, "--format", "crazyswarm2", "-o", "files")
+    done = run("lint", "files", "--speed", "0.1", "--radius", "2")
+    assert done.exit_code == 3
+    assert "error: speed: " in done.stderr
+    assert "error: separation: " in done.stderr
+    assert "2 errors, 0 warnings" in done.stdout
+    assert run("lint", "files", "--radius", "-1").exit_code == 2
+    assert run("lint", "nowhere").exit_code == 2
+    assert "hitchopt check" in run("lint", plan).stderr

@@ -1,0 +1,200 @@
+"""Polynomials for Crazyflies, read by cflib and by numpy, which know nothing of hitchopt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cflib.crazyflie.mem.trajectory_memory import Poly4D
+from exported_plans import exported, hitch_plan, long_plan, restless_plan, swarm_of, swarm_plan
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+
+from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.export.formats.poly_csv import (
+    PIECE_BYTES,
+    from_powers,
+    read_poly_csv,
+    to_powers,
+    write_poly_csv,
+)
+from hitchopt.export.manifest import read_manifest
+from hitchopt.export.sampling import states_at
+from hitchopt.model.motion import Flying
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+MEMORY = 4096
+
+
+def flown(path: Path, t: Array, derivative: int = 0) -> Array:
+    """What the usual reader makes of a file: pieces one after the other, powers of seconds."""
+    rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(33), ndmin=2)
+    assert rows.shape[1] == 33
+    ends = np.cumsum(rows[:, 0])
+    piece = np.minimum(np.searchsorted(ends, t, side="right"), len(rows) - 1)
+    tau = t - (ends[piece] - rows[piece, 0])
+    values = np.empty((len(t), 3))
+    for i in range(len(t)):
+        for axis in range(3):
+            powers = rows[piece[i], 1 + 8 * axis : 9 + 8 * axis]
+            values[i, axis] = np.polynomial.Polynomial(powers).deriv(derivative)(tau[i])
+    return values
+
+
+@pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
+def test_the_usual_reader_sees_the_plan(motion: Flying, tmp_path: Path) -> None:
+    (part,) = exported(motion, "crazyswarm2", tmp_path, origin=[0.5, -0.2, 0.1], yaw=0.3)
+    assert part.verdict.lost == ()
+    t = np.linspace(0.0, motion.duration, 150)
+    states = states_at(motion, t)
+    c, s = np.cos(0.3), np.sin(0.3)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    for i, name in enumerate(motion.team.drone_names):
+        path = tmp_path / f"{name}.csv"
+        places = states.positions[:, i] @ turn.T + [0.5, -0.2, 0.1]
+        apart = np.linalg.norm(flown(path, t) - places, axis=-1)
+        assert np.max(apart) <= part.verdict.position.worst + 1e-9
+        assert np.max(apart) < 1e-3
+        speed = np.linalg.norm(flown(path, t, 1) - states.velocities[:, i] @ turn.T, axis=-1)
+        assert np.max(speed) <= part.verdict.velocity.worst + 1e-9
+
+
+def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    for path in sorted(tmp_path.glob("*.csv")):
+        table = read_poly_csv(path)
+        data = b""
+        for duration, powers in zip(table.durations, table.powers, strict=True):
+            axes = [Poly4D.Poly(axis.tolist()) for axis in powers]
+            data += bytes(Poly4D(float(duration), *axes).pack())
+        assert len(data) == PIECE_BYTES * len(table.durations) <= MEMORY
+        # In single precision nothing is lost: the numbers have been rounded to it.
+        single = np.frombuffer(data, dtype="<f4").reshape(-1, 33).astype(np.float64)
+        assert np.array_equal(single[:, 32], table.durations)
+        assert np.array_equal(single[:, :32].reshape(-1, 4, 8), table.powers)
+
+
+def test_every_file_has_two_rows_and_a_frame(tmp_path: Path) -> None:
+    still = swarm_of(np.array([[[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]]]), np.array([0.0, 3.0]))
+    (part,) = exported(still, "crazyswarm2", tmp_path, frame="nwu")
+    table = read_poly_csv(tmp_path / "d0.csv")
+    assert len(table.durations) >= 2
+    assert table.frame == "nwu"
+    assert (tmp_path / "d0.csv").read_text().splitlines()[0].count(",") == 32
+    assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
+
+
+def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    settings = YAML(typ="safe").load(tmp_path / "crazyflies.yaml")
+    assert settings["fileversion"] == 3
+    names = hitch_plan().team.drone_names
+    assert tuple(settings["robots"]) == names
+    for name in names:
+        robot = settings["robots"][name]
+        assert robot["enabled"] is True
+        assert robot["uri"].startswith("radio://")
+        assert robot["type"] in settings["robot_types"]
+        start = flown(tmp_path / f"{name}.csv", np.array([0.0]))[0]
+        np.testing.assert_allclose(robot["initial_position"][:2], start[:2], atol=1e-5)
+    assert settings["all"]["firmware_params"]["commander"]["enHighLevel"] == 1
+
+
+def test_the_script_starts_all_in_step(tmp_path: Path) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    text = (tmp_path / "fly.py").read_text(encoding="utf-8")
+    compile(text, "fly.py", "exec")
+    for needed in ("relative=False", "goTo(", "uploadTrajectory(0, 0,", "everyone.startTrajectory"):
+        assert needed in text
+    first = eval(text.partition("FIRST = ")[2].partition("}")[0] + "}")
+    for name, point in first.items():
+        np.testing.assert_allclose(
+            point, flown(tmp_path / f"{name}.csv", np.zeros(1))[0], atol=1e-5
+        )
+    note = (tmp_path / "README.txt").read_text(encoding="utf-8")
+    assert "relative=False" in note
+    assert "placeholders" in note
+
+
+def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
+    motion = long_plan()
+    parts = exported(motion, "crazyswarm2", tmp_path)
+    assert len(parts) > 1
+    manifest = read_manifest(tmp_path)
+    assert manifest is not None
+    assert manifest["parts"] == [part.folder.name for part in parts]
+    began = 0.0
+    end = None
+    for part in parts:
+        assert any("cut into" in note for note in part.notes)
+        first = flown(part.folder / "q0.csv", np.zeros(1))[0]
+        if end is not None:
+            np.testing.assert_allclose(first, end, atol=1e-6)
+        t = np.array([0.0, 0.7])
+        places = states_at(motion, began + t).positions[:, 0]
+        np.testing.assert_allclose(flown(part.folder / "q0.csv", t), places, atol=2e-3)
+        end = flown(part.folder / "q0.csv", np.array([part.verdict.duration]))[0]
+        for order in (1, 2):
+            for at in (0.0, part.verdict.duration):
+                assert np.max(np.abs(flown(part.folder / "q0.csv", np.array([at]), order))) < 1e-4
+        began += part.verdict.duration
+    # A shorter plan in the same folder leaves none of the parts behind.
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    assert [p for p in tmp_path.iterdir() if p.is_dir()] == []
+
+
+def test_what_never_rests_is_left_to_streaming(tmp_path: Path) -> None:
+    with pytest.raises(InfeasibleError, match="above the limit of 31 pieces") as told:
+        exported(restless_plan(), "crazyswarm2", tmp_path / "out")
+    assert "stream it: --format ros2bag" in str(told.value)
+    assert not (tmp_path / "out").exists()
+
+
+@given(st.integers(0, 30), st.floats(0.01, 20.0))
+def test_powers_and_back(seed: int, h: float) -> None:
+    rng = np.random.default_rng(seed)
+    c = rng.normal(size=(2, 3, 8))
+    durations = np.array([h, 0.3])
+    powers = to_powers(c, durations)
+    np.testing.assert_allclose(from_powers(powers, durations), c, atol=1e-7)
+    curve = PiecewisePolynomial(np.concatenate([[0.0], np.cumsum(durations)]), c)
+    value = np.polynomial.Polynomial(powers[0, 1])(0.4 * h)
+    assert value == pytest.approx(curve.at(0.4 * h)[1], abs=1e-8)
+
+
+def rows(count: int) -> list[str]:
+    row = ["1.0", *["0.5"] * 32]
+    return ["duration,...", *[",".join(row)] * count]
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (rows(0), "no row of numbers"),
+        ([*rows(2), "1.0,2.0"], "line 4 has 2 numbers, not 33"),
+        ([*rows(1), rows(1)[1].replace("0.5", "nan", 1)], "beyond single precision"),
+        ([*rows(1), rows(1)[1].replace("0.5", "1e39", 1)], "beyond single precision"),
+        ([*rows(1), rows(1)[1].replace("1.0", "0.0", 1)], "row 2: its duration is 0 s"),
+        ([*rows(1), rows(1)[1].replace("0.5", "half", 1)], "line 3: could not convert"),
+    ],
+)
+def test_damaged_files_are_told(lines: list[str], told: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(FileError, match=told):
+        read_poly_csv(path)
+
+
+def test_single_precision_survives_the_text(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    powers = rng.normal(size=(3, 4, 8)) * 10.0 ** rng.integers(-9, 9, size=(3, 4, 8))
+    durations = rng.uniform(0.1, 3.0, 3)
+    write_poly_csv(tmp_path / "a.csv", durations, powers, "enu")
+    table = read_poly_csv(tmp_path / "a.csv")
+    assert np.array_equal(table.powers, powers.astype(np.float32).astype(np.float64))
+    assert np.array_equal(table.durations, durations.astype(np.float32).astype(np.float64))

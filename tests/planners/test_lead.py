@@ -1,0 +1,94 @@
+"""Legs that lead and lag: what they leave as it was, what they gain, and where they do not help."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.planners.lead import leading
+from hitchopt.planners.path import LegLaw, ShapePath, drones_along
+from hitchopt.trajectory import PiecewisePolynomial
+
+ENDS = np.array([0.0, 1.0])
+CLOSE = ho.Separation(cable=0.07, crossing=0.05)
+
+
+def turned(n: int, angle: float) -> ShapePath:
+    """A regular n-gon off the origin that turns straight."""
+    first, last = (regular_polygon(n, 1.3).rotated(a).translated([2.0, -1.0]) for a in (0.0, angle))
+    start = ho.Hitch.balanced(ho.Team(n, 2.0), first)
+    goal = ho.Hitch.balanced(start.team, last)
+    return ShapePath.straight(start, goal)
+
+
+def test_ends_vertices_and_edges_stay_as_they_are() -> None:
+    path = turned(9, 0.3)
+    s = np.linspace(0.0, 1.0, 11)
+    led = list(leading(path, ho.Limits()))
+    assert len(led) == 2
+    for other in led:
+        np.testing.assert_allclose(
+            drones_along(other, ENDS).positions[..., 0], drones_along(path, ENDS).positions[..., 0]
+        )
+        np.testing.assert_array_equal(other.flat(s).vertices, path.flat(s).vertices)
+        assert np.max(np.abs(other.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
+
+
+def test_drones_start_and_stop_more_gently() -> None:
+    path = turned(9, 0.3)
+    first = next(leading(path, ho.Limits()))
+    usual, led = (
+        np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1) for p in (path, first)
+    )
+    assert np.all(led < 0.9 * usual)
+
+
+def slid(path: ShapePath, k: int, slope: float) -> ShapePath:
+    """The path with q-leg k longer by ``slope · s (1 - s)²``."""
+    c = np.zeros((1, path.team.robots, 4))
+    c[0, k, 1] = slope / 3.0
+    return replace(path, legs=LegLaw(PiecewisePolynomial(ENDS, c), path.legs.share))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> None:
+    """Of a polygon without any symmetry, with a whole slide, against a search."""
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(5, 1.2, rng)
+    team = ho.Team(5, 2.4)
+    start = ho.Hitch.balanced(team, polygon)
+    goal = ho.Hitch.balanced(team, polygon.rotated(0.2).translated([0.1, 0.05]))
+    path = ShapePath.straight(start, goal)
+
+    def start_of(p: ShapePath, k: int) -> float:
+        v = drones_along(p, ENDS[:1]).positions[0, 2 * k : 2 * k + 2, :, 1]
+        return float(np.sum(v**2))
+
+    from hitchopt.planners import lead
+
+    slopes = lead._slopes(path)
+    for k in range(5):
+        best = start_of(slid(path, k, slopes[0, k]), k)
+        for change in (-0.3, -0.01, 0.01, 0.3):
+            assert start_of(slid(path, k, slopes[0, k] + change), k) > best
+
+
+def test_a_polygon_that_only_grows_has_nothing_to_gain() -> None:
+    start = ho.Hitch.balanced(ho.Team(8, 2.0), regular_polygon(8, 1.2))
+    goal = ho.Hitch.balanced(start.team, regular_polygon(8, 1.35))
+    assert list(leading(ShapePath.straight(start, goal), ho.Limits())) == []
+
+
+def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:
+    """At ``v`` on a chord D with drones in step: at least D/v + v/a, here with a ramp a/j more."""
+    polygon = regular_polygon(12, 1.3)
+    start = ho.Hitch.spread(ho.Team(12, 2.0), polygon, separation=CLOSE)
+    goal = polygon.rotated(0.24)
+    limits = ho.Limits()
+    plan = ho.morph(start, goal, limits=limits, separation=CLOSE, optimize=True)
+    plan.certificate.raise_if_violated()
+    chord = float(np.max(np.linalg.norm(goal.vertices - polygon.vertices, axis=1)))
+    v, a = limits.vertex_speed, limits.acceleration
+    assert chord / v < plan.duration < chord / v + v / a + a / limits.jerk - 0.05

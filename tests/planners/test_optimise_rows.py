@@ -1,0 +1,196 @@
+"""The optimiser's programs: their rows, their derivatives, and what a solution keeps."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from optimise_cases import ends
+
+import hitchopt as ho
+from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.hitch import Team
+from hitchopt.hitch.sharing import measured
+from hitchopt.hitch.sharing_task import SharingTask
+from hitchopt.planners.optimise.between import (
+    LEG_INSET,
+    LEG_REACH,
+    between_rows,
+    instants,
+)
+from hitchopt.planners.optimise.bounds import Bounds, Step
+from hitchopt.planners.optimise.draft import Draft
+from hitchopt.planners.optimise.guesses import guesses
+from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
+from hitchopt.planners.optimise.program import WayProgram, build_program
+from hitchopt.planners.optimise.solver import solve_program
+from hitchopt.planners.optimise.way import Way
+
+QUIET = {"print_iter": False, "print_header": False, "print_info": False}
+
+
+def program_of(n: int, step: Step, tension: tuple[float, float] | None) -> WayProgram:
+    rng = np.random.default_rng(n)
+    first = random_convex_polygon(n, 1.1, rng)
+    pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
+    start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
+    polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
+    bounds = Bounds(ho.Limits(), ho.Separation(), None, tension, 1.02, (1.5, 1.5))
+    return build_program(Way.through("turned", start, end, polygons), bounds, step)
+
+
+@pytest.mark.parametrize(
+    ("step", "tension"),
+    [
+        (Step(0.17), None),
+        (Step(0.17, 3, fastest=True), None),
+        (Step(0.12, 4), (0.2, 0.6)),
+        (Step(0.12, fastest=True), (0.2, 0.6)),
+    ],
+)
+def test_the_optimisers_derivatives_are_those_of_finite_differences(
+    step: Step, tension: tuple[float, float] | None
+) -> None:
+    program = program_of(3, step, tension)
+    rng = np.random.default_rng(1)
+    multipliers = rng.normal(size=len(program.least))
+    lagrangian = program.f + ca.dot(ca.DM(multipliers), program.g)
+    gradient = ca.gradient(lagrangian, program.x)
+    value = ca.Function("value", [program.x], [lagrangian, gradient])
+    slope = ca.Function("slope", [program.x], [gradient, ca.jacobian(gradient, program.x)])
+    x = program.start + 1e-3 * rng.normal(size=len(program.start))
+    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(x))
+    h = 1e-5
+    for _ in range(12):  # along random directions: all entries take part in each
+        direction = rng.normal(size=len(x))
+        around = [
+            [np.asarray(v).ravel() for v in value.call([x + k * h * direction])]
+            for k in (-2.0, -1.0, 1.0, 2.0)
+        ]
+        by_cost, by_slope = (
+            (a - 8 * b + 8 * c - d) / (12 * h) for a, b, c, d in zip(*around, strict=True)
+        )
+        along = exact_gradient.ravel() @ direction
+        assert by_cost[0] == pytest.approx(along, rel=1e-6, abs=1e-4)
+        curved = exact_hessian @ direction
+        np.testing.assert_allclose(by_slope, curved, atol=1e-5 * (1.0 + np.max(np.abs(curved))))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
+    """Kept rows mean kept distances, wherever the bodies have gone; and nothing near is missed."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 7))
+    first = random_convex_polygon(n, 1.1, rng)
+    start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
+    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
+    layout = Layout(n)
+    table = layout.table(way)
+    moved = table.copy()
+    moved[1:-1] += rng.uniform(-0.03, 0.03, moved[1:-1].shape)  # well within a step
+    moved[:, layout.tensions] = table[:, layout.tensions]
+    other = layout.way(moved, way)
+    moved[1:-1] = layout.table(other)[1:-1]  # drones where the moved hitch has them
+    rows = pair_rows(layout, table, ho.Separation(), np.ones(3), 0.5)
+    x = moved[1:-1].ravel()
+    apart = np.linalg.norm(x[rows.first] - x[rows.second], axis=1)
+    kept = bool(np.all(rows.rows @ x >= rows.least) and np.all(apart >= rows.apart))
+    task = SharingTask(
+        way.team, ho.Separation(), None, other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0
+    )
+    assert measured(task) >= 1.0 - 1e-9 or not kept
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+@settings(max_examples=15, deadline=None)
+def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations(
+    seed: int, parts: int
+) -> None:
+    """By how much a row is kept is by how much its pair is, wherever the whole way is moved."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 7))
+    first = random_convex_polygon(n, 1.1, rng)
+    start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
+    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    layout, places = Layout(n), instants(5, parts)
+    assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
+    bounds = Bounds(ho.Limits(), ho.Separation(), None, None, 1.05, (1.2, 1.01))
+    table = layout.table(way)
+    found = between_rows(way, bounds, places, 0.3)
+    nodes = layout.table(way.at(places / 5.0))[:, layout.nodes]
+    pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
+    excess = np.full(len(pairs.kept), np.inf)
+    pair, _, _ = pairs.sides()
+    x = table[1:-1].ravel()
+    np.minimum.at(excess, pair, (found.rows @ x - found.least)[: len(pair)])
+    gaps = [
+        np.min(np.linalg.norm(points_on(a, 60)[:, None] - points_on(b, 60)[None], axis=-1))
+        for a, b in zip(
+            nodes[pairs.frame[:, None], pairs.first],
+            nodes[pairs.frame[:, None], pairs.second],
+            strict=True,
+        )
+    ]
+    np.testing.assert_allclose(excess + pairs.kept, gaps, atol=2e-3)
+    assert np.all(excess + pairs.kept <= np.array(gaps) + 1e-9)  # samples are never nearer
+    # The inner knots all moved alike: pairs within a step between inner knots stay as they are.
+    inner = np.abs(places[pairs.frame[pair]] - 2.5) < 1.5
+    moved = table[1:-1].copy()
+    moved[:, layout.nodes] += rng.normal(size=2)
+    before, after = ((found.rows @ a)[: len(pair)] for a in (x, moved.ravel()))
+    np.testing.assert_allclose(after[inner], before[inner], atol=1e-9)
+
+
+def points_on(segment: np.ndarray, count: int) -> np.ndarray:
+    """Return points (count, 2) along a segment (2, 2)."""
+    return np.linspace(segment[0], segment[1], count)
+
+
+def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
+    program = program_of(4, Step(0.17, 2), None)
+    way = solve_program(program)
+    assert way is not None
+    value = ca.Function("value", [program.x], [program.f, program.g])
+    x = program.layout.table(way)[1:-1].ravel()
+    cost, rows = value(x)
+    assert np.all(np.asarray(rows).ravel() >= program.least - 1e-4)
+    assert np.all(np.asarray(rows).ravel() <= program.most + 1e-4)
+    assert float(cost) <= float(value(program.start)[0]) + 1e-6
+
+
+def test_what_is_short_of_its_bound_may_stay_so_at_a_price_and_the_rest_may_not() -> None:
+    draft = Draft()
+    x = draft.variables("x", np.array([0.0, 2.0]), np.full(2, -5.0), np.full(2, 5.0))
+    draft.urge(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
+    draft.f += ca.sumsqr(x)
+    start, lower, upper = draft.box()
+    least, most = draft.ranges()
+    rows = ca.Function("rows", [draft.x], [draft.f, draft.g])
+    cost, values = rows(start)
+    np.testing.assert_allclose(np.asarray(values).ravel(), [1.0, 2.0])  # feasible where it starts
+    assert float(cost) == pytest.approx(4.0 + 3.0 * 1.0)
+    np.testing.assert_array_equal(lower, [-5.0, -5.0, 0.0])
+    solver = ca.qpsol("dear", "qrqp", {"x": draft.x, "f": draft.f, "g": draft.g}, QUIET)
+    found = solver(x0=start, lbx=lower, ubx=upper, lbg=least, ubg=most)
+    # Worth 3 a metre, the first one is raised to its bound of 1, where a square costs 2 a metre.
+    np.testing.assert_allclose(np.asarray(found["x"]).ravel(), [1.0, 1.5, 0.0], atol=1e-6)
+
+
+def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
+    first = regular_polygon(4, 1.2)
+    last = first.rotated(0.5).scaled(0.9)
+    start, end = ends(Team(4, [2.4, 2.5, 2.6, 2.4]), first, last)
+    way = Way.through("turned", start, end, guesses(first, last, 6)[1].polygons)
+    layout, places = Layout(4), instants(5, 4)
+    columns = np.concatenate([layout.q_legs, layout.r_legs])
+    legs, at_knots = (w[:, columns] for w in map(layout.table, (way.at(places / 5.0), way)))
+    limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
+    bounds = Bounds(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0), None, None, 1.0, (1.0, 1.0))
+    rows = between_rows(way, bounds, places, 0.0)  # of no pair: their limits are next to none
+    shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
+    near = legs < limits.leg + LEG_REACH
+    excess = rows.rows @ layout.table(way)[1:-1].ravel() - rows.least
+    assert 0 < np.sum(near) < near.size
+    np.testing.assert_allclose(excess, (legs - shortest)[near], atol=1e-9)
