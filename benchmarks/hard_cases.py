@@ -64,7 +64,7 @@ def random_case(n: int, seed: int) -> Case | None:
     """Return a random hard morph, or None where an end breaks a limit at rest."""
     problem = problem_from_dict(random_morph(n, seed, hard=True))
     (step,) = problem.mission
-    if not isinstance(step, ho.Morph):
+    if not isinstance(step, ho.Morph) or not isinstance(problem.start, ho.HitchStart):
         raise TypeError("a random morph is one morph")
     kept = KeptDistances(problem.limits, problem.separation, problem.arena)
     case = make_case(random_name(n, seed), problem.team, problem.start.polygon, step.polygon, kept)

@@ -19,12 +19,12 @@ from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.problem import (
     Adjust,
     FollowVertex,
+    HitchStep,
     Hold,
     LegSharing,
     Morph,
     MoveEdge,
     MoveVertex,
-    Step,
     Transport,
     leg_sharing,
 )
@@ -245,7 +245,7 @@ def _sharing(legs: Legs | None, start: Hitch) -> LegSharing | None:
 
 def _planned(
     start: Hitch,
-    step: Step,
+    step: HitchStep,
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,

@@ -3,15 +3,22 @@
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
+
+import pytest
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_example_prints_what_is_shown(tmp_path: Path) -> None:
-    blocks = re.findall(r"```(python|)\n(.*?)```", README, flags=re.DOTALL)
-    at = next(i for i, (language, _) in enumerate(blocks) if language == "python")
-    code, shown = blocks[at][1], blocks[at + 1][1]
+BLOCKS = re.findall(r"```(python|)\n(.*?)```", README, flags=re.DOTALL)
+EXAMPLES = [
+    (code, shown) for (language, code), (_, shown) in pairwise(BLOCKS) if language == "python"
+]
+
+
+@pytest.mark.parametrize(("code", "shown"), EXAMPLES, ids=range(len(EXAMPLES)))
+def test_the_examples_print_what_is_shown(code: str, shown: str, tmp_path: Path) -> None:
     assert len(code.strip().splitlines()) <= 15
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False

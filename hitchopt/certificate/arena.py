@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import ROUNDING, position_margin
+from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING, position_margin
 from hitchopt.model.motion import Flying
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
@@ -25,7 +25,9 @@ def check(motion: Flying) -> Check | None:
     margin = position_margin(motion) + ROUNDING * walls
     found = smallest(Cells.over(motion.drones.breaks, [inside], margin), _bound)
     where = (motion.team.drone_names[found.item],)
-    return Check.of("arena", found.worst, 0.0, "min", "m", found.time, where)
+    # Who rests on the floor, to the last place in which a plan is written, is not below it.
+    worst = max(found.worst, 0.0) if np.min(inside) >= -LAST_PLACE * walls else found.worst
+    return Check.of("arena", worst, 0.0, "min", "m", found.time, where)
 
 
 def _bound(blocks: tuple[Array, ...]) -> Estimate:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from hitchopt.certificate import (
     acceleration,
@@ -14,10 +16,14 @@ from hitchopt.certificate import (
     crossing,
     duration,
     equilibrium,
+    hanging_clearance,
+    hanging_crossing,
+    interlacing,
     jerk,
     keep_out,
     legs,
     separation,
+    span,
     speed,
     thrust,
     tilt,
@@ -53,6 +59,16 @@ HITCH: dict[str, Callable[[Motion], Check | None]] = {
 }
 """Checks of a hitch, for as long as it exists."""
 
+FREE: dict[str, Callable[[Motion], Check | None]] = {
+    "cable_clearance": hanging_clearance.check,
+    "crossing": hanging_crossing.check,
+    "span": span.check,
+}
+"""Checks of free cables, for as long as there is no hitch."""
+
+WHOLE: dict[str, Callable[[Motion], Check | None]] = {"interlacing": interlacing.check}
+"""Checks of how free cables become a hitch, and the other way around."""
+
 CHECKS = (
     "separation",
     "cable_clearance",
@@ -65,11 +81,13 @@ CHECKS = (
     "tilt",
     "legs",
     "cable_length",
+    "span",
     "equilibrium",
     "convexity",
     "arena",
     "keep_out",
     "continuity",
+    "interlacing",
     "duration",
 )
 """In the order of the certificate."""
@@ -84,6 +102,7 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     enter the quantity (positions; positions over a leg for directions), and for a k-th derivative
     of degree N on a piece of h seconds ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference
     of neighbouring coefficients besides. ``continuity`` and ``duration`` are computed outright.
+    Hanging cables are no polynomials: distances to them are bounded to within a few millimetres.
 
     A motion that is degenerate somewhere (a drone on its vertex, two drones at one place, a cable
     without tension) fails the checks concerned.
@@ -94,9 +113,7 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     progress: called with the name of every check as it starts.
     """
     checks = []
-    for name in CHECKS:
-        if name in (SWARM if isinstance(motion, Motion) else HITCH):
-            continue
+    for name in _applying(motion):
         if progress is not None:
             progress(name)
         result = _result(name, motion)
@@ -105,10 +122,27 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     return Certificate(motion.duration, tuple(checks))
 
 
+def _applying(motion: Flying) -> Iterator[str]:
+    """Yield the names of the checks that the motion has something for."""
+    here = set(DRONES)
+    if isinstance(motion, Motion):
+        formed = motion.formed
+        here |= set(HITCH) if np.any(formed) else set()
+        here |= set() if np.all(formed) else {*FREE, *WHOLE}
+    else:
+        here |= set(SWARM)
+    yield from (name for name in CHECKS if name in here)
+
+
 def _result(name: str, motion: Flying) -> Check | None:
     if name in DRONES:
         return DRONES[name](motion)
     if isinstance(motion, SwarmMotion):
         return SWARM[name](motion)
-    results = [HITCH[name](span) for span in motion.spans(formed=True)]
+    if name in WHOLE:
+        return WHOLE[name](motion)
+    results = []
+    for checks, formed in ((HITCH, True), (FREE, False)):
+        if name in checks:
+            results += [checks[name](run) for run in motion.spans(formed=formed)]
     return most_pressing([result for result in results if result is not None])

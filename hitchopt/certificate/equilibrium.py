@@ -28,7 +28,9 @@ def check(motion: Motion) -> Check:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     The residual is ``T_k (q̂_k + u_k) + T_{k-1} (r̂_{k-1} - u_{k-1})``; ``where`` names the vertex.
-    A tension that is not positive holds nothing: the ratio is infinite there.
+    A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
+    tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
+    tension are compared coefficient by coefficient, and where both vanish nothing is unbalanced.
     """
     legs, edges = leg_vectors(motion), edge_vectors(motion)
     layout = motion.team.layout
@@ -53,10 +55,13 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     residual = np.sum(bernstein.multiply(tension[:, :, None], pulls), axis=1)
     norms = np.linalg.norm(residual, axis=1)
     radius = along.radius[:, 0::2] + along.radius[:, 1::2] + ROUNDING
-    norms = norms + np.sum(np.max(np.abs(tension), axis=-1) * radius, axis=-1)[:, None]
+    # An error of the directions weighs as much as the tension does there, so coefficientwise.
+    sizes = bernstein.elevate(np.abs(tension), bernstein.degree(norms))
+    norms = norms + np.sum(sizes * radius[..., None], axis=1)
     # {|S| <= θ T} is a convex cone in (S, T): coefficients within it keep the curve within it.
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
-    reach = _over(norms, least)
+    pulling = np.max(least, axis=-1, keepdims=True) > 0.0
+    reach = np.where(pulling & (norms == 0.0) & (least == 0.0), 0.0, _over(norms, least))
     x = np.argmax(reach, axis=-1) / max(1, bernstein.degree(norms))
     there = bernstein.evaluate(vectors, x[:, None, None])
     length = np.linalg.norm(there, axis=-1, keepdims=True)
@@ -65,7 +70,10 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     T = bernstein.evaluate(tension, x[:, None])
     forces = unit * SIGNS[:, None] * np.repeat(T, 2, axis=1)[..., None]
     unknown = np.sum(np.where(known[..., 0], 0.0, np.repeat(np.abs(T), 2, axis=1)), axis=1)
-    value = _over(np.linalg.norm(np.sum(forces, axis=1), axis=-1) + unknown, np.min(T, axis=-1))
+    unbalanced = np.linalg.norm(np.sum(forces, axis=1), axis=-1) + unknown
+    weakest = np.min(T, axis=-1)
+    nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
+    value = np.where(nothing, 0.0, _over(unbalanced, weakest))
     return Estimate(np.max(reach, axis=-1), value, x)
 
 

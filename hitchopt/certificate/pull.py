@@ -2,7 +2,9 @@
 
 It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg (at a chain's end, along
 the edge) and down by half of the cable's weight. That direction is no polynomial; it is enclosed by
-one.
+one. A cable that hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ)
+/ 2`` more than half of it (w its weight per length; see ``hitchopt.hitch.catenary``): enclosed by
+the range of its steepness σ.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate.bodies import pull_vectors
+from hitchopt.certificate.hanging import steepness_range
 from hitchopt.certificate.rounding import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.catenary import pull_terms
 from hitchopt.model.motion import Flying, Motion
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
@@ -46,7 +50,20 @@ def thrust_cells(motion: Flying, unit: Array) -> Cells:
     slop = derivative_margin(motion.drones, 2) * mass[:, 0]
     slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
     blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
+    if isinstance(motion, Motion) and motion.team.cable_density > 0.0:
+        blocks += _hanging_blocks(motion, unit)
     return Cells.over(motion.drones.breaks, blocks)
+
+
+def _hanging_blocks(motion: Motion, unit: Array) -> list[Array]:
+    """Return, per piece and drone, the way to its partner, and weight per length with length."""
+    c, team = motion.drones.coefficients, motion.team
+    across = c.reshape(len(c), team.robots, 2, *c.shape[2:])
+    partner = across[:, :, ::-1].reshape(c.shape) - c
+    hanging = ~motion.formed[:, None]
+    weight = np.where(hanging, GRAVITY * team.cable_density / unit, 0.0)
+    length = np.broadcast_to(np.repeat(team.cable_length, 2), weight.shape)
+    return [partner, np.stack([weight, length], axis=-1)[..., None]]
 
 
 def lowered(coefficients: Array) -> Array:
@@ -64,13 +81,29 @@ def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclo
     blocks: of ``thrust_cells``.
     noise: of the positions [m].
     """
-    free, legs, tension, slop = blocks
+    free, legs, tension, slop = blocks[:4]
     along = enclosure.direction(legs, noise)
     pull = bernstein.multiply(along.coefficients, tension)
     order = max(bernstein.degree(pull), bernstein.degree(free))
     thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)
     radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
+    if len(blocks) > 4:
+        weight = _hanging_weight(blocks[4], blocks[5])
+        thrust = thrust + bernstein.elevate(weight.coefficients, order)
+        radius = radius + weight.radius
     return enclosure.Enclosure(thrust, radius)
+
+
+def _hanging_weight(partner: Array, cable: Array) -> enclosure.Enclosure:
+    """Enclose what free cables add to the thrust (cells, 3), half of their weight left out."""
+    weight, length = cable[:, 0, 0], cable[:, 1, 0]
+    lower, upper = steepness_range(partner, length)
+    most, least = (np.array(pull_terms(sigma)) for sigma in (lower, upper))  # both fall with σ
+    middle, spread = 0.5 * weight * (most + least), 0.5 * weight * (most - least)
+    factors = np.stack([-middle[0], -middle[0], -middle[1]], axis=1)
+    size = np.max(np.abs(partner), axis=-1)
+    radius = spread[0] * np.hypot(size[:, 0], size[:, 1]) + spread[1] * size[:, 2]
+    return enclosure.Enclosure(0.5 * factors[..., None] * partner, 0.5 * radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +122,11 @@ class Thrust:
 
 def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
     """Return the thrusts at x (cells,)."""
-    free, legs, tension, _ = (bernstein.evaluate(block, x[:, None]) for block in blocks)
+    free, legs, tension, _ = (bernstein.evaluate(block, x[:, None]) for block in blocks[:4])
     length = np.linalg.norm(legs, axis=-1, keepdims=True)
     known = length > NO_DIRECTION
     pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
+    if len(blocks) > 4:
+        partner = bernstein.evaluate(blocks[4], x[:, None])
+        free = free + _hanging_weight(partner[..., None], blocks[5]).coefficients[..., 0]
     return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

@@ -58,11 +58,14 @@ def save_plan(
     FileError: the directory cannot be written to.
     """
     certificate.raise_if_violated()
+    content = certificate.to_dict()
+    if isinstance(motion, Motion) and motion.assignment is not None:
+        content["assignment"] = motion.assignment.to_dict()
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, motion, title),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
         **(pictures or {}),
-        CERTIFICATE: lambda path: _write_json(path, certificate.to_dict()),
+        CERTIFICATE: lambda path: _write_json(path, content),
     }
     if isinstance(motion, Motion):
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)

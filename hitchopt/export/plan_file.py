@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.export.archive import read_arrays
 from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm, Team
+from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.keep_out import Prism
 from hitchopt.hitch.values import finite
 from hitchopt.model.motion import JOINT, Flying, Motion, Phase, SwarmMotion
@@ -96,6 +97,8 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
             }
             for prism in motion.keep_out
         ]
+    if isinstance(motion, Motion) and motion.assignment is not None:
+        settings["assignment"] = motion.assignment.to_dict()
     head = {
         "format": np.array(FORMAT),
         "settings": np.array(json.dumps(settings, allow_nan=False)),
@@ -165,13 +168,32 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         robots = given.pop("robots")
         lengths, tensions = arrays["cable_length"], arrays["tension"]
         team = Team(robots, lengths, tension=tensions, quadrotor=kinds, **given)
-        motion = Motion(team, limits, separation, arena, phases=phases, **parts)
+        given_to = settings.get("assignment")
+        motion = Motion(
+            team,
+            limits,
+            separation,
+            arena,
+            parts["drones"],
+            parts["vertices"],
+            parts["legs"],
+            parts["tensions"],
+            phases,
+            None if given_to is None else _assignment(**given_to),
+        )
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         prisms = tuple(Prism(**entry) for entry in settings.get("keep_out", ()))
         motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases, prisms)
     _check_phases(motion)
     return motion
+
+
+def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
+    for values, kind in ((robots, int), (flipped, bool)):
+        if not all(type(value) is kind for value in values):
+            raise InputError("assignment", values, f"a list of {kind.__name__}", "do not edit it")
+    return Assignment(tuple(robots), tuple(flipped))
 
 
 def _check_phases(motion: Flying) -> None:

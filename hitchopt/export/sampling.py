@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Swarm, Team
+from hitchopt.hitch.hanging import hanging_forces
 from hitchopt.hitch.values import not_negative, positive
 from hitchopt.model.motion import Flying, Motion
 from hitchopt.trajectory import bernstein
@@ -39,7 +40,8 @@ class States:
     velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
         pieces join, those of the later piece.
     cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: ``-T_k`` along its leg (its
-        edge, at a chain's end), and down by half of the cable's weight.
+        edge, at a chain's end), and down by half of the cable's weight; while there is no hitch,
+        what a hanging cable pulls with.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
@@ -147,7 +149,11 @@ def _states_within(motion: Flying, piece: int, t: Array, elapsed: Array, formed:
     if isinstance(motion, Motion):
         vertices = motion.vertices.coefficients[piece]
         p, tensions = _values(vertices, x), _values(motion.tensions.coefficients[piece], x)
-        forces = _cable_forces(motion.team, positions, p, tensions)
+        forces = (
+            _cable_forces(motion.team, positions, p, tensions)
+            if formed
+            else hanging_forces(motion.team, positions)
+        )
         vertex_velocities = _values(bernstein.differentiate(vertices) / h, x)
         legs = _values(motion.legs.coefficients[piece], x)
     else:

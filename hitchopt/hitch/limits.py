@@ -106,3 +106,8 @@ class Arena:
                 f"greater than lower {self.lower.tolist()} on every axis",
                 "exchange the corners or move them apart",
             )
+
+
+def floor_of(arena: Arena | None) -> float:
+    """Return the height of the ground [m]: the arena's floor, or 0 where there is none."""
+    return 0.0 if arena is None else float(arena.lower[2])

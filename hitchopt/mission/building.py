@@ -11,7 +11,9 @@ from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.faults import Collector
-from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.schema import (
     LimitsKeys,
     QuadrotorKeys,
@@ -22,13 +24,11 @@ from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
     Hold,
-    LegSharing,
     Morph,
     MoveEdge,
     MoveVertex,
     Step,
     Transport,
-    leg_sharing,
 )
 from hitchopt.mission.steps import (
     AdjustKeys,
@@ -43,9 +43,7 @@ from hitchopt.mission.steps import (
     StepKeys,
     TransportKeys,
 )
-
-PLANNED = ("morph", "move_vertex", "move_edge", "adjust", "follow_vertex", "transport", "hold")
-"""Steps of this version."""
+from hitchopt.planners.forming.settings import SwapSettings
 
 StepOfKeys = (
     MorphKeys
@@ -55,6 +53,8 @@ StepOfKeys = (
     | FollowVertexKeys
     | TransportKeys
     | HoldKeys
+    | FormKeys
+    | PlainKeys
 )
 """Their models."""
 
@@ -65,7 +65,6 @@ def built_problem(keys: ProblemKeys) -> Problem:
     Raises
     ------
     InputError: what single values do not tell, such as counts and shapes; a joint error if several.
-    UnsupportedError: a well-formed problem that this version cannot plan.
     """
     faults = Collector()
     attempt = faults.attempt
@@ -117,7 +116,7 @@ def _limits(keys: LimitsKeys) -> Limits:
 
 def _start(
     keys: StartKeys, team_keys: TeamKeys, team: Team | None, faults: Collector
-) -> HitchStart | None:
+) -> Start | None:
     if keys.hitch is not None:
         hitch = keys.hitch
         outline = _outline("start.hitch", hitch.polygon, team_keys, team, faults)
@@ -125,13 +124,18 @@ def _start(
         if outline is None or legs is None:
             return None
         return HitchStart(outline, hitch.altitude, legs)
-    if keys.drones is not None:
-        for end, points in (("q", keys.drones.q), ("r", keys.drones.r)):
-            _check_count(f"start.drones.{end}", len(points), team_keys.robots, faults)
-    faults.unsupported.append(
-        "start.drones: hitches cannot be formed in this version; use start.hitch"
+    places = keys.drones
+    if places is None:
+        raise RuntimeError("a start that is neither a hitch nor drones")
+    fits = [
+        _check_count(f"start.drones.{end}", len(points), team_keys.robots, faults)
+        for end, points in (("q", places.q), ("r", places.r))
+    ]
+    if not all(fits):
+        return None
+    return faults.attempt(
+        "start.drones", lambda: DronesStart(np.array(places.q), np.array(places.r))
     )
-    return None
 
 
 def _step(
@@ -149,33 +153,44 @@ def _step(
             faults.inputs.append(
                 InputError(f"{path}.{key}", index, f"from 0 to {count - 1}", "indices start at 0")
             )
-    if isinstance(step, FormKeys | PlainKeys):
-        faults.unsupported.append(
-            f"{path}: this step cannot be planned in this version; use {', '.join(PLANNED)}"
-        )
-        return None
     if (given is not None and legs is None) or (polygon is not None and outline is None):
         return None
-    return faults.attempt(path, lambda: _record(step, outline, legs))
+    return faults.attempt(path, lambda: _record(name, step, outline, legs))
 
 
-def _record(step: StepOfKeys, outline: Outline | None, legs: LegSharing | None) -> Step | None:
+def _record(
+    name: str, step: StepOfKeys, outline: Outline | None, legs: LegSharing | None
+) -> Step | None:
     """Return the record of a step; None where a part of it has been refused already."""
+    if isinstance(step, PlainKeys):
+        return Release(step.duration) if name == Release.name else Land(step.duration)
+    if isinstance(step, FormKeys | MorphKeys):
+        return None if outline is None else _with_polygon(step, outline, legs)
     if isinstance(step, HoldKeys):
         return Hold(step.seconds)
-    if isinstance(step, MorphKeys):
-        if outline is None:
-            return None
-        tension = None if step.tension is None else (step.tension.min, step.tension.max)
-        return Morph(outline, legs, step.duration, step.blend, step.optimize, tension)
     if isinstance(step, AdjustKeys):
         return Adjust(legs, step.duration, step.blend) if legs is not None else None
-    if isinstance(step, TransportKeys):
-        return Transport(np.array(step.to), math.radians(step.yaw_deg), step.duration)
     return _move(step, legs)
 
 
-def _move(step: MoveVertexKeys | MoveEdgeKeys | FollowVertexKeys, legs: LegSharing | None) -> Step:
+def _with_polygon(
+    step: FormKeys | MorphKeys, outline: Outline, legs: LegSharing | None
+) -> Form | Morph:
+    if isinstance(step, MorphKeys):
+        tension = None if step.tension is None else (step.tension.min, step.tension.max)
+        return Morph(outline, legs, step.duration, step.blend, step.optimize, tension)
+    swap = step.swap
+    tilt = None if swap.tilt_deg is None else math.radians(swap.tilt_deg)
+    sense = {"up": 1, "down": -1, "auto": 0}[swap.sense]
+    settings = SwapSettings(swap.radius, tilt, swap.seconds, sense)
+    return Form(outline, step.altitude, legs, step.assign, settings, step.duration)
+
+
+def _move(
+    step: MoveVertexKeys | MoveEdgeKeys | FollowVertexKeys | TransportKeys, legs: LegSharing | None
+) -> Step:
+    if isinstance(step, TransportKeys):
+        return Transport(np.array(step.to), math.radians(step.yaw_deg), step.duration)
     if isinstance(step, FollowVertexKeys):
         return FollowVertex(step.vertex, np.array(step.path), legs)
     to, by = (None if value is None else np.array(value) for value in (step.to, step.by))
@@ -213,9 +228,11 @@ def _vertices(keys: TeamKeys) -> int:
     return keys.robots + (keys.topology == "open")
 
 
-def _check_count(path: str, count: int, expected: int, faults: Collector) -> None:
+def _check_count(path: str, count: int, expected: int, faults: Collector) -> bool:
+    """Return whether a count is the expected one; the fault is kept if not."""
     if count != expected:
         _refuse_count(path, f"{count} points", f"{expected} points", faults)
+    return count == expected
 
 
 def _refuse_count(path: str, value: object, expected: str, faults: Collector) -> None:

@@ -21,11 +21,23 @@ REMEDIES = {
     "thrust": "give the drone more thrust, or lower team.tension",
     "tilt": "raise limits.tilt_deg, or lower team.tension",
     "legs": "use a longer cable, a smaller polygon, or a smaller limits.leg",
+    "span": "use a longer cable, a smaller polygon, or place the drones closer together",
+    "interlacing": "place the drones so that cables need not pass each other on their way",
     "convexity": "go by a polygon in between, in two morphs",
     "arena": "enlarge the arena, or keep the hitch farther from its walls",
     "duration": "raise limits.duration, or the limits of motion",
 }
 """Per check, what a user can change. Words of advice; what would do is computed in ``repair``."""
+
+FREE_REMEDIES = {
+    "separation": "place the drones farther apart, or allow a smaller separation.radius",
+    "cable_clearance": "place the robots farther apart, use longer cables or more height, "
+    "or allow a smaller separation.cable",
+    "crossing": "place the robots farther apart, or lower separation.crossing",
+    "thrust": "give the drone more thrust, or lower team.cable_density",
+    "tilt": "raise limits.tilt_deg, or lower team.cable_density",
+}
+"""The same while cables are free."""
 
 
 def infeasible(
@@ -53,11 +65,18 @@ def infeasible(
                 check.unit,
                 check.where,
                 _metres(check, separation) + (when or _moment(check, phases)),
-                REMEDIES.get(check.name, "this plan must not be flown; please report it"),
+                _remedy(check, phases),
             )
             for check in certificate.violated
         ]
     )
+
+
+def _remedy(check: Check, phases: tuple[Phase, ...]) -> str:
+    formed = [phase.formed for phase in phases if phase.start <= check.time <= phase.end]
+    if formed and not any(formed) and check.name in FREE_REMEDIES:
+        return FREE_REMEDIES[check.name]
+    return REMEDIES.get(check.name, "this plan must not be flown; please report it")
 
 
 def _metres(check: Check, separation: Separation) -> str:

@@ -11,8 +11,8 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.fitting import cable_slack
+from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.mission.motions import Kept, certificate_at_rest
-from hitchopt.mission.step_records import LegSharing
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
 from hitchopt.planners.path import ShapePath, legs_along

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+from hitchopt.errors import InputError
 
 MAX_LISTED = 20
 """Faults told of one file; whoever has more will have fewer after mending these."""
@@ -40,7 +40,6 @@ class Collector:
 
     def __init__(self) -> None:
         self.inputs: list[InputError] = []
-        self.unsupported: list[str] = []
 
     def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
         """Return ``make()``, or None where it raises; the error is kept as one of ``parent``."""
@@ -48,15 +47,11 @@ class Collector:
             return make()
         except InputError as error:
             self.inputs.append(error.within(parent) if parent else error)
-        except UnsupportedError as error:
-            self.unsupported.append(str(error))
         return None
 
-    def error(self) -> HitchoptError | None:
-        """Return what was gathered as one error: faults before what cannot be planned yet."""
-        if self.inputs:
-            return one_or_all(self.inputs)
-        return UnsupportedError("\n".join(self.unsupported)) if self.unsupported else None
+    def error(self) -> InputError | None:
+        """Return what was gathered as one error."""
+        return one_or_all(self.inputs) if self.inputs else None
 
 
 def one_or_all(errors: Sequence[InputError]) -> InputError:

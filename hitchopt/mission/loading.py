@@ -43,7 +43,6 @@ def read_problem(path: str | Path) -> AnyProblem:
     ------
     FileError: a file that cannot be read as YAML.
     InputError: keys, types, counts, ranges or shapes that are wrong; JointInputError if several.
-    UnsupportedError: a well-formed problem that this version cannot plan.
     """
     data = read_yaml(path)
     if not isinstance(data, dict):
@@ -84,7 +83,7 @@ def any_problem_from_dict(data: Mapping[str, object]) -> AnyProblem:
 
     Raises
     ------
-    InputError, UnsupportedError: as ``read_problem``.
+    InputError: as ``read_problem``.
     """
     values = plain(data)
     single = isinstance(values, dict) and _of_single_drones(values)

@@ -12,9 +12,11 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Team
 from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
+    HitchStep,
     Hold,
     Morph,
     MoveEdge,
@@ -27,7 +29,7 @@ from hitchopt.mission.step_records import (
 Array = NDArray[np.float64]
 
 
-def outline_after(team: Team, outline: Outline, step: Step) -> Outline:
+def outline_after(team: Team, outline: Outline, step: HitchStep) -> Outline:
     """Return the outline that ``step`` makes of ``outline``.
 
     Raises
@@ -73,14 +75,35 @@ def check_index(key: str, index: int, count: int) -> None:
         raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")
 
 
-def check_steps(team: Team, outline: Outline, steps: tuple[Step, ...]) -> None:
+def outline_left(team: Team, outline: Outline | None, step: Step) -> Outline | None:
+    """Return the outline after a step that may form or release; None where there is no hitch.
+
+    Raises
+    ------
+    InputError: as outline_after, or a step that needs a hitch where there is none, or none where
+        there is one.
+    """
+    if isinstance(step, Hold) and outline is None:
+        return None
+    if isinstance(step, Form | Land):
+        if outline is not None:
+            raise InputError(
+                "", "a hitch", "given drones on free cables at that point", "release it before"
+            )
+        return fitting_polygon(team, step.polygon) if isinstance(step, Form) else None
+    if outline is None:
+        raise InputError("", "no hitch", "given a hitch at that point", "form one before")
+    return None if isinstance(step, Release) else outline_after(team, outline, step)
+
+
+def check_steps(team: Team, outline: Outline | None, steps: tuple[Step, ...]) -> None:
     """Raise InputError where a step does not fit the team, the outline it meets, or the next step.
 
-    Keys are those of the problem file, from ``mission`` on.
+    Keys are those of the problem file, from ``mission`` on; no outline: cables are free at first.
     """
     for i, step in enumerate(steps):
         try:
-            outline = outline_after(team, outline, step)
+            outline = outline_left(team, outline, step)
             _check_legs(step, team)
             _check_tension(step, team)
             _check_blend(step, steps[i + 1] if i + 1 < len(steps) else None)
@@ -90,7 +113,7 @@ def check_steps(team: Team, outline: Outline, steps: tuple[Step, ...]) -> None:
             raise error.within(f"mission[{i}].{step.name}") from None
 
 
-def _convex(team: Team, points: Array, step: Step) -> Outline:
+def _convex(team: Team, points: Array, step: HitchStep) -> Outline:
     """Return the points as an outline, what is wrong with them told of the step's own key."""
     try:
         return fitting_polygon(team, points)

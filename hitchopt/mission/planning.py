@@ -17,12 +17,12 @@ from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
+    HitchStep,
     Hold,
     Morph,
     MoveEdge,
     MoveVertex,
     ShapeStep,
-    Step,
     Transport,
 )
 from hitchopt.model.motion import Motion, Phase
@@ -56,7 +56,7 @@ class Planned:
     certificate: Certificate | None = None
 
 
-def plan_step(start: Hitch, step: Step, i: int, kept: Kept) -> Planned:
+def plan_step(start: Hitch, step: HitchStep, i: int, kept: Kept) -> Planned:
     """Return the plan of step i of a mission, from rest to rest.
 
     Raises
@@ -239,5 +239,5 @@ def _all_of(names: tuple[str, ...], verb: str) -> str:
     return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"
 
 
-def _end_of(i: int, step: Step) -> str:
+def _end_of(i: int, step: HitchStep) -> str:
     return f"at the end of step {i} ({step.name})"

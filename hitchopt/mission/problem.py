@@ -4,39 +4,54 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
+from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Arena, Limits, Separation, Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.hitch.values import finite
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
 from hitchopt.mission.outlines import check_steps
 from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
+    HitchStep,
     Hold,
-    LegSharing,
     Morph,
     MoveEdge,
     MoveVertex,
     Step,
     Transport,
-    leg_sharing,
 )
+from hitchopt.planners.forming.settings import SwapSettings
 
 __all__ = [
     "Adjust",
+    "DronesStart",
     "FollowVertex",
+    "Form",
     "HitchStart",
+    "HitchStep",
     "Hold",
+    "Land",
     "LegSharing",
     "Morph",
     "MoveEdge",
     "MoveVertex",
     "Problem",
+    "Release",
+    "Start",
     "Step",
+    "SwapSettings",
     "Transport",
     "leg_sharing",
 ]
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +74,46 @@ class HitchStart:
 
 
 @dataclass(frozen=True, eq=False)
+class DronesStart:
+    """Start as drones on free cables, at rest: hovering, or on the ground.
+
+    Parameters
+    ----------
+    q, r: (n, 3) [m], where the drones of every robot are.
+    """
+
+    q: Array
+    r: Array
+
+    def __post_init__(self) -> None:
+        for name in ("q", "r"):
+            points = np.array(getattr(self, name), dtype=np.float64)
+            if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+                raise InputError(name, points.shape, "(n, 3)", "give one point [x, y, z] a robot")
+            bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
+            if np.any(bad):
+                k = int(np.argmax(bad))
+                raise InputError(
+                    f"{name}[{k}]",
+                    points[k].tolist(),
+                    f"finite and within ±{MAX_COORDINATE:g} m",
+                    "check the point's coordinates",
+                )
+            points.setflags(write=False)
+            object.__setattr__(self, name, points)
+        if len(self.q) != len(self.r):
+            raise InputError("r", len(self.r), f"{len(self.q)} points, as q", "give one per robot")
+
+    @property
+    def drones(self) -> Array:
+        """(2n, 3) [m], in the order q0, r0, q1, r1, …."""
+        return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
+
+
+Start = HitchStart | DronesStart
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """All that a planner needs to know.
 
@@ -73,7 +128,7 @@ class Problem:
     """
 
     team: Team
-    start: HitchStart
+    start: Start
     mission: tuple[Step, ...]
     limits: Limits = field(default_factory=Limits)
     separation: Separation = field(default_factory=Separation)
@@ -84,8 +139,23 @@ class Problem:
         object.__setattr__(self, "mission", tuple(self.mission))
         if not self.mission:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
+        check_steps(self.team, self.start_outline, self.mission)
+
+    @property
+    def start_outline(self) -> Outline | None:
+        """The outline at the start; None where cables are free."""
+        start = self.start
         try:
-            outline = fitting_polygon(self.team, self.start.polygon)
+            if isinstance(start, HitchStart):
+                return fitting_polygon(self.team, start.polygon)
+            if len(start.q) != self.team.robots:
+                raise InputError(
+                    "q",
+                    len(start.q),
+                    f"a list of {self.team.robots} points",
+                    "add or remove points, or change team.robots",
+                )
         except InputError as error:
-            raise error.within("start.hitch") from None
-        check_steps(self.team, outline, self.mission)
+            key = "hitch" if isinstance(start, HitchStart) else "drones"
+            raise error.within(f"start.{key}") from None
+        return None

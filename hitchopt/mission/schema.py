@@ -204,7 +204,7 @@ class HitchKeys(Keys):
 
 
 class DronesKeys(Keys):
-    """Where the drones of a hitch that is not formed yet are (not in this version)."""
+    """Where the drones are of a hitch that is to be formed."""
 
     q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = Field(
         description="Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
@@ -220,5 +220,5 @@ class StartKeys(OneKey):
     example: ClassVar[str] = "hitch: {polygon: [[x, y], …], altitude: 1.0}"
     hitch: HitchKeys | None = Field(default=None, description="A formed hitch, at rest")
     drones: DronesKeys | None = Field(
-        default=None, description="Drones of a hitch to be formed (not in this version)"
+        default=None, description="Drones of a hitch that is to be formed, at rest"
     )

@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hitchopt.certificate import Certificate, merged
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.free_flight import check_start, plan_hover, plan_land
 from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
-from hitchopt.mission.planning import Planned, plan_blended, plan_step
-from hitchopt.mission.problem import Problem
-from hitchopt.mission.step_records import FollowVertex, ShapeStep, Step
+from hitchopt.mission.planning import plan_blended, plan_step
+from hitchopt.mission.problem import DronesStart, Problem
+from hitchopt.mission.situation import Situation, Tied
+from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
+from hitchopt.mission.tying import plan_form, plan_release
 from hitchopt.model.motion import Motion, joined_motions
+from hitchopt.planners.forming.assigning import assigned
 
-__all__ = ["Certified", "Kept", "Progress", "solve_problem", "solve_steps"]
+__all__ = ["Certified", "Kept", "Progress", "solve_from_drones", "solve_problem", "solve_steps"]
+
+Array = NDArray[np.float64]
 
 Progress = Callable[[str], None]
 
@@ -42,9 +53,37 @@ def solve_problem(
     """
     kept = Kept(problem.limits, problem.separation, problem.arena, optimiser)
     start = problem.start
+    if isinstance(start, DronesStart):
+        return solve_from_drones(problem.team, start.drones, problem.mission, kept, progress)
     _tell(progress, "sharing the start's legs")
     hitch = shared_hitch(problem.team, start.polygon, start.altitude, start.legs, kept)
     return solve_steps(hitch, problem.mission, kept, progress)
+
+
+def solve_from_drones(
+    team: Team,
+    drones: Array,
+    steps: tuple[Step, ...],
+    kept: Kept,
+    progress: Progress | None = None,
+) -> Certified:
+    """Return the plan of ``steps`` from drones on free cables; errors as solve_problem.
+
+    The first hitch that is formed assigns robots to roles, for all of the plan.
+
+    Parameters
+    ----------
+    drones: (2n, 3) [m], q0, r0, q1, … of the robots as they are given.
+    """
+    first = next((step for step in steps if isinstance(step, Form)), None)
+    assignment = Assignment.fixed(team.robots)
+    if first is not None and first.assign == "auto":
+        _tell(progress, "assigning robots to edges")
+        assignment = assigned(team, drones, first.polygon, kept.limits.leg)
+    before = Situation(assignment.team(team), assignment.drones(drones))
+    check_start(before, kept)
+    found = _solved(before, steps, kept, progress)
+    return replace(found, motion=replace(found.motion, assignment=assignment))
 
 
 def solve_steps(
@@ -55,17 +94,23 @@ def solve_steps(
 ) -> Certified:
     """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
     check_at_rest(start, kept, "at the start (t = 0)")
-    hitch = start
+    return _solved(Situation.holding(start), steps, kept, progress)
+
+
+def _solved(
+    start: Situation, steps: tuple[Step, ...], kept: Kept, progress: Progress | None
+) -> Certified:
+    situation = start
     motions: list[Motion] = []
     certificates: list[Certificate] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
         try:
-            planned = _planned(hitch, group, first, kept)
+            planned = _planned(situation, group, first, kept)
         except InfeasibleError as error:
             raise _in_step(error, first, group) from None
         motions.append(planned.motion)
-        hitch = planned.end
+        situation = planned.after
         if planned.certificate is None:
             _tell(progress, f"certifying step {first} ({group[0].name})")
         certificates.append(planned.certificate or certified(planned.motion).certificate)
@@ -89,11 +134,26 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, list[Step]]]:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
 
 
-def _planned(start: Hitch, group: list[Step], first: int, kept: Kept) -> Planned:
+def _planned(before: Situation, group: list[Step], first: int, kept: Kept) -> Tied:
+    """Return the plan of steps that follow one another without a stop; mostly there is one."""
+    step = group[0]
+    if isinstance(step, Form):
+        return plan_form(before, step, first, kept)
+    if isinstance(step, Release):
+        return plan_release(before, step, first, kept)
+    if isinstance(step, Land):
+        return plan_land(before, step, first, kept)
+    if before.hitch is None:
+        if isinstance(step, Hold):
+            return plan_hover(before, step.seconds, first, kept)
+        raise InputError(f"mission[{first}].{step.name}", None, "given a hitch", "form one before")
     if len(group) == 1:
-        return plan_step(start, group[0], first, kept)
-    shapes = [step for step in group if isinstance(step, ShapeStep)]
-    return plan_blended(start, shapes, first, kept)
+        planned = plan_step(before.hitch, step, first, kept)
+    else:
+        shapes = [step for step in group if isinstance(step, ShapeStep)]
+        planned = plan_blended(before.hitch, shapes, first, kept)
+    after = replace(before, hitch=planned.end, drones=planned.end.drones)
+    return Tied(planned.motion, after, planned.certificate)
 
 
 def _in_step(error: InfeasibleError, first: int, group: list[Step]) -> InfeasibleError:

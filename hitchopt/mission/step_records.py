@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Team
-from hitchopt.hitch.values import finite, not_negative, per_robot, positive
+from hitchopt.hitch.values import finite, positive
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.leg_sharing import LegSharing
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,6 @@ MIN_GAP = 1e-3
 
 MAX_TURNS = 5
 """Of one transport; its polynomials, of a bounded number, would not follow more closely enough."""
-
-LegSharing = Literal["balanced", "spread"] | NDArray[np.float64]
-"""How a cable's slack is shared: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,32 +219,10 @@ class Hold:
 ShapeStep = Morph | MoveVertex | MoveEdge | Adjust
 """What changes the shape by untimed vertices and legs: these can be blended."""
 
-Step = ShapeStep | FollowVertex | Transport | Hold
+HitchStep = ShapeStep | FollowVertex | Transport | Hold
+"""What a hitch does, and is one afterwards."""
 
-
-def leg_sharing(legs: str | Sequence[float] | ArrayLike, team: Team) -> LegSharing:
-    """Return what a user wrote for ``legs`` as a LegSharing.
-
-    Raises
-    ------
-    InputError: another word, or a list that does not have one positive length per robot, none of
-        them zero but the first of a chain.
-    """
-    if isinstance(legs, str):
-        if legs == "balanced":
-            return "balanced"
-        if legs == "spread":
-            return "spread"
-        raise InputError("legs", legs, "balanced, spread or a list of d_k", "write legs: spread")
-    if isinstance(legs, int | float):
-        raise InputError(
-            "legs", legs, "balanced, spread or a list of d_k", "give one length per robot"
-        )
-    q_legs = per_robot("legs", legs, team.robots, not_negative)
-    zero = np.flatnonzero(team.layout.has_leg[:, 0] & (q_legs == 0.0))
-    if len(zero) > 0:
-        positive(f"legs[{zero[0]}]", 0.0)
-    return q_legs
+Step = HitchStep | Form | Release | Land
 
 
 def _check_duration(step: Morph | MoveVertex | MoveEdge | Adjust | Transport) -> None:

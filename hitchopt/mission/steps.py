@@ -1,4 +1,4 @@
-"""The steps of a problem file's mission, key by key, those included that are not planned yet."""
+"""The steps of a problem file's mission, key by key."""
 
 from __future__ import annotations
 
@@ -31,11 +31,9 @@ from hitchopt.mission.schema import (
     fault,
 )
 from hitchopt.mission.step_records import MAX_TURNS
+from hitchopt.planners.forming.settings import SwapSettings
 
 BLEND_TEXT = "Go on into the next step without a stop"
-
-LATER = " (not in this version)"
-"""Ends the description of what is well-formed but cannot be planned yet."""
 
 
 class TensionKeys(Keys):
@@ -146,6 +144,23 @@ class TransportKeys(Keys):
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
 
 
+class SwapKeys(Keys):
+    """How pairs of drones turn about each other as they form a hitch."""
+
+    radius: Positive = Field(
+        default=SwapSettings.radius, description="Smallest semi-axis of the ellipses [m]"
+    )
+    tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] | None = Field(
+        default=None, description="Of the axis of turning, upward [°]; without it, chosen"
+    )
+    seconds: Positive | None = Field(
+        default=None, description="Half a turn takes at least this long [s]"
+    )
+    sense: Literal["up", "down", "auto"] = Field(
+        default="auto", description="up: every q goes up first; down; auto: chosen for each vertex"
+    )
+
+
 class FormKeys(Keys):
     """Drones with hanging cables form a hitch."""
 
@@ -156,7 +171,10 @@ class FormKeys(Keys):
     assign: Literal["auto", "fixed"] = Field(
         default="auto", description="auto: which robot takes which edge is chosen; fixed: in order"
     )
-    legs: Legs | None = Field(default=None, description=f"{LEGS_TEXT}, at the step's end")
+    legs: Legs | None = Field(
+        default=None, description=f"{LEGS_TEXT}, at the step's end; spread without it"
+    )
+    swap: SwapKeys = Field(default_factory=SwapKeys, description=str(SwapKeys.__doc__))
     duration: Positive | None = Field(default=None, description=DURATION_TEXT)
 
 
@@ -179,9 +197,9 @@ class StepKeys(OneKey):
         default=None, description="Lead one vertex along timed points"
     )
     transport: TransportKeys | None = Field(default=None, description="Carry the whole hitch")
-    form: FormKeys | None = Field(default=None, description=f"Form the hitch{LATER}")
-    release: PlainKeys | None = Field(default=None, description=f"The way back of form{LATER}")
-    land: PlainKeys | None = Field(default=None, description=f"Land all drones{LATER}")
+    form: FormKeys | None = Field(default=None, description="Form the hitch")
+    release: PlainKeys | None = Field(default=None, description="The way back of form")
+    land: PlainKeys | None = Field(default=None, description="Land all drones")
 
 
 class ProblemKeys(Keys):

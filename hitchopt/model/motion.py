@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Arena, Limits, Separation, Swarm, Team
+from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.keep_out import Prism
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
@@ -54,6 +55,7 @@ class Motion:
     legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
+    assignment: which robots fly which roles, where that was chosen.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class Motion:
     legs: PiecewisePolynomial
     tensions: PiecewisePolynomial
     phases: tuple[Phase, ...]
+    assignment: Assignment | None = None
 
     def __post_init__(self) -> None:
         n = self.team.robots
@@ -88,6 +91,10 @@ class Motion:
         if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
             raise InputError(
                 "phases", changes.tolist(), "breaks where the hitch forms", "split the pieces there"
+            )
+        if self.assignment is not None and len(self.assignment.robots) != n:
+            raise InputError(
+                "assignment", len(self.assignment.robots), f"{n} robots", "give one per role"
             )
 
     @property
@@ -193,4 +200,5 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         joined([m.legs for m in motions]),
         joined([m.tensions for m in motions]),
         tuple(phases),
+        first.assignment,
     )

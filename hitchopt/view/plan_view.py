@@ -74,7 +74,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
             linewidths=0.3 * thin, zorder=4,
         )
     )  # fmt: skip
-    if n <= MOST_LABELS:
+    if n <= MOST_LABELS and states.formed[-1]:
         _label_vertices(axes, motion.team.layout, states.vertices[-1][:, :2])
     axes.set_aspect("equal", adjustable="datalim")
     _make_room(axes, states.positions[..., :2], motion.separation.radius)
@@ -91,9 +91,14 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
 
 
 def _cables(layout: Layout, states: States, i: int) -> Array:
-    """Return (n, 4, 2) [m]: cable k from q_k over the ends of its edge to r_k, in state i."""
+    """Return (n, 4, 2) [m]: cable k from q_k over the ends of its edge to r_k, in state i.
+
+    From above, a cable that hangs free is straight.
+    """
     vertices, pairs = states.vertices[i], states.positions[i].reshape(-1, 2, 3)
     edges = [vertices[layout.starts], vertices[layout.ends]]
+    if not states.formed[i]:
+        edges = [pairs[:, 0], pairs[:, 1]]
     return np.stack([pairs[:, 0], *edges, pairs[:, 1]], axis=1)[..., :2]
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hitchopt.mission.problem import HitchStart, Problem
+
 ROOT = Path(__file__).parents[2]
 GOOD = sorted((ROOT / "problems").glob("*.yaml"))
 BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
 INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
-UNSUPPORTED = [path for path in INFEASIBLE if path.stem.startswith("unsupported")]
 TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"
 
 
@@ -18,6 +19,12 @@ def header(path: Path, word: str) -> str:
         if line.startswith(f"# {word}: "):
             return line.removeprefix(f"# {word}: ")
     raise KeyError(f"{path} has no comment '# {word}: …'")
+
+
+def hitch_start(problem: Problem) -> HitchStart:
+    """The start of a problem that begins with a hitch."""
+    assert isinstance(problem.start, HitchStart)
+    return problem.start
 
 
 def triangle() -> dict[str, object]:

@@ -8,15 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, UNSUPPORTED, header, triangle
+from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, header, hitch_start, triangle
 
-from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
+from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon
 from hitchopt.mission.faults import MAX_LISTED
 from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
 from hitchopt.mission.problem import (
     Adjust,
+    DronesStart,
     FollowVertex,
+    Form,
+    HitchStart,
     Hold,
     Morph,
     MoveEdge,
@@ -35,8 +38,9 @@ MINIMAL: dict[str, Any] = {
 
 def arrays_of(problem: Problem) -> list[np.ndarray[Any, Any]]:
     team, start = problem.team, problem.start
-    parts = [team.cable_length, team.tension, team.mass, team.max_thrust, start.polygon.vertices]
-    parts += [s.polygon.vertices for s in problem.mission if isinstance(s, Morph)]
+    places = start.polygon.vertices if isinstance(start, HitchStart) else start.drones
+    parts = [team.cable_length, team.tension, team.mass, team.max_thrust, places]
+    parts += [s.polygon.vertices for s in problem.mission if isinstance(s, Morph | Form)]
     return [*parts, np.array([vars(problem.limits)[k] for k in ("speed", "jerk", "tilt", "leg")])]
 
 
@@ -70,7 +74,7 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     assert problem.arena is not None
     assert problem.arena.lower.tolist() == [-1, -2, 0.1]
     assert problem.arena.upper.tolist() == [5, 4, 3.3]
-    start = problem.start
+    start = hitch_start(problem)
     assert start.polygon.vertices.tolist() == [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
     assert start.altitude == 1.3
     assert np.array_equal(start.legs, [0.4, 0.7, 0.45])
@@ -114,8 +118,8 @@ def test_defaults_are_those_of_the_interface() -> None:
     assert (problem.team.cable_density, problem.team.cable_friction) == (0.0, 0.0)
     assert set(problem.team.mass.tolist()) == {0.132}
     assert set(problem.team.max_thrust.tolist()) == {2.6}
-    assert problem.start.altitude == 1.0
-    assert problem.start.legs == "spread"
+    assert hitch_start(problem).altitude == 1.0
+    assert hitch_start(problem).legs == "spread"
     assert problem.arena is None
     limits = dict(vars(problem.limits))
     assert math.degrees(limits.pop("tilt")) == pytest.approx(45.0, rel=1e-15)
@@ -216,16 +220,10 @@ def test_there_are_many_bad_files() -> None:
 
 @pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
 def test_infeasible_files_are_well_formed(path: Path) -> None:
-    if path in UNSUPPORTED:
-        with pytest.raises(
-            UnsupportedError, match=r"^(mission\[\d\]\.|start\.drones|team\.topology)"
-        ):
-            load_problem(path)
-    else:
-        assert isinstance(load_problem(path), Problem)
+    assert isinstance(load_problem(path), Problem)
 
 
-LATER_STEPS: list[tuple[str, object]] = [
+TYING_STEPS: list[tuple[str, object]] = [
     ("form", {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}),
     ("release", {}),
     ("land", {}),
@@ -233,30 +231,70 @@ LATER_STEPS: list[tuple[str, object]] = [
 
 
 @pytest.mark.parametrize(
-    ("name", "keys"), LATER_STEPS, ids=lambda x: x if isinstance(x, str) else ""
+    ("name", "keys"), TYING_STEPS, ids=lambda x: x if isinstance(x, str) else ""
 )
-def test_known_steps_that_are_not_planned_yet_are_unsupported(name: str, keys: object) -> None:
-    with pytest.raises(UnsupportedError, match=rf"^mission\[1\]\.{name}: .*use morph, move_vertex"):
-        problem_from_dict(changed(["mission", 1], {name: keys}))
-
-
-@pytest.mark.parametrize(
-    ("name", "keys"), LATER_STEPS, ids=lambda x: x if isinstance(x, str) else ""
-)
-def test_their_keys_are_checked_all_the_same(name: str, keys: dict[str, object]) -> None:
+def test_keys_of_tying_steps_are_checked(name: str, keys: dict[str, object]) -> None:
     with pytest.raises(InputError, match=rf"mission\[1\]\.{name}\.wrong = 3: must be a known key"):
         problem_from_dict(changed(["mission", 1], {name: {**keys, "wrong": 3}}))
 
 
-def test_a_wrong_file_is_wrong_even_where_it_asks_for_something_unsupported() -> None:
-    data = changed(["mission", 1], {"land": {}})
-    data["limits"]["speed"] = -1
-    with pytest.raises(InputError, match=r"limits\.speed = -1"):
-        problem_from_dict(data)
-    data = changed(["mission", 1], {"land": {}})
-    data["team"]["tension"] = [1.0]
-    with pytest.raises(InputError, match=r"team\.tension"):
-        problem_from_dict(data)
+def test_steps_are_refused_where_there_is_a_hitch_or_none() -> None:
+    """A hitch is there at first: it is released before others are formed, or drones land."""
+    for name, keys in (TYING_STEPS[0], TYING_STEPS[2]):
+        with pytest.raises(InputError, match=rf"mission\[1\]\.{name} = 'a hitch': .* free cables"):
+            problem_from_dict(changed(["mission", 1], {name: keys}))
+    data = changed(["mission", 0], {"release": {}})
+    with pytest.raises(InputError, match=r"mission\[1\]\.\w+ = 'no hitch': .*form one before"):
+        problem_from_dict({**data, "mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]})
+    tied = [{"release": {}}, {"hold": {"seconds": 1}}, {TYING_STEPS[0][0]: TYING_STEPS[0][1]}]
+    names = [step.name for step in problem_from_dict({**data, "mission": tied}).mission]
+    assert names == ["release", "hold", "form"]
+
+
+def test_every_key_of_form_arrives() -> None:
+    places = {"q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]], "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]]}
+    swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
+    keys = {
+        "polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]],
+        "altitude": 1.7,
+        "assign": "fixed",
+        "legs": [0.4, 0.7, 0.45],
+        "swap": swap,
+        "duration": 30,
+    }
+    data = {**triangle(), "start": {"drones": places}, "mission": [{"form": keys}, {"release": {}}]}
+    problem = problem_from_dict(data)
+    assert isinstance(problem.start, DronesStart)
+    assert problem.start.drones[4].tolist() == [2, 1, 2.5]
+    step = problem.mission[0]
+    assert isinstance(step, Form)
+    assert (step.altitude, step.assign, step.duration) == (1.7, "fixed", 30)
+    assert np.array_equal(np.asarray(step.legs), [0.4, 0.7, 0.45])
+    assert vars(step.swap) == {
+        "radius": 0.2,
+        "tilt": math.radians(30),
+        "seconds": 2.5,
+        "sense": -1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (["q"], [[0, 0, 1], [1, 0, 1]], r"start\.drones\.q = '2 points'"),
+        (["r", 1], [1e9, 0, 1], r"start\.drones\.r\[1\] = .* finite and within"),
+        (["r", 1], [1, 0], r"start\.drones\.r\[1\] = .* list of 3 numbers"),
+    ],
+)
+def test_places_of_drones_are_checked(path: list[str | int], value: object, message: str) -> None:
+    places: Any = {"q": [[0, k, 1] for k in range(3)], "r": [[1, k, 1] for k in range(3)]}
+    inner = places
+    for part in path[:-1]:
+        inner = inner[part]
+    inner[path[-1]] = value
+    step = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]}}
+    with pytest.raises(InputError, match=message):
+        problem_from_dict({**triangle(), "start": {"drones": places}, "mission": [step]})
 
 
 def test_open_chains_have_one_point_more_than_robots() -> None:
@@ -266,12 +304,12 @@ def test_open_chains_have_one_point_more_than_robots() -> None:
         problem_from_dict(data)
     data["start"]["hitch"]["polygon"] = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
     problem = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
-    assert isinstance(problem.start.polygon, ConvexArc)
-    assert len(problem.start.polygon) == 4
+    assert isinstance(hitch_start(problem).polygon, ConvexArc)
+    assert len(hitch_start(problem).polygon) == 4
     # A closed polygon of the same four points would be for four robots.
     data["team"].update(topology="closed", robots=4)
     closed = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
-    assert isinstance(closed.start.polygon, ConvexPolygon)
+    assert isinstance(hitch_start(closed).polygon, ConvexPolygon)
     data["team"].update(topology="open", robots=3)
     data["start"]["hitch"]["polygon"] = [[2, 0], [1, 1], [-1, 1], [-2, 0]]
     with pytest.raises(InputError, match="clockwise"):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from problem_cases import TEMPLATE, triangle
+from problem_cases import TEMPLATE, hitch_start, triangle
 
 from hitchopt.errors import HitchoptError, InputError
 from hitchopt.mission.json_schema import problem_schema
@@ -90,8 +90,8 @@ def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, 
 def test_a_changed_problem_is_a_problem_or_a_told_error(changes: Any) -> None:
     answer = answer_to(mutated(changes))
     if isinstance(answer, Problem):
-        assert len(answer.start.polygon) == answer.team.robots
-        assert np.all(np.isfinite(answer.start.polygon.vertices))
+        assert len(hitch_start(answer).polygon) == answer.team.robots
+        assert np.all(np.isfinite(hitch_start(answer).polygon.vertices))
     if isinstance(answer, InputError):
         assert answer.key
         assert answer.remedy

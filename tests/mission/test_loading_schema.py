@@ -65,9 +65,10 @@ def test_the_schema_refuses_what_shape_alone_tells(path: Path) -> None:
 def test_defaults_are_shown_and_valid_themselves() -> None:
     schema = problem_schema()
     shown = {name: entry["default"] for name, entry in all_properties(schema) if "default" in entry}
-    for name, value in {"speed": 1.0, "tilt_deg": 45.0, "height": 0.3, "legs": None}.items():
+    for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "legs": None}.items():
         assert shown[name] == value
     limits = schema["$defs"]["LimitsKeys"]["properties"]
+    assert limits["tilt_deg"]["default"] == 45.0
     VALIDATOR.evolve(schema={**limits["speed"]}).validate(shown["speed"])
 
 

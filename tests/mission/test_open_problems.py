@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problem_cases import ROOT
+from problem_cases import ROOT, hitch_start
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexArc, Outline, random_convex_polygon
@@ -47,7 +47,7 @@ def moved(problem: ho.Problem, change: Any, team: ho.Team | None = None) -> ho.P
     return replace(
         problem,
         team=team or problem.team,
-        start=replace(problem.start, polygon=change(problem.start.polygon)),
+        start=replace(hitch_start(problem), polygon=change(hitch_start(problem).polygon)),
         mission=(replace(step, polygon=change(step.polygon)),),
     )
 
@@ -157,7 +157,7 @@ def test_legs_that_leave_no_choice_are_given_and_checked() -> None:
     data = random_data(3, 10)
     data["mission"] = [{"hold": {"seconds": 1.0}}]
     slack = problem_from_dict(data)
-    free = slack.team.cable_length - slack.start.polygon.edge_lengths
+    free = slack.team.cable_length - hitch_start(slack).polygon.edge_lengths
     data["start"]["hitch"]["legs"] = [0, 0.3, round(float(free[2]), 5)]
     state = ho.solve(problem_from_dict(data)).at(0.5)
     np.testing.assert_allclose(state.legs, [[0, free[0]], [0.3, free[1] - 0.3], [free[2], 0]])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problem_cases import INFEASIBLE, UNSUPPORTED, triangle
+from problem_cases import INFEASIBLE, hitch_start, triangle
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
@@ -19,7 +19,7 @@ from hitchopt.mission.repair.editing import with_outlines_scaled, with_thrust
 from hitchopt.mission.repair.mapping import edited
 from hitchopt.mission.yaml_file import read_yaml
 
-CASES = {path.stem: path for path in INFEASIBLE if path not in UNSUPPORTED}
+CASES = {path.stem: path for path in INFEASIBLE}
 
 SMALLEST = {
     "drones_too_close": "team.cable_length",
@@ -29,6 +29,7 @@ SMALLEST = {
     "points_too_fast": "mission[0].follow_vertex.path",
     "above_the_arena": "arena.upper[2]",
     "star_tip": "mission[0].morph.legs",
+    "form_starts_overlap": "start.drones",
 }
 
 
@@ -164,11 +165,11 @@ def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
 
 
 def outlines(problem: ho.Problem) -> list[Any]:
-    from hitchopt.mission.outlines import outline_after
+    from hitchopt.mission.outlines import outline_left
 
-    found: list[Any] = [problem.start.polygon]
+    found: list[Any] = [hitch_start(problem).polygon]
     for step in problem.mission:
-        found.append(outline_after(problem.team, found[-1], step))
+        found.append(outline_left(problem.team, found[-1], step))
     return found
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from problem_cases import hitch_start
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
@@ -40,7 +41,7 @@ def moved(problem: ho.Problem, change: object) -> ho.Problem:
     assert callable(change)
     return replace(
         problem,
-        start=replace(problem.start, polygon=change(problem.start.polygon)),
+        start=replace(hitch_start(problem), polygon=change(hitch_start(problem).polygon)),
         mission=(replace(step, polygon=change(step.polygon)),),
     )
 
@@ -101,7 +102,7 @@ def test_reversing_start_and_end_reverses_the_path(n: int, seed: int) -> None:
     start = ho.Hitch(problem.team, step.polygon, 1.0, last.legs[:, 0])
     back = ho.morph(
         start,
-        problem.start.polygon,
+        hitch_start(problem).polygon,
         separation=problem.separation,
         legs=first.legs[:, 0],
     )

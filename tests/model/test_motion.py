@@ -32,7 +32,17 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
-    return Motion(team, Limits(), Separation(), None, phases=phases, **constant)
+    return Motion(
+        team,
+        Limits(),
+        Separation(),
+        None,
+        constant["drones"],
+        constant["vertices"],
+        constant["legs"],
+        constant["tensions"],
+        phases,
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,14 +69,21 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
     assert sum(s.duration for s in (*spans, *others)) == pytest.approx(motion.duration)
 
 
+def broken(motion: Motion) -> set[str]:
+    """What a motion breaks besides forming and releasing its hitch without any swap."""
+    names = {check.name for check in certify(motion).violated}
+    assert "interlacing" in names
+    return names - {"interlacing"}
+
+
 def test_what_is_broken_where_no_hitch_is_breaks_nothing() -> None:
     motion = resting((False, True, True, False))
-    assert certify(motion).certified
+    assert not broken(motion)
     for piece, certified in ((0, True), (1, False), (3, True)):
         legs = np.array(motion.legs.coefficients)
         legs[piece] += 0.3
         shifted = replace(motion, legs=PiecewisePolynomial(BREAKS, legs))
-        assert certify(shifted).certified is certified
+        assert (not broken(shifted)) is certified
 
 
 def test_the_worst_of_several_spans_is_told() -> None:

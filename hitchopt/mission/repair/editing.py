@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Arena, Quadrotor, Team
 from hitchopt.hitch.fitting import fitting_polygon
-from hitchopt.mission.problem import Problem
+from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited
 from hitchopt.mission.step_records import (
     FollowVertex,
@@ -76,18 +77,48 @@ def with_arena(problem: Problem, lower: Array, upper: Array) -> Edited:
     return Edited(replace(problem, arena=arena), (Edit("arena", value),))
 
 
-def with_spread_start(problem: Problem) -> Edited:
-    """Return the problem whose start has its legs spread."""
-    start = replace(problem.start, legs="spread")
-    return Edited(replace(problem, start=start), (Edit("start.hitch.legs", "spread"),))
+def with_spread_start(problem: Problem, start: HitchStart) -> Edited:
+    """Return the problem whose start, a hitch, has its legs spread."""
+    return Edited(
+        replace(problem, start=replace(start, legs="spread")), (Edit("start.hitch.legs", "spread"),)
+    )
 
 
 def with_spread_legs(problem: Problem, i: int) -> Edited:
     """Return the problem whose step i ends with its legs spread."""
     step = problem.mission[i]
-    if isinstance(step, Hold | Transport):
+    if isinstance(step, Hold | Transport | Release | Land):
         return Edited(problem, ())  # they keep their legs
     return _with_step(problem, i, replace(step, legs="spread"), "legs", "spread")
+
+
+def with_radius(problem: Problem, i: int, step: Form, radius: float) -> Edited:
+    """Return the problem whose step i forms with a smaller swap [m]."""
+    changed = replace(step, swap=replace(step.swap, radius=radius))
+    return _with_step(problem, i, changed, "swap.radius", radius)
+
+
+def with_robots_apart(problem: Problem, start: DronesStart, factor: float) -> Edited:
+    """Return the problem whose robots start farther from their middle, each as wide as it was."""
+    middles = 0.5 * (start.q + start.r)[:, :2]
+    moved = _about(middles, factor, np.mean(middles, axis=0)) - middles
+    return _starting(problem, start, moved, moved)
+
+
+def with_robots_drawn(problem: Problem, start: DronesStart, factor: float) -> Edited:
+    """Return the problem whose robots' two drones start closer together, about their middles."""
+    arms = 0.5 * (factor - 1.0) * (start.r - start.q)[:, :2]
+    return _starting(problem, start, -arms, arms)
+
+
+def _starting(problem: Problem, start: DronesStart, q: Array, r: Array) -> Edited:
+    """Return the problem with the start's drones moved by q and r (n, 2) [m]."""
+    places = {}
+    for name, offset in (("q", q), ("r", r)):
+        places[name] = getattr(start, name).copy()
+        places[name][:, :2] = np.round(places[name][:, :2] + offset, DECIMALS)
+    edits = tuple(Edit(f"start.drones.{name}", places[name].tolist()) for name in places)
+    return Edited(replace(problem, start=DronesStart(**places)), edits)
 
 
 def with_seconds(problem: Problem, i: int, seconds: float) -> Edited:
@@ -112,16 +143,19 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
 
     Each about its own centroid; points that vertices are moved to go with the outline they are of.
     """
-    team = problem.team
-    outline = fitting_polygon(team, problem.start.polygon)
-    centre = outline.centroid
-    start = _scaled(outline, factor, centre)
-    edits = [Edit("start.hitch.polygon", start.vertices.tolist())]
+    team, start = problem.team, problem.start
+    centre = np.zeros(2)
+    edits: list[Edit] = []
+    if isinstance(start, HitchStart):
+        outline = fitting_polygon(team, start.polygon)
+        centre = outline.centroid
+        start = replace(start, polygon=_scaled(outline, factor, centre))
+        edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
     steps: list[Step] = []
     for i, step in enumerate(problem.mission):
         key, value = "", np.empty(0)
         scaled: Step = step
-        if isinstance(step, Morph):
+        if isinstance(step, Morph | Form):
             goal = fitting_polygon(team, step.polygon)
             centre = goal.centroid
             polygon = _scaled(goal, factor, centre)
@@ -142,7 +176,7 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
         if key:
             edits.append(Edit(f"mission[{i}].{step.name}.{key}", value.tolist()))
         steps.append(scaled)
-    changed = replace(problem, start=replace(problem.start, polygon=start), mission=tuple(steps))
+    changed = replace(problem, start=start, mission=tuple(steps))
     return Edited(changed, tuple(edits))
 
 

@@ -10,13 +10,17 @@ from functools import partial
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.mission.problem import Problem
+from hitchopt.mission.form_records import Form
+from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
 from hitchopt.mission.repair.bounds import all_walls, limit_kinds, time_kinds, wall_kinds
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
 from hitchopt.mission.repair.constraints import RATES, SPACE, TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
     with_cables,
     with_outlines_scaled,
+    with_radius,
+    with_robots_apart,
+    with_robots_drawn,
     with_separation,
     with_tensions,
 )
@@ -28,6 +32,8 @@ MOST_NAMED = 3
 def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
     """Return the kinds of changes that can mend everything that binds, safety left as it is."""
     kinds = (
+        *_starts(problem),
+        *_radii(problem),
         *_lengths(problem, error.violations),
         *_tensions(problem, error.violations),
         *limit_kinds(problem, error.violations),
@@ -100,6 +106,42 @@ def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind
     )
     yield lowered(outlines, SPACE | RATES | TIMES | {"arena"})
     yield raised(outlines, frozenset({"crossing", "cable_clearance", "separation"}))
+
+
+def _starts(problem: Problem) -> Iterator[Kind]:
+    """Yield drones on free cables that start farther apart, or closer together."""
+    start = problem.start
+    if not isinstance(start, DronesStart):
+        return
+    apart = Quantity(
+        "start.drones",
+        1.0,
+        "times",
+        partial(with_robots_apart, problem, start),
+        "robots from their middle",
+    )
+    yield raised(apart, frozenset({"separation", "cable_clearance", "crossing"}))
+    drawn = Quantity(
+        "start.drones",
+        1.0,
+        "times",
+        partial(with_robots_drawn, problem, start),
+        "two drones of a robot",
+    )
+    yield lowered(drawn, frozenset({"span"}))
+
+
+def _radii(problem: Problem) -> Iterator[Kind]:
+    """Yield smaller swaps, where they are larger than they need to be."""
+    for i, step in enumerate(problem.mission):
+        if isinstance(step, Form) and step.swap.radius > SwapSettings.radius:
+            radius = Quantity(
+                f"mission[{i}].form.swap.radius",
+                step.swap.radius,
+                "m",
+                partial(with_radius, problem, i, step),
+            )
+            yield lowered(radius, SPACE | {"interlacing", "arena", "crossing"})
 
 
 def _with_cable(problem: Problem, k: int, length: float) -> Edited:

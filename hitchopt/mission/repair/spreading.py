@@ -8,12 +8,12 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.fitting import balanced_legs, fitting_polygon
+from hitchopt.hitch.fitting import balanced_legs
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.motions import Kept
-from hitchopt.mission.outlines import outline_after
-from hitchopt.mission.problem import LegSharing, Problem
-from hitchopt.mission.repair.change import Change
+from hitchopt.mission.outlines import outline_left
+from hitchopt.mission.problem import HitchStart, LegSharing, Problem
+from hitchopt.mission.repair.change import Change, Edited
 from hitchopt.mission.repair.constraints import SPACE, broken_constraints
 from hitchopt.mission.repair.editing import with_spread_legs, with_spread_start
 
@@ -27,12 +27,15 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
     """
     if not broken_constraints(error) <= COVERS:
         return
-    outline = fitting_polygon(problem.team, problem.start.polygon)
-    places = [("start.hitch.legs", problem.start.legs, outline, with_spread_start(problem))]
+    outline, start = problem.start_outline, problem.start
+    places: list[tuple[str, LegSharing, Outline, Edited]] = []
+    if isinstance(start, HitchStart) and outline is not None:
+        edited = with_spread_start(problem, start)
+        places.append(("start.hitch.legs", start.legs, outline, edited))
     for i, step in enumerate(problem.mission):
-        outline = outline_after(problem.team, outline, step)
+        outline = outline_left(problem.team, outline, step)
         legs = getattr(step, "legs", None)
-        if legs is not None:
+        if legs is not None and outline is not None:
             key = f"mission[{i}].{step.name}.legs"
             places.append((key, legs, outline, with_spread_legs(problem, i)))
     for key, legs, shape, edited in places:
@@ -51,5 +54,5 @@ def _farthest(problem: Problem, outline: Outline, legs: LegSharing) -> float:
     team = problem.team
     kept = Kept(problem.limits, problem.separation, problem.arena)
     given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
-    spread = shared_hitch(team, outline, problem.start.altitude, "spread", kept)
+    spread = shared_hitch(team, outline, 0.0, "spread", kept)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

@@ -1,0 +1,197 @@
+"""How often two moving chords pass through each other, with signs, exactly.
+
+A *chord* is the straight line between a cable's drones. Two chords meet only where their four ends
+lie in one plane, where the volume ``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is
+halved until every cell of it is one of two kinds:
+
+- *apart*: the chords' distance is bounded away from zero, parallel and coplanar ones included;
+- *across*: seen along one direction, each chord crosses the other between its ends, for certain.
+
+Chords pass through each other only within runs of cells of the second kind, as often, in sum, as
+the volume's sign changes from the run's beginning to its end; and there, next to a cell of the
+first kind, that sign is certain. So no root has to be found: chords that touch, rest in one plane
+at the very moment of crossing, or turn back there are counted rightly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.distance import distance_bound
+
+Array = NDArray[np.float64]
+
+APART = 1e-6
+"""[m] Chords that are certainly at least this far apart do not touch."""
+
+MAX_HALVINGS = 30
+"""A cell halved so often, and still neither, is where a chord runs into another one's end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """What pairs of chords did in some time; pairs that are not listed never met.
+
+    Attributes
+    ----------
+    first, second: (pairs,), cables i < j.
+    count: (pairs,), how often they passed through each other, with signs.
+    certain: (pairs,), false where that could not be told: an end ran into the other chord, or the
+        time is over while they touch.
+    time: (pairs,) [s], when they last met, or when it could not be told.
+    """
+
+    first: Indices
+    second: Indices
+    count: Indices
+    certain: NDArray[np.bool_]
+    time: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells (cells,) of pairs that may meet: ends q_i, r_i, q_j, r_j (cells, 4, 3, degree + 1)."""
+
+    pair: Indices
+    start: Array
+    end: Array
+    ends: Array
+
+    def take(self, index: NDArray[np.bool_] | Indices | slice) -> _Cells:
+        return _Cells(self.pair[index], self.start[index], self.end[index], self.ends[index])
+
+    def halves(self) -> _Cells:
+        left, right = bernstein.halve(self.ends.reshape(-1, self.ends.shape[-1]))
+        middle = 0.5 * (self.start + self.end)
+        return _Cells(
+            np.tile(self.pair, 2),
+            np.concatenate([self.start, middle]),
+            np.concatenate([middle, self.end]),
+            np.concatenate([left, right]).reshape(2 * len(self.pair), *self.ends.shape[1:]),
+        )
+
+
+def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
+    """Return what the chords of drones q0, r0, q1, … of shape (2n, 3) [m] did."""
+    cells = _candidates(drones)
+    across = [cells.take(slice(0, 0))]
+    for _ in range(MAX_HALVINGS):
+        if len(cells.pair) == 0:
+            break
+        cells = cells.take(~_apart(cells))
+        crossing = _across(cells)
+        across.append(cells.take(crossing))
+        cells = cells.take(~crossing).halves()
+    return _counted(drones.shape[0] // 2, _joined(across), cells)
+
+
+def _candidates(drones: PiecewisePolynomial) -> _Cells:
+    """Return one cell per piece and pair whose chords' boxes meet."""
+    n = drones.shape[0] // 2
+    found = []
+    for piece in range(drones.pieces):
+        c = drones.coefficients[piece].reshape(n, 2, 3, -1)
+        pairs = close_pairs(Boxes.around(c), None, 2.0 * APART)
+        start, end = drones.breaks[piece : piece + 2]
+        found.append(
+            _Cells(
+                pairs.first * n + pairs.second,
+                np.full(len(pairs), start),
+                np.full(len(pairs), end),
+                np.concatenate([c[pairs.first], c[pairs.second]], axis=1),
+            )
+        )
+    return _joined(found)
+
+
+def _joined(cells: list[_Cells]) -> _Cells:
+    return _Cells(
+        np.concatenate([c.pair for c in cells]),
+        np.concatenate([c.start for c in cells]),
+        np.concatenate([c.end for c in cells]),
+        np.concatenate([c.ends for c in cells]),
+    )
+
+
+def _apart(cells: _Cells) -> NDArray[np.bool_]:
+    """Return on which cells the chords certainly do not touch."""
+    e = cells.ends
+    differences = np.stack([e[:, i] - e[:, j] for i in (0, 1) for j in (2, 3)], axis=1)
+    bound = distance_bound((differences.reshape(len(e), 12, e.shape[-1]),)).bound
+    sure: NDArray[np.bool_] = bound > APART
+    return sure
+
+
+def _across(cells: _Cells) -> NDArray[np.bool_]:
+    """Return on which cells, seen along one direction, each chord crosses the other for certain."""
+    half = bernstein.basis(np.array(0.5), bernstein.degree(cells.ends))
+    middle = cells.ends @ half
+    normal = np.cross(middle[:, 1] - middle[:, 0], middle[:, 3] - middle[:, 2])
+    size = np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0.0)
+    qi, ri, qj, rj = (cells.ends[:, k] for k in range(4))
+    sides = []
+    for a, b, c, d in ((qi, ri, qj, rj), (qj, rj, qi, ri)):
+        along = b - a
+        sides.append(
+            _strictly(_side(normal, along, c - a)) * _strictly(_side(normal, along, d - a))
+        )
+    crossing: NDArray[np.bool_] = (sides[0] < 0) & (sides[1] < 0)
+    return crossing
+
+
+def _side(normal: Array, along: Array, to: Array) -> Array:
+    """Return (cells, m): coefficients of ``normal · (along × to)``."""
+    turned = np.stack(  # normal × along
+        [
+            normal[:, 1, None] * along[:, 2] - normal[:, 2, None] * along[:, 1],
+            normal[:, 2, None] * along[:, 0] - normal[:, 0, None] * along[:, 2],
+            normal[:, 0, None] * along[:, 1] - normal[:, 1, None] * along[:, 0],
+        ],
+        axis=1,
+    )
+    return bernstein.dot(turned, to)
+
+
+def _strictly(coefficients: Array) -> Indices:
+    """Return 1 or -1 (cells,) where a polynomial has that sign throughout, else 0."""
+    size = APART * np.max(np.abs(coefficients), axis=-1, initial=0.0)
+    positive = np.min(coefficients, axis=-1) > size
+    negative = np.max(coefficients, axis=-1) < -size
+    sign: Indices = positive.astype(np.intp) - negative.astype(np.intp)
+    return sign
+
+
+def _counted(n: int, across: _Cells, unclear: _Cells) -> Crossings:
+    """Return the sums over all runs of cells, pair by pair."""
+    cells = across.take(np.lexsort((across.start, across.pair)))
+    new = (np.diff(cells.pair) != 0) | (cells.start[1:] > cells.end[:-1])
+    edges = np.flatnonzero(new)
+    some = min(len(cells.pair), 1)
+    first = np.concatenate([np.zeros(some, dtype=np.intp), edges + 1])
+    final = np.concatenate([edges, np.full(some, len(cells.pair) - 1)])
+    before, after = _sign(cells.ends[first][..., 0]), _sign(cells.ends[final][..., -1])
+    pairs, run = np.unique(np.concatenate([cells.pair[first], unclear.pair]), return_inverse=True)
+    count = np.zeros(len(pairs), dtype=np.intp)
+    np.add.at(count, run[: len(first)], (after - before) // 2)
+    certain = np.ones(len(pairs), dtype=np.bool_)
+    certain[run[: len(first)][(before == 0) | (after == 0)]] = False
+    certain[run[len(first) :]] = False
+    time = np.zeros(len(pairs))
+    np.maximum.at(time, run, np.concatenate([cells.end[final], unclear.end]))
+    return Crossings(*np.divmod(pairs, n), count, certain, time)
+
+
+def _sign(ends: Array) -> Indices:
+    """Return the sign of the volume of chords (runs, 4, 3) that are certainly apart, else 0."""
+    along, other = ends[:, 1] - ends[:, 0], ends[:, 3] - ends[:, 2]
+    normal = np.cross(along, other)
+    height = np.sum((ends[:, 2] - ends[:, 0]) * normal, axis=-1)
+    sure = np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1)
+    sign: Indices = np.where(sure, np.sign(height), 0.0).astype(np.intp)
+    return sign

@@ -1,0 +1,70 @@
+"""Which robot flies which role: role k holds edge k."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.hitch.team import Team
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Robots to roles.
+
+    Parameters
+    ----------
+    robots: for every role the robot that flies it, each once.
+    flipped: for every role whether that robot's q and r are exchanged.
+
+    Raises
+    ------
+    InputError: no such assignment.
+    """
+
+    robots: tuple[int, ...]
+    flipped: tuple[bool, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.robots)
+        if sorted(self.robots) != list(range(n)):
+            raise InputError("assignment.robots", self.robots, f"0 to {n - 1}, each once", "sort")
+        if len(self.flipped) != n:
+            raise InputError(
+                "assignment.flipped", self.flipped, f"{n} truth values", "give one per role"
+            )
+
+    @classmethod
+    def fixed(cls, robots: int) -> Assignment:
+        """Return the one under which robot k flies role k as it is."""
+        return cls(tuple(range(robots)), (False,) * robots)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return what files hold of it."""
+        return {"robots": list(self.robots), "flipped": list(self.flipped)}
+
+    def team(self, team: Team) -> Team:
+        """Return the team in the order of its roles."""
+        order = list(self.robots)
+        return Team(
+            team.robots,
+            team.cable_length[order],
+            topology=team.topology,
+            cable_density=team.cable_density,
+            cable_friction=team.cable_friction,
+            tension=team.tension[order],
+            quadrotor=[team.quadrotors[i] for i in order],
+        )
+
+    def drones(self, drones: Array) -> Array:
+        """Return robots' drones (2n, 3) in the order of their roles."""
+        pairs = drones.reshape(-1, 2, 3)[list(self.robots)]
+        flipped = np.array(self.flipped, dtype=np.bool_)
+        pairs = np.where(flipped[:, None, None], pairs[:, ::-1], pairs)
+        ordered: Array = pairs.reshape(-1, 3)
+        return ordered

@@ -1,0 +1,139 @@
+"""Drones on free cables: motions of theirs, landing, hovering, and whether they may start so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.certificate import certify
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.limits import floor_of
+from hitchopt.mission.diagnosis import infeasible
+from hitchopt.mission.form_records import Land
+from hitchopt.mission.motions import Kept
+from hitchopt.mission.situation import Situation, Tied
+from hitchopt.model.motion import Motion, Phase, joined_motions
+from hitchopt.planners.forming.approach import hover_altitude
+from hitchopt.planners.forming.stage import Stage
+from hitchopt.planners.forming.straight import straight
+from hitchopt.trajectory import PiecewisePolynomial
+
+LEVEL = 1e-9
+"""[m] Altitudes that differ by less are the same."""
+
+
+def plan_land(before: Situation, step: Land, i: int, kept: Kept) -> Tied:
+    """Return the plan straight down to the ground; errors as plan_form."""
+    down = before.drones.copy()
+    down[:, 2] = floor_of(kept.arena)
+    flight = straight(before.team, kept.limits, before.drones, down)
+    motion = _free([Stage("land", flight)], before.team, i, kept)
+    return Tied(lasting(motion, step.duration, i, step.name), replace(before, drones=down))
+
+
+def plan_hover(before: Situation, seconds: float, i: int, kept: Kept) -> Tied:
+    """Return the plan in which drones on free cables stay for ``seconds`` [s]."""
+    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
+    return Tied(_free([Stage(_resting_name(before, kept), rest)], before.team, i, kept), before)
+
+
+def check_start(before: Situation, kept: Kept) -> None:
+    """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
+    rest = PiecewisePolynomial.constant([0.0, 1.0], before.drones)
+    stage = Stage(_resting_name(before, kept), rest)
+    check_part(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
+
+
+def _resting_name(before: Situation, kept: Kept) -> str:
+    """Return what a phase of rest is called: whether cables hang decides how they are checked."""
+    floor = floor_of(kept.arena)
+    needed = hover_altitude(before.team, before.drones, floor, kept.separation.cable)
+    return "hold" if float(np.min(before.drones[:, 2])) >= needed else "parked"
+
+
+def staged(stages: Sequence[Stage], hitch: Hitch, i: int, kept: Kept) -> Motion:
+    """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
+    return joined_motions([_staged(stage, hitch, i, kept) for stage in stages])
+
+
+def _staged(stage: Stage, hitch: Hitch, i: int, kept: Kept) -> Motion:
+    end = stage.drones.duration
+    return Motion(
+        hitch.team,
+        kept.limits,
+        kept.separation,
+        kept.arena,
+        stage.drones,
+        stage.vertices(hitch),
+        stage.legs(hitch),
+        stage.tensions(hitch),
+        (Phase(stage.name, i, 0.0, end, stage.remark, stage.formed),),
+    )
+
+
+def _free(stages: Sequence[Stage], team: Team, i: int, kept: Kept) -> Motion:
+    """Return the motion of drones on free cables that no hitch is told of."""
+    motions = []
+    for stage in stages:
+        breaks = stage.drones.breaks
+        middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
+        nothing = PiecewisePolynomial.constant
+        motions.append(
+            Motion(
+                team,
+                kept.limits,
+                kept.separation,
+                kept.arena,
+                stage.drones,
+                nothing(breaks, np.tile(middle, (team.layout.points, 1))),
+                nothing(breaks, np.zeros((team.robots, 2))),
+                nothing(breaks, np.zeros(team.robots)),
+                (Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, formed=False),),
+            )
+        )
+    return joined_motions(motions)
+
+
+def check_part(motion: Motion, kept: Kept, when: str = "") -> None:
+    """Raise InfeasibleError where a part of a plan breaks a limit, its duration left open."""
+    limits = replace(motion.limits, duration=None)
+    certificate = certify(replace(motion, limits=limits))
+    if not certificate.certified:
+        raise infeasible(certificate, kept.separation, motion.phases, when)
+
+
+def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:
+    """Return the motion slowed to last exactly as long as a step was given."""
+    if duration is None:
+        return motion
+    if duration < motion.duration:
+        raise InfeasibleError(
+            [
+                Violation(
+                    "duration",
+                    duration,
+                    motion.duration,
+                    "min",
+                    "s",
+                    (),
+                    f"of step {i} ({name})",
+                    f"give it {motion.duration:.6g} s or more, or raise the limits of motion",
+                )
+            ]
+        )
+    factor = duration / motion.duration
+    phases = tuple(
+        replace(phase, start=factor * phase.start, end=factor * phase.end)
+        for phase in motion.phases
+    )
+    return replace(
+        motion,
+        drones=motion.drones.stretched(factor),
+        vertices=motion.vertices.stretched(factor),
+        legs=motion.legs.stretched(factor),
+        tensions=motion.tensions.stretched(factor),
+        phases=phases,
+    )

@@ -1,0 +1,41 @@
+"""How a user says that cables share their slack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Team
+from hitchopt.hitch.values import not_negative, per_robot, positive
+
+LegSharing = Literal["balanced", "spread"] | NDArray[np.float64]
+"""How a cable's slack is shared: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""
+
+
+def leg_sharing(legs: str | Sequence[float] | ArrayLike, team: Team) -> LegSharing:
+    """Return what a user wrote for ``legs`` as a LegSharing.
+
+    Raises
+    ------
+    InputError: another word, or a list that does not have one positive length per robot, none of
+        them zero but the first of a chain.
+    """
+    if isinstance(legs, str):
+        if legs == "balanced":
+            return "balanced"
+        if legs == "spread":
+            return "spread"
+        raise InputError("legs", legs, "balanced, spread or a list of d_k", "write legs: spread")
+    if isinstance(legs, int | float):
+        raise InputError(
+            "legs", legs, "balanced, spread or a list of d_k", "give one length per robot"
+        )
+    q_legs = per_robot("legs", legs, team.robots, not_negative)
+    zero = np.flatnonzero(team.layout.has_leg[:, 0] & (q_legs == 0.0))
+    if len(zero) > 0:
+        positive(f"legs[{zero[0]}]", 0.0)
+    return q_legs

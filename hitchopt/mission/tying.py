@@ -1,0 +1,155 @@
+"""Form and release: one step of a mission to a motion, and what it leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.limits import floor_of
+from hitchopt.mission.ends import shared_hitch
+from hitchopt.mission.form_records import Form, Release
+from hitchopt.mission.free_flight import LEVEL, check_part, lasting, staged
+from hitchopt.mission.motions import Kept, check_at_rest, flying
+from hitchopt.mission.situation import Situation, Tied
+from hitchopt.model.motion import Motion, Phase, joined_motions
+from hitchopt.planners.flown import fly_unhurried
+from hitchopt.planners.forming.approach import CLEARANCE, ApproachTask, hover_altitude, ways
+from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
+from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.tying import tied, undone
+from hitchopt.planners.rigid_path import RigidPath
+
+Array = NDArray[np.float64]
+
+TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of the way from the pre-hitch to the hitch, where the cables' heights are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Site:
+    """Where a hitch is tied or untied: so high that no cable touches the ground.
+
+    Attributes
+    ----------
+    hitch: at that altitude.
+    pre: the pre-hitch there.
+    """
+
+    hitch: Hitch
+    pre: PreHitch
+
+
+def plan_form(before: Situation, step: Form, i: int, kept: Kept) -> Tied:
+    """Return the plan from drones on free cables to a hitch.
+
+    Raises
+    ------
+    InfeasibleError: the hitch or the start breaks a limit at rest, or no approach was found.
+    HitchoptError: a planner failed.
+    """
+    legs = "spread" if step.legs is None else step.legs
+    wanted = shared_hitch(before.team, step.polygon, step.altitude, legs, kept)
+    check_at_rest(wanted, kept, f"at the end of step {i} (form)")
+    site = _site(wanted, step.swap, None, kept)
+    tying = staged(tied(site.pre, site.hitch, kept.limits, step.swap), site.hitch, i, kept)
+    if site.pre.shortfall > 0.0:
+        check_part(tying, kept)  # no use to go there if nothing can be tied
+    parts = [_approach(before, site.pre.drones, site.hitch, i, kept), tying]
+    if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
+        parts.append(_shifted(site.hitch, wanted.altitude, "lower", i, kept))
+    senses = np.sign(site.pre.turns.rise)
+    after = Situation(before.team, wanted.drones, wanted, senses, step.swap)
+    return Tied(lasting(joined_motions(parts), step.duration, i, step.name), after)
+
+
+def plan_release(before: Situation, step: Release, i: int, kept: Kept) -> Tied:
+    """Return the plan from a hitch to drones on free cables; errors as plan_form."""
+    hitch = before.hitch
+    if hitch is None:
+        raise RuntimeError("there is no hitch to release")
+    senses = np.ones(len(before.team.layout.clasps)) if before.senses is None else before.senses
+    site = _site(hitch, before.swap, senses, kept)
+    stages = undone(tied(site.pre, site.hitch, kept.limits, before.swap))
+    parts = [staged(stages, site.hitch, i, kept)]
+    if abs(site.hitch.altitude - hitch.altitude) > LEVEL:
+        parts.insert(0, _shifted(hitch, site.hitch.altitude, "raise", i, kept))
+    after = Situation(before.team, site.pre.drones, swap=before.swap)
+    return Tied(lasting(joined_motions(parts), step.duration, i, step.name), after)
+
+
+def _site(hitch: Hitch, swap: SwapSettings, senses: Array | None, kept: Kept) -> _Site:
+    """Return where to tie or untie: at the hitch's own altitude, or as much higher as it takes.
+
+    Parameters
+    ----------
+    senses: of the way back of how it was formed, (clasps,); None to choose them.
+    """
+    pre = find_prehitch(hitch, kept.separation, swap)
+    if senses is not None:
+        pre = replace(pre, turns=pre.turns.with_senses(senses))
+    floor, clearance = floor_of(kept.arena), CLEARANCE * kept.separation.cable
+    altitude = max(
+        hitch.altitude,
+        floor + clearance + pre.kept.lowest,
+        *(
+            hover_altitude(
+                hitch.team, pre.drones + share * (hitch.drones - pre.drones), floor, clearance
+            )
+            for share in TIGHTENING
+        ),
+    )
+    by = altitude - hitch.altitude
+    if by <= LEVEL:
+        return _Site(hitch, pre)
+    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs)
+    return _Site(high, replace(pre, turns=pre.turns.raised(by)))
+
+
+def _shifted(hitch: Hitch, altitude: float, name: str, i: int, kept: Kept) -> Motion:
+    """Return the motion of the hitch straight up or down."""
+    to = np.append(hitch.polygon.centroid, altitude)
+    flight = fly_unhurried(RigidPath(hitch, to, 0.0), kept.limits)
+    remark = "cables that hang need more room over the ground than the hitch"
+    return flying(flight, hitch.team, kept, [Phase(name, i, 0.0, flight.duration, remark)])
+
+
+def _approach(before: Situation, goal: Array, hitch: Hitch, i: int, kept: Kept) -> Motion:
+    """Return the first way to the pre-hitch that the certificate holds for.
+
+    Raises
+    ------
+    InfeasibleError: none; what binds on the first of them.
+    """
+    task = ApproachTask(
+        before.team,
+        before.drones,
+        goal,
+        kept.limits,
+        kept.separation,
+        kept.arena,
+        floor_of(kept.arena),
+    )
+    refusals: list[HitchoptError] = []
+    for plan in ways(task):
+        try:
+            motion = staged(plan(), hitch, i, kept)
+            check_part(motion, kept)
+        except HitchoptError as error:
+            refusals.append(error)
+        else:
+            return motion
+    raise _first(refusals)
+
+
+def _first(refusals: Sequence[HitchoptError]) -> HitchoptError:
+    """Return the first refusal that says what binds, with what else was tried."""
+    for error in refusals:
+        if isinstance(error, InfeasibleError):
+            note = "no other way to the pre-hitch was found" if len(refusals) > 1 else ""
+            return InfeasibleError(error.violations, error.note or note)
+    return refusals[0]

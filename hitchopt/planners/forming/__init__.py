@@ -1,0 +1,1 @@
+"""How a hitch is formed in midair, and taken apart again: the paper's Action 1."""

@@ -1,0 +1,208 @@
+"""From anywhere to the pre-hitch: up from the ground, then all at once, cables hanging.
+
+Two ways are offered, the plainer one first; the certificate judges them. *Direct*: all drones fly
+at once through the separation planner, the two of a cable tethered. *Gathered*: every robot first
+draws its two drones together, so that its cable hangs within a disc seen from above; discs keep out
+of each other's way and turn meanwhile, and open at the other end. Chords within discs that never
+meet cannot tangle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.planners.forming.prehitch import SPAN
+from hitchopt.planners.forming.reserve import SHARE, accelerations
+from hitchopt.planners.forming.stage import Stage
+from hitchopt.planners.forming.straight import STILL, straight
+from hitchopt.planners.forming.wheels import Wheels, turned
+from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+DRAWN = 1.6
+"""How many times touching a robot's two drones are apart when it is gathered."""
+
+CLEARANCE = 1.1
+"""How many times ``Separation.cable`` hanging cables keep off the ground."""
+
+PROBES = 101
+"""Of a way, where the cables' heights are looked at."""
+
+ROOM = 1.15
+"""How many times touching discs are apart at both ends of their way."""
+
+
+@dataclass(frozen=True, eq=False)
+class ApproachTask:
+    """What is asked.
+
+    Attributes
+    ----------
+    team: whose drones, on free cables.
+    start, goal: (2n, 3) [m]
+    limits, separation, arena: what is kept.
+    ground: its height [m].
+    """
+
+    team: Team
+    start: Array
+    goal: Array
+    limits: Limits
+    separation: Separation
+    arena: Arena | None
+    ground: float
+
+
+def ways(task: ApproachTask) -> Iterator[Callable[[], list[Stage]]]:
+    """Yield the ways to go, planned when they are called; they may raise HitchoptError."""
+    yield lambda: _direct(task)
+    yield lambda: _gathered(task)
+
+
+def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:
+    """Return how high drones at ``places`` (2n, 3) [m] must be for their cables to hang free [m].
+
+    Parameters
+    ----------
+    places: of which the heights do not matter.
+    clearance: of the cables to the ground [m].
+    """
+    level = places * np.array([1.0, 1.0, 0.0])
+    return ground + clearance - float(np.min(_lowest(team, level)))
+
+
+def take_off(task: ApproachTask, altitude: float) -> Stage:
+    """Return the stage in which all go straight up to ``altitude`` [m]."""
+    up = task.start.copy()
+    up[:, 2] = np.maximum(altitude, up[:, 2])
+    return Stage("take-off", straight(task.team, task.limits, task.start, up))
+
+
+def _direct(task: ApproachTask) -> list[Stage]:
+    stages, here = _risen(task, task.start)
+    if np.max(np.abs(task.goal - here)) < STILL:
+        return [*stages, Stage("approach", straight(task.team, task.limits, here, task.goal))]
+    tethers = tuple(
+        Tether(2 * k, 2 * k + 1, float(SPAN * length))
+        for k, length in enumerate(task.team.cable_length)
+    )
+    both = np.stack([here, task.goal])
+    found = separate(
+        SeparationTask(
+            here,
+            task.goal,
+            _kept(task.limits),
+            task.separation,
+            task.arena,
+            tethers=tethers,
+            acceleration=accelerations(task.team, task.limits, both),
+            names=task.team.drone_names,
+        )
+    )
+    return [*stages, *_lifted(task, here, found.drones)]
+
+
+def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> list[Stage]:
+    """Return the way over curves, all of it higher where cables would come too near the ground.
+
+    Drones that come closer together on their way let their cable hang lower than at its ends.
+    """
+    ends = task.ground + CLEARANCE * task.separation.cable
+    at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+    missing = ends - min(float(np.min(_lowest(task.team, places))) for places in drones.at(at))
+    if missing <= 0.0:
+        return [Stage("approach", drones)]
+    up = np.array([0.0, 0.0, missing + 0.1 * task.separation.cable])
+    higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+    return [
+        Stage("climb", straight(task.team, task.limits, here, here + up)),
+        Stage("approach", higher),
+        Stage("descend", straight(task.team, task.limits, task.goal + up, task.goal)),
+    ]
+
+
+def _kept(limits: Limits) -> Limits:
+    """Return limits that leave the certificate's bounds, which are made otherwise, their room."""
+    return replace(
+        limits,
+        speed=SHARE * limits.speed,
+        acceleration=SHARE * limits.acceleration,
+        jerk=SHARE * limits.jerk,
+    )
+
+
+def _gathered(task: ApproachTask) -> list[Stage]:
+    team, n = task.team, task.team.robots
+    span = DRAWN * 2.0 * task.separation.radius
+    ways_there = Wheels.between(task.start, task.goal, 0.5 * span)
+    disc = 0.5 * span + task.separation.radius
+    start, goal = ways_there.centres, _spaced(ways_there.goals, 2.0 * ROOM * disc)
+    gathered = ways_there.drones(start, np.zeros(n))
+    stages, here = _risen(task, task.start, gathered, task.goal)
+    altitude = float(np.max(here[:, 2]))
+    start[:, 2] = goal[:, 2] = altitude
+    gathered[:, 2] = altitude
+    # No robot may pass over another one, whose cable or its own would be in the way.
+    discs = replace(task.separation, radius=disc, height=float(np.max(team.cable_length)))
+    found = separate(
+        SeparationTask(
+            start,
+            goal,
+            _kept(task.limits),
+            discs,
+            task.arena,
+            acceleration=np.min(
+                accelerations(team, task.limits, np.stack([here, gathered])).reshape(n, 2), axis=1
+            ),
+            names=tuple(f"cable {k}" for k in range(n)),
+        )
+    )
+    wheels = replace(ways_there, centres=start)
+    rolled = wheels.drones(goal, wheels.angles)
+    return [
+        *stages,
+        Stage("gather", straight(team, task.limits, here, gathered)),
+        Stage("turn", turned(team, wheels, task.limits)),
+        Stage("approach", wheels.carried(found.drones)),
+        Stage("open", straight(team, task.limits, rolled, task.goal)),
+    ]
+
+
+def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:
+    """Return the take-off, if one is needed, and where the drones are after it.
+
+    So high that cables hang free there, and at all ``others`` (2n, 3) as well.
+    """
+    clearance = CLEARANCE * task.separation.cable
+    needed = [hover_altitude(task.team, p, task.ground, clearance) for p in (task.start, *others)]
+    if np.min(task.start[:, 2]) >= max(needed):
+        return [], task.start
+    altitude = max(*needed, float(np.max(task.goal[:, 2])))
+    stage = take_off(task, altitude)
+    return [stage], stage.drones.coefficients[-1, ..., -1]
+
+
+def _spaced(points: Array, least: float) -> Array:
+    """Return points (n, 3) [m] moved from their middle until ``least`` [m] apart from above."""
+    flat = points[:, :2]
+    apart = np.linalg.norm(flat[:, None] - flat, axis=-1) + least * np.eye(len(flat))
+    factor = max(1.0, least / max(float(np.min(apart)), 1e-9))
+    middle = np.mean(flat, axis=0)
+    spaced = points.copy()
+    spaced[:, :2] = middle + factor * (flat - middle)
+    return spaced
+
+
+def _lowest(team: Team, drones: Array) -> Array:
+    """(n,) [m]: the height of every hanging cable's lowest point."""
+    q, r = drones[0::2], drones[1::2]
+    lowest: Array = q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
+    return lowest

@@ -1,0 +1,43 @@
+"""Which robot takes which edge: the assignment with the shortest ways, squared and summed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Team
+from hitchopt.hitch.assignment import Assignment
+
+Array = NDArray[np.float64]
+
+
+def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
+    """Return the assignment of robots to edges, and of their drones to the edges' ends.
+
+    A cable that leaves less than two legs on an edge does not take it while others do. Ways are
+    measured to the edges' ends, squared: straight ways that are the shortest so do not cross.
+    Quadratic in n in memory, cubic at worst in time (seconds for a thousand robots).
+
+    Parameters
+    ----------
+    team: as the robots are given.
+    drones: (2n, 3) [m], where they are.
+    outline: whose edges are to be held.
+    leg: shortest leg [m].
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    layout, points = team.layout, outline.vertices
+    first, last = points[layout.starts], points[layout.ends]
+    q, r = drones[0::2, None, :2], drones[1::2, None, :2]
+    straight = np.sum((q - first) ** 2, axis=-1) + np.sum((r - last) ** 2, axis=-1)
+    crossed = np.sum((q - last) ** 2, axis=-1) + np.sum((r - first) ** 2, axis=-1)
+    cost = np.minimum(straight, crossed)
+    short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
+    cost = cost + short * (1.0 + float(np.max(cost))) * len(cost)
+    robots, roles = linear_sum_assignment(cost)
+    order = robots[np.argsort(roles)]
+    k = np.arange(team.robots)
+    flipped = crossed[order, k] < straight[order, k]
+    return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))

@@ -1,0 +1,164 @@
+"""The pre-hitch: where the swap begins, so that no cable comes taut and no drone meets a cable.
+
+Shortened legs: every pair stands as it will in the hitch, its legs shortened by a common share, no
+nearer than a smallest radius. The share is searched downward, then the polygon is made smaller, so
+that cables reach, or larger, so that pairs on short edges keep off each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Hitch, Separation
+from hitchopt.planners.forming.measures import Measures, measured
+from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.turns import APART, Turns, half_that_clears, rise_that_clears
+
+Array = NDArray[np.float64]
+
+LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
+"""Of the hitch's legs, tried in turn."""
+
+SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
+"""Of the hitch's polygon, tried in turn where no share of the legs will do."""
+
+TILTS = (45.0, 60.0, 30.0, 0.0)
+"""[deg] Of the axis of turning, tried in turn where none is given. The first one keeps drones out
+of hanging cables for any number of robots; level axes do so up to about seven."""
+
+SPAN = 0.97
+"""Largest share of a cable that its drones may be apart while it hangs."""
+
+CLEARANCE = 1.05
+"""How many times ``Separation.cable`` drones are to keep."""
+
+EVEN = 1e-3
+"""[m] A clearance better by less is no better: mirror images are not to differ by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreHitch:
+    """Where the swap begins and ends.
+
+    Attributes
+    ----------
+    turns: the ellipses, at the altitude of the swap.
+    share: of the hitch's legs.
+    scale: of the hitch's polygon.
+    kept: what the swaps keep, angle by angle.
+    shortfall: by how much that misses what is asked, relative; none if at most zero.
+    """
+
+    turns: Turns
+    share: float
+    scale: float
+    kept: Measures
+    shortfall: float
+
+    @property
+    def drones(self) -> Array:
+        """(2n, 3) [m]: before and after the swaps."""
+        return self.turns.drones(np.asarray(0.0))
+
+
+def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) -> PreHitch:
+    """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
+
+    At the hitch's own altitude. Whether it holds for all t is for the certificate to say.
+    """
+    best: PreHitch | None = None
+    for found in _candidates(hitch, separation, settings):
+        if found.shortfall <= 0.0:
+            return found
+        if best is None or found.shortfall < best.shortfall:
+            best = found
+    if best is None:
+        raise RuntimeError("no pre-hitch was looked at")
+    return best
+
+
+def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:
+    tilts = TILTS if settings.tilt is None else (math.degrees(settings.tilt),)
+    for scale in SCALES:
+        for share in LEG_SHARES:
+            for tilt in tilts:
+                turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale)
+                found = _turning(turns, separation, settings, share, scale)
+                yield found
+                if found.kept.span > SPAN or found.kept.opening < _opening(separation):
+                    break  # tilts do not change it
+
+
+def _turning(
+    turns: Turns, separation: Separation, settings: SwapSettings, share: float, scale: float
+) -> PreHitch:
+    """Return the pre-hitch with the senses asked for; else q goes up first unless down is needed.
+
+    Down at those clasps where the drones would come too close to their partners' cables otherwise.
+    """
+    senses = np.full(len(turns.half), float(settings.sense or 1))
+    turns = turns.with_senses(senses)
+    kept = measured(turns, separation)
+    short = kept.clearances < CLEARANCE * separation.cable
+    if not settings.sense and np.any(short):
+        down = measured(turns.with_senses(-senses), separation).clearances
+        better = short & (down > kept.clearances + EVEN)
+        if np.any(better):
+            turns = turns.with_senses(np.where(better, -senses, senses))
+            kept = measured(turns, separation)
+    return PreHitch(turns, share, scale, kept, _shortfall(kept, separation))
+
+
+def _opening(separation: Separation) -> float:
+    """Return how far q and r of a cable are to be apart, along its edge, before the swaps [m]."""
+    return 2.0 * APART * separation.radius
+
+
+def _shortfall(kept: Measures, separation: Separation) -> float:
+    """Return by how much the worst quantity misses what is asked, relative."""
+    needed = [
+        (kept.span, SPAN),
+        (_opening(separation) - kept.opening + separation.radius, separation.radius),
+        (1.0, kept.apart / (0.99 * APART)),
+    ]
+    if separation.cable > 0.0:
+        clearance = float(np.min(kept.clearances))
+        needed.append((CLEARANCE, max(clearance, 1e-9) / separation.cable))
+    return max(value / limit - 1.0 for value, limit in needed)
+
+
+def _turns(
+    hitch: Hitch,
+    separation: Separation,
+    settings: SwapSettings,
+    tilt: float,
+    share: float,
+    scale: float,
+) -> Turns:
+    """Return the ellipses for a share of the legs and a scale of the polygon."""
+    layout, drones = hitch.team.layout, hitch.drones
+    centre = np.append(hitch.polygon.centroid, hitch.altitude)
+    vertices = hitch.vertices[layout.clasps]
+    q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
+    chord = q - r
+    lengths = np.linalg.norm(chord, axis=1)
+    along = chord / lengths[:, None]
+    outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
+    middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)
+    alone = drones[~layout.has_leg.ravel()]
+    up = np.array([0.0, 0.0, 1.0])
+    return Turns(
+        hitch.team,
+        middles,
+        along,
+        math.cos(tilt) * up - math.sin(tilt) * outward,
+        np.maximum(0.5 * share * lengths, half_that_clears(separation, settings.radius)),
+        np.full(len(along), rise_that_clears(separation, tilt, settings.radius)),
+        alone + (scale - 1.0) * (alone - centre),
+        hitch.vertices,
+    )

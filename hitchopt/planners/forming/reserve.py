@@ -1,0 +1,61 @@
+"""What acceleration thrust and tilt leave to drones that carry hanging cables."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import GRAVITY, Limits, Team
+from hitchopt.hitch.hanging import hanging_forces
+
+Array = NDArray[np.float64]
+
+SHARE = 0.999
+"""Of every limit, which is planned with."""
+
+
+def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
+    """Return how much every drone may accelerate in any direction (2n,) [m/s²].
+
+    Parameters
+    ----------
+    drones: (J, 2n, 3) [m], places on the way.
+
+    Raises
+    ------
+    InfeasibleError: hovering alone takes more thrust or tilt than there is.
+    """
+    mass = team.mass
+    loads = np.zeros(drones.shape)
+    loads[..., 2] = mass * GRAVITY
+    loads -= hanging_forces(team, drones)
+    size = np.linalg.norm(loads, axis=-1)
+    tilt = np.arctan2(np.hypot(loads[..., 0], loads[..., 1]), loads[..., 2])
+    thrust_left = SHARE * team.max_thrust - size
+    tilt_left = SHARE * limits.tilt - tilt
+    for name, left, used, limit, unit in (
+        ("thrust", thrust_left, size, team.max_thrust, "N"),
+        ("tilt", tilt_left, np.degrees(tilt), np.full(len(mass), math.degrees(limits.tilt)), "deg"),
+    ):
+        j, i = np.unravel_index(int(np.argmin(left)), left.shape)
+        if left[j, i] <= 0.0:
+            raise InfeasibleError(
+                [
+                    Violation(
+                        name,
+                        float(used[j, i]),
+                        float(limit[i]),
+                        "max",
+                        unit,
+                        (team.drone_names[i],),
+                        "hovering with a hanging cable",
+                        "use lighter cables, or stronger drones that may tilt more",
+                    )
+                ]
+            )
+    free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
+    most: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
+    return most

@@ -1,0 +1,40 @@
+"""How drones are to swap, as a user may say it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hitchopt.errors import InputError
+from hitchopt.hitch.values import finite, positive
+
+
+@dataclass(frozen=True)
+class SwapSettings:
+    """How pairs of drones turn about each other.
+
+    Parameters
+    ----------
+    radius: no semi-axis of the ellipses is smaller than this [m].
+    tilt: of the axis of turning, upward from level [rad]; None: chosen.
+    seconds: no half turn is faster than this [s]; None: as fast as the limits allow.
+    sense: 1: every q goes up first; -1: down first; 0: chosen for every vertex.
+    """
+
+    radius: float = 0.15
+    tilt: float | None = None
+    seconds: float | None = None
+    sense: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", positive("radius", self.radius))
+        if self.seconds is not None:
+            object.__setattr__(self, "seconds", positive("seconds", self.seconds))
+        if self.tilt is not None:
+            tilt = finite("tilt", self.tilt)
+            if not 0.0 <= tilt < 0.5 * math.pi:
+                raise InputError(
+                    "tilt", math.degrees(tilt), "from 0 to below 90 degrees", "45 is usual"
+                )
+        if self.sense not in {-1, 0, 1}:
+            raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")

@@ -1,0 +1,56 @@
+"""What forming and releasing are made of: stretches of drones' curves that go by one name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Hitch
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One stretch.
+
+    Attributes
+    ----------
+    name: of the plan's phase.
+    drones: of shape (2n, 3) [m], in the order q0, r0, q1, …, from t = 0, at rest at both ends.
+    pull: (pieces, m + 1): Bernstein coefficients of the factor that the team's tensions are pulled
+        with, over the drones' pieces; None while there is no hitch.
+    remark: of the phase.
+    """
+
+    name: str
+    drones: PiecewisePolynomial
+    pull: Array | None = None
+    remark: str = ""
+
+    @property
+    def formed(self) -> bool:
+        """Whether the hitch exists."""
+        return self.pull is not None
+
+    def reversed(self, name: str) -> Stage:
+        """Return the stretch backward in time, exactly, under another name."""
+        pull = None if self.pull is None else self.pull[::-1, ::-1]
+        return Stage(name, self.drones.reversed(), pull, self.remark)
+
+    def vertices(self, hitch: Hitch) -> PiecewisePolynomial:
+        """Return the vertices (points, 3) [m]: where they are, or are going to be or have been."""
+        return PiecewisePolynomial.constant(self.drones.breaks, hitch.vertices)
+
+    def legs(self, hitch: Hitch) -> PiecewisePolynomial:
+        """Return the legs (n, 2) [m]; zero while there is no hitch."""
+        return PiecewisePolynomial.constant(self.drones.breaks, hitch.legs * float(self.formed))
+
+    def tensions(self, hitch: Hitch) -> PiecewisePolynomial:
+        """Return the tensions (n,) [N]: the team's by the pull."""
+        pull = np.zeros((self.drones.pieces, 1)) if self.pull is None else self.pull
+        each = hitch.team.tension[:, None] * pull[:, None, :]
+        return PiecewisePolynomial(self.drones.breaks, each)

@@ -1,0 +1,129 @@
+"""The user's side of tying and untying: from drones on free cables to a hitch, and back.
+
+As in ``hitchopt.actions``, all take ``limits``, ``separation`` and ``arena`` and raise
+``InputError`` and ``InfeasibleError``. Names in a plan go by role: ``plan.motion.assignment`` says
+which robot flies which.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Arena, Hitch, Limits, Separation, Team
+from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.mission.form_records import Assign, Form, Land, Release
+from hitchopt.mission.leg_sharing import leg_sharing
+from hitchopt.mission.motions import Kept
+from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
+from hitchopt.mission.solving import solve_problem, solve_steps
+from hitchopt.model.motion import Motion
+from hitchopt.plan import Plan
+
+
+def form(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    polygon: Outline | ArrayLike,
+    altitude: float = 1.0,
+    *,
+    legs: str | ArrayLike | None = None,
+    assign: Assign = "auto",
+    swap: SwapSettings | None = None,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan[Motion]:
+    """Return the certified plan that ties a hitch of drones on free cables.
+
+    Parameters
+    ----------
+    team: who flies; robot k's drones start at ``q[k]`` and ``r[k]``.
+    q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
+    polygon: the hitch's outline, (n, 2) [m], clockwise.
+    altitude: of the hitch [m].
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread.
+    assign: ``auto``: which robot takes which edge is chosen, and which of its drones is q;
+        ``fixed``: robot k takes edge k as it is.
+    swap: how the drones turn about each other.
+    limits, separation, arena: what is kept; defaults as in a problem file.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InputError: arguments that are wrong in themselves.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    sharing = None if legs is None else leg_sharing(legs, team)
+    outline = fitting_polygon(team, polygon)
+    step = Form(outline, altitude, sharing, assign, swap or SwapSettings(), duration)
+    return _from_drones(team, q, r, step, limits, separation, arena)
+
+
+def release(
+    start: Hitch,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan[Motion]:
+    """Return the certified plan that unties a hitch, until its cables hang free.
+
+    The way back of ``form``, every q having gone up first.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    limits, separation, arena, duration: as of form.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as form.
+    """
+    kept = Kept(limits or Limits(), separation or Separation(), arena)
+    found = solve_steps(start, (Release(duration),), kept)
+    return Plan(found.motion, found.certificate)
+
+
+def land(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan[Motion]:
+    """Return the certified plan in which drones on free cables go straight down to the ground.
+
+    The ground is the arena's floor, or z = 0 where there is none.
+
+    Parameters
+    ----------
+    team, q, r, limits, separation, arena, duration: as of form.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as form.
+    """
+    return _from_drones(team, q, r, Land(duration), limits, separation, arena)
+
+
+def _from_drones(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    step: Form | Land,
+    limits: Limits | None,
+    separation: Separation | None,
+    arena: Arena | None,
+) -> Plan[Motion]:
+    start = DronesStart(np.asarray(q, dtype=np.float64), np.asarray(r, dtype=np.float64))
+    problem = Problem(team, start, (step,), limits or Limits(), separation or Separation(), arena)
+    found = solve_problem(problem)
+    return Plan(found.motion, found.certificate)

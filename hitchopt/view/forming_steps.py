@@ -1,0 +1,141 @@
+"""The steps in which a hitch is tied, drawn in space from a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.export.sampling import States, states_at
+from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.view.plan_view import CABLE_COLOURS, PATH_COLOUR
+
+Array = NDArray[np.float64]
+
+RESOLUTION = 130
+"""[dots per inch]"""
+
+TRAIL = 60
+"""Samples of a drone's way in one phase."""
+
+PLACES = np.linspace(0.0, 1.0, 81)
+"""Of a cable's length, where it is drawn."""
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """A moment, the phases whose ways are drawn with it, and what is written over it."""
+
+    title: str
+    phases: tuple[str, ...]
+    share: float  # of the last phase that has gone by
+
+
+PANELS = (
+    _Panel("1. pre-hitch: cables hang free", ("swap 1",), -1.0),
+    _Panel("2. first swap: pairs have changed places", ("swap 1",), 1.0),
+    _Panel("3. second swap, half of it: turning on", ("swap 1", "swap 2"), 0.5),
+    _Panel("tightened, and pulled by the tension", ("tighten", "tension"), 1.0),
+)
+
+
+def save_forming_steps(path: Path, motion: Motion) -> None:
+    """Draw the steps of the first hitch that a plan forms, as a PNG at ``path``.
+
+    Raises
+    ------
+    InputError: the plan forms none.
+    """
+    by_name = {phase.name: phase for phase in reversed(motion.phases)}
+    if "swap 1" not in by_name:
+        raise InputError("motion", "no swap", "a plan that forms a hitch", "plan a form step")
+    figure = Figure(figsize=(13.0, 3.9), layout="constrained")
+    for i, panel in enumerate(PANELS):
+        axes = figure.add_subplot(1, len(PANELS), i + 1, projection="3d")
+        shown = [by_name[name] for name in panel.phases]
+        last = shown[-1]
+        time = last.start + max(panel.share, 0.0) * (last.end - last.start)
+        _draw(axes, motion, time, shown if panel.share > 0.0 else [])
+        axes.set_title(panel.title, fontsize="medium", y=1.0)
+    figure.legend(handles=_legend(), loc="lower center", ncols=4, frameon=False, fontsize="small")
+    figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+
+
+def _draw(axes: Any, motion: Motion, time: float, phases: list[Phase]) -> None:
+    """Draw drones and cables at ``time`` and the ways of all drones in ``phases``."""
+    # Just before the end, where a piece without a hitch is still asked of.
+    state = states_at(motion, max(time - 1e-9, 0.0))
+    for phase in phases:
+        way = states_at(motion, np.linspace(phase.start, phase.end, TRAIL)).positions
+        for drone in range(way.shape[1]):
+            axes.plot(*way[:, drone].T, color=PATH_COLOUR, linewidth=1.2)
+    for k, points in enumerate(_cables(motion.team, state)):
+        axes.plot(*points.T, color=CABLE_COLOURS[k % len(CABLE_COLOURS)], linewidth=2.0)
+    for first, marker, fill in ((0, "o", "0.1"), (1, "s", "white")):
+        axes.plot(
+            *state.positions[first::2].T,
+            linestyle="none",
+            marker=marker,
+            markersize=5.0,
+            markerfacecolor=fill,
+            markeredgecolor="0.1",
+        )
+    _frame(axes, motion)
+
+
+def _cables(team: Team, state: States) -> list[Array]:
+    """Return the points of every cable, taut or hanging."""
+    pairs = state.positions.reshape(-1, 2, 3)
+    if state.formed:
+        layout, vertices = team.layout, state.vertices
+        corners = [pairs[:, 0], vertices[layout.starts], vertices[layout.ends], pairs[:, 1]]
+        return list(np.stack(corners, axis=1))
+    q, r = pairs[:, 0], pairs[:, 1]
+    cables = Catenary.between(q, r, team.cable_length)
+    mu = cables.place(PLACES[:, None])
+    points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)
+    points[..., 2] -= cables.depth(mu)
+    return list(np.swapaxes(points, 0, 1))
+
+
+def _frame(axes: Any, motion: Motion) -> None:
+    """Give all panels the same room: that of the hitch and of the cables below it."""
+    formed = motion.spans(formed=True)[0]
+    places = formed.drones.coefficients[0, ..., 0]
+    middle = np.mean(places, axis=0)
+    reach = 1.02 * float(np.max(np.linalg.norm(places - middle, axis=1)))
+    depth = 0.5 * float(np.max(motion.team.cable_length))
+    axes.set_xlim(middle[0] - reach, middle[0] + reach)
+    axes.set_ylim(middle[1] - reach, middle[1] + reach)
+    axes.set_zlim(middle[2] - depth, middle[2] + 0.5)
+    axes.view_init(elev=38.0, azim=-75.0)
+    axes.set_box_aspect((2.0 * reach, 2.0 * reach, depth + 0.5), zoom=1.4)
+    axes.set_axis_off()
+
+
+def _legend() -> list[Line2D]:
+    def drone(marker: str, fill: str, label: str) -> Line2D:
+        return Line2D(
+            [],
+            [],
+            linestyle="none",
+            marker=marker,
+            markerfacecolor=fill,
+            markeredgecolor="0.1",
+            label=label,
+        )
+
+    return [
+        Line2D([], [], color=CABLE_COLOURS[0], linewidth=2.0, label="cables, one colour each"),
+        drone("o", "0.1", "drones q"),
+        drone("s", "white", "drones r"),
+        Line2D([], [], color=PATH_COLOUR, label="drones' ways"),
+    ]

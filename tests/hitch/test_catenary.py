@@ -1,0 +1,161 @@
+"""The hanging cable against its definition: length, balance, least energy."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.optimize import NonlinearConstraint, minimize
+
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.catenary import Catenary, depth_terms, pull_terms, steepness
+from hitchopt.hitch.hanging import hanging_forces
+
+SPANS = st.tuples(
+    st.floats(0.02, 0.98), st.floats(-0.9, 0.9), st.floats(0.3, 3.0)
+)  # share of what is left across, height over length, length
+
+
+def cable(case: tuple[float, float, float]) -> Catenary:
+    share, height, length = case
+    rise = 0.9 * height * length
+    return Catenary.spanning(share * math.sqrt(length**2 - rise**2), rise, length)
+
+
+def height(c: Catenary, mu: float) -> float:
+    """Over the first end, at a place from -1 to 1."""
+    return 0.5 * (1.0 + mu) * float(c.rise) - float(c.depth(mu))
+
+
+def slope(c: Catenary, mu: float) -> float:
+    step = 1e-5
+    around = height(c, mu + step) - height(c, mu - step)
+    return around / (step * float(c.across))
+
+
+@given(SPANS)
+@settings(max_examples=60, deadline=None)
+def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:
+    c = cable(case)
+    half = 0.5 * float(c.across)
+    ends = np.concatenate([[-1.0], np.sort(np.ravel(c.place(np.linspace(0.02, 0.98, 25)))), [1.0]])
+    length = sum(
+        quad(lambda mu: half * math.hypot(1.0, slope(c, mu)), a, b, limit=200)[0]
+        for a, b in pairwise(ends)
+    )
+    assert length == pytest.approx(float(c.length), rel=1e-6)
+    assert height(c, -1.0) == pytest.approx(0.0, abs=1e-12)
+    assert height(c, 1.0) == pytest.approx(float(c.rise), abs=1e-12)
+
+
+@given(SPANS)
+@settings(max_examples=60, deadline=None)
+def test_every_piece_of_it_is_in_balance(case: tuple[float, float, float]) -> None:
+    """The slope grows with the length from the lowest point, by one and the same factor."""
+    c = cable(case)
+    shares = np.linspace(0.1, 0.9, 7)
+    slopes = np.array([slope(c, float(c.place(s))) for s in shares])
+    growth = np.diff(slopes) / (np.diff(shares) * float(c.length))
+    assert growth == pytest.approx(np.full(6, growth[0]), rel=2e-4)
+    inward, _ = pull_terms(c.sigma)
+    assert 1.0 / growth[0] == pytest.approx(0.5 * float(c.across) * float(inward), rel=2e-4)
+
+
+@given(SPANS)
+@settings(max_examples=40, deadline=None)
+def test_lowest_point_and_mirror_image(case: tuple[float, float, float]) -> None:
+    c = cable(case)
+    mu = np.linspace(-1.0, 1.0, 20001)
+    heights = 0.5 * (1.0 + mu) * float(c.rise) - c.depth(mu)
+    assert float(c.lowest) <= np.min(heights) + 1e-12
+    assert float(c.lowest) == pytest.approx(np.min(heights), abs=1e-3 * float(c.length))
+    other = Catenary.spanning(c.across, -c.rise, c.length)
+    np.testing.assert_allclose(other.depth(-mu), c.depth(mu), atol=1e-12)
+    larger = Catenary.spanning(3.0 * c.across, 3.0 * c.rise, 3.0 * c.length)
+    np.testing.assert_allclose(larger.depth(mu), 3.0 * c.depth(mu), rtol=1e-9, atol=1e-12)
+
+
+def test_it_hangs_lower_than_any_other_curve() -> None:
+    """A chain of 40 links of least potential energy comes to lie on it."""
+    c = Catenary.spanning(0.9, 0.35, 1.7)
+    links, length = 40, 1.7 / 40
+    # Over the links' angles, so that their lengths need no constraint, only the end's place does.
+    share = (np.arange(links) + 0.5) / links
+
+    def ends(angles: np.ndarray) -> np.ndarray:
+        return length * np.array([np.sum(np.cos(angles)) - 0.9 / length, np.sum(np.sin(angles))])
+
+    weights = (links - np.arange(links) - 0.5) / links
+
+    def energy(angles: np.ndarray) -> float:
+        return float(np.sum(weights * np.sin(angles)))
+
+    found = minimize(
+        energy,
+        np.linspace(-1.2, 1.35, links),
+        constraints=NonlinearConstraint(ends, np.array([0.0, 0.35]), np.array([0.0, 0.35])),
+        method="SLSQP",
+        options={"maxiter": 400, "ftol": 1e-12},
+    )
+    assert found.success
+    z = length * np.cumsum(np.sin(found.x)) - 0.5 * length * np.sin(found.x)
+    mu = c.place(share)
+    np.testing.assert_allclose(z, 0.5 * (1.0 + mu) * 0.35 - c.depth(mu), atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_pulls_are_what_the_energy_changes_by(seed: int) -> None:
+    """Finite differences of the potential energy over the ends' places; unequal cables."""
+    rng = np.random.default_rng(seed)
+    team = Team(3, [1.9, 2.1, 2.4], cable_density=0.013)
+    drones = rng.uniform(-0.5, 0.5, (6, 3)) + [3.0, -2.0, 5.0]
+
+    def energy(places: np.ndarray) -> float:
+        q, r = places[0::2], places[1::2]
+        share = (np.arange(4000) + 0.5)[:, None] / 4000
+        c = Catenary.between(q, r, team.cable_length)
+        mu = c.place(share)
+        z = q[:, 2] + 0.5 * (1.0 + mu) * (r - q)[:, 2] - c.depth(mu)
+        return float(np.sum(GRAVITY * 0.013 * team.cable_length * np.mean(z, axis=0)))
+
+    forces = hanging_forces(team, drones)
+    step = 1e-4
+    for i, axis in np.ndindex(drones.shape):
+        moved = [drones.copy(), drones.copy()]
+        moved[0][i, axis] -= step
+        moved[1][i, axis] += step
+        by_energy = -(energy(moved[1]) - energy(moved[0])) / (2.0 * step)
+        assert forces[i, axis] == pytest.approx(by_energy, rel=2e-3, abs=2e-4)
+    total = -GRAVITY * 0.013 * np.repeat(team.cable_length, 2).reshape(3, 2)[:, 0]
+    np.testing.assert_allclose(forces.reshape(3, 2, 3).sum(axis=1)[:, 2], total, rtol=1e-12)
+    np.testing.assert_allclose(forces.reshape(3, 2, 3).sum(axis=1)[:, :2], 0.0, atol=1e-12)
+
+
+def test_weightless_cables_do_not_pull() -> None:
+    assert not np.any(hanging_forces(Team(2, 1.0, topology="open"), np.eye(4, 3)))
+
+
+@pytest.mark.parametrize("ratio", [1.0 + 1e-12, 1.0 + 1e-7, 1.001, 1.7, 2.999, 3.001, 20.0, 1e6])
+def test_steepness_solves_its_equation(ratio: float) -> None:
+    sigma = float(steepness(ratio))
+    if sigma > 1e-3:
+        assert math.sinh(sigma) / sigma == pytest.approx(ratio, rel=1e-13)
+    else:
+        assert sigma**2 / 6.0 + sigma**4 / 120.0 == pytest.approx(ratio - 1.0, rel=1e-4)
+    assert float(steepness(0.7)) == 0.0  # taut
+
+
+def test_the_shape_changes_by_a_quarter_per_steepness_at_most() -> None:
+    """The bound that hanging cables are enclosed by, on a fine grid, and where it is attained."""
+    sigma, mu = np.meshgrid(np.linspace(0.002, 15.0, 1501), np.linspace(-1.0, 1.0, 401))
+    step = 1e-5
+    above, below = (depth_terms(sigma + s, mu) for s in (step, -step))
+    rates = [np.abs(a - b) / (2.0 * step) for a, b in zip(above, below, strict=True)]
+    assert np.max(rates[0]) < 0.25 + 1e-6
+    assert np.max(rates[0]) > 0.249
+    assert np.max(rates[1]) < 0.25

@@ -1,0 +1,282 @@
+"""Form, release and land in missions: one plan, one certificate, roles, refusals and files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from hitchopt.certificate import certify
+from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.model.motion import Motion
+
+Array = NDArray[np.float64]
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+TRIANGLE = np.array([[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]])
+LINES = np.array([[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]])
+
+
+def forming(q: Array, r: Array, team: ho.Team | None = None, **keys: Any) -> ho.Plan[Motion]:
+    team = team or ho.Team(3, 2.4)
+    return ho.form(team, q, r, keys.pop("polygon", TRIANGLE), 1.5, **keys)
+
+
+@cache
+def whole_mission() -> ho.Plan[Any]:
+    return ho.solve(PROBLEMS / "tie_carry_untie.yaml")
+
+
+def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
+    plan = whole_mission()
+    names = [phase.name for phase in plan.phases]
+    assert names == [
+        "take-off",
+        "approach",
+        "swap 1",
+        "swap 2",
+        "tighten",
+        "tension",
+        "morph",
+        "transport",
+        "hold",
+        "relax",
+        "loosen",
+        "unswap 1",
+        "unswap 2",
+        "land",
+    ]
+    assert [p.formed for p in plan.phases] == [False] * 5 + [True] * 5 + [False] * 4
+    assert [p.step for p in plan.phases] == [0] * 6 + [1, 2, 3] + [4] * 4 + [5]
+    assert plan.certificate.certified
+    order = [check.name for check in plan.certificate.checks]
+    assert order.index("span") == order.index("cable_length") + 1
+    assert order.index("interlacing") == order.index("continuity") + 1
+    assert plan.certificate["interlacing"].worst == 0.0
+    start, end = plan.at(0.0), plan.at(plan.duration)
+    for state in (start, end):
+        assert not state.formed
+        np.testing.assert_allclose(state.positions[:, 2], 0.0, atol=1e-12)
+    tensions = plan.at(np.array([p.end for p in plan.phases if p.name in {"tension", "hold"}]))
+    np.testing.assert_allclose(tensions.tensions, 0.4, atol=1e-12)
+
+
+def test_the_vertices_table_has_rows_only_while_there_is_a_hitch(tmp_path: Path) -> None:
+    plan = whole_mission()
+    plan.save(tmp_path, rate=10.0)
+    rows = (tmp_path / "vertices.csv").read_text().splitlines()[1:]
+    times = np.array([float(row.split(",")[0]) for row in rows])
+    formed = [phase for phase in plan.phases if phase.formed]
+    assert np.min(times) >= formed[0].start - 1e-9
+    assert np.max(times) <= formed[-1].end + 0.1
+    read = ho.load(tmp_path)
+    assert read.motion.phases == plan.motion.phases
+    assert read.motion.assignment == plan.motion.assignment
+    for here, there in zip(read.certificate.checks, plan.certificate.checks, strict=True):
+        assert (here.name, here.holds) == (there.name, there.holds)
+        assert here.worst == pytest.approx(there.worst, rel=1e-3, abs=2e-3)
+    content = json.loads((tmp_path / "certificate.json").read_text())
+    assignment = plan.motion.assignment
+    assert content["assignment"] == {
+        "robots": list(assignment.robots),
+        "flipped": list(assignment.flipped),
+    }
+    kept = np.load(tmp_path / "plan.npz")
+    assert json.loads(str(kept["settings"]))["assignment"] == content["assignment"]
+
+
+def test_drones_start_where_the_robots_of_their_roles_are() -> None:
+    """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
+    aside = [0.13, 0.0, 0.0]  # else two assignments are equally good
+    left, right = LINES + aside, LINES * [-1, 1, 1] + aside
+    plan = forming(left, right)
+    order, flip = [2, 0, 1], np.array([[True], [False], [True]])
+    q, r = np.where(flip, right, left)[order], np.where(flip, left, right)[order]
+    other = forming(q, r)
+    t = np.linspace(0.0, plan.duration, 101)
+    np.testing.assert_allclose(other.at(t).positions, plan.at(t).positions, atol=1e-9)
+    assignment = other.motion.assignment
+    assert assignment is not None
+    given = np.stack([q, r], axis=1)[list(assignment.robots)]
+    ends = np.where(np.array(assignment.flipped)[:, None, None], given[:, ::-1], given)
+    np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
+
+
+def test_fixed_is_the_identity_even_where_that_is_a_detour() -> None:
+    plan = forming(LINES[[1, 2, 0]], (LINES * [-1, 1, 1])[[1, 2, 0]], assign="fixed")
+    assignment = plan.motion.assignment
+    assert assignment is not None
+    assert assignment.robots == (0, 1, 2)
+    assert not any(assignment.flipped)
+    np.testing.assert_array_equal(plan.at(0.0).positions[0], LINES[1])
+    assert plan.certificate.certified
+
+
+def test_robots_bring_their_own_cables_tensions_and_drones() -> None:
+    kinds = [ho.Quadrotor(0.12, 2.4), ho.Quadrotor(0.14, 2.8), ho.Quadrotor(0.13, 2.6)]
+    team = ho.Team(3, [2.3, 2.5, 2.4], tension=[0.35, 0.4, 0.45], quadrotor=kinds)
+    plan = forming(LINES, LINES * [-1, 1, 1], team)
+    assignment = plan.motion.assignment
+    assert assignment is not None
+    order = list(assignment.robots)
+    flown = plan.motion.team
+    assert flown.cable_length.tolist() == [team.cable_length[i] for i in order]
+    assert flown.tension.tolist() == [team.tension[i] for i in order]
+    assert [kind.mass for kind in flown.quadrotors] == [kinds[i].mass for i in order]
+    np.testing.assert_allclose(plan.at(plan.duration).tensions, flown.tension, atol=1e-12)
+
+
+def test_form_then_release_comes_back_to_free_cables_wherever_the_hitch_has_gone() -> None:
+    problem = load_problem(PROBLEMS / "tie_carry_untie.yaml")
+    steps = [s for s in problem.mission if s.name not in {"land", "hold"}]
+    form = steps[0]
+    assert isinstance(form, ho.Form)
+    swap = ho.SwapSettings(sense=-1)  # the mission itself turns the other way
+    plan = ho.solve(replace(problem, mission=(replace(form, swap=swap), *steps[1:])))
+    assert plan.certificate["interlacing"].worst == 0.0
+
+
+def test_a_hitch_that_is_there_at_first_is_released() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.6)
+    plan = ho.release(start)
+    assert [p.name for p in plan.phases] == ["relax", "loosen", "unswap 1", "unswap 2"]
+    np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-12)
+    assert plan.at(0.0).tensions == pytest.approx(start.team.tension)
+    assert plan.certificate.certified
+
+
+def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
+    team = ho.Team(3, 2.4)
+    plan = ho.form(team, LINES, LINES * [-1, 1, 1], TRIANGLE, 0.5)
+    assert plan.phases[-1].name == "lower"
+    assert "hang" in plan.phases[-1].remark
+    np.testing.assert_allclose(plan.at(plan.duration).positions[:, 2], 0.5, atol=1e-9)
+    up = ho.release(ho.Hitch.spread(team, TRIANGLE, 0.5))
+    assert up.phases[0].name == "raise"
+    assert up.certificate["cable_clearance"].worst > 0.1
+
+
+def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
+    high = LINES + [0.0, 0.0, 2.0]
+    plan = forming(high, high * [-1, 1, 1])
+    assert plan.phases[0].name == "approach"
+    landed = ho.land(ho.Team(3, 2.4), high, high * [-1, 1, 1])
+    assert [p.name for p in landed.phases] == ["land"]
+    end = landed.at(landed.duration).positions
+    np.testing.assert_allclose(end[:, :2], landed.at(0.0).positions[:, :2], atol=1e-12)
+    np.testing.assert_allclose(end[:, 2], 0.0, atol=1e-12)
+    floor = ho.Arena([-3, -3, 0.4], [3, 3, 3])
+    higher = ho.land(ho.Team(3, 2.4), high, high * [-1, 1, 1], arena=floor)
+    np.testing.assert_allclose(higher.at(higher.duration).positions[:, 2], 0.4, atol=1e-12)
+    assert higher.certificate["arena"].worst == 0.0
+
+
+def test_open_chains_are_tied_as_well() -> None:
+    team = ho.Team(3, 2.0, topology="open")
+    q = np.array([[-2.0, -1, 0], [-0.5, -1, 0], [1, -1, 0]])
+    r = np.array([[-1.0, -1, 0], [0.5, -1, 0], [2, -1, 0]])
+    plan = ho.form(team, q, r, [[-1.5, 0], [-0.6, 0.8], [0.6, 0.8], [1.5, 0]], 1.5)
+    assert plan.certificate.certified
+    assert plan.certificate["interlacing"].worst == 0.0
+
+
+def test_steps_last_as_long_as_they_are_given() -> None:
+    plan = forming(LINES, LINES * [-1, 1, 1], duration=20.0)
+    assert plan.duration == pytest.approx(20.0, rel=1e-12)
+    assert plan.phases[-1].end == pytest.approx(20.0, rel=1e-12)
+    with pytest.raises(ho.InfeasibleError, match=r"^duration: 2 s is below the limit of \d.*form"):
+        forming(LINES, LINES * [-1, 1, 1], duration=2.0)
+
+
+def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
+    """Straight ways would tangle: cables are drawn together and carried around each other."""
+    rng = np.random.default_rng(1)
+    middles = np.column_stack([1.6 * (np.arange(4) % 2), 1.6 * (np.arange(4) // 2), np.zeros(4)])
+    angles = rng.uniform(-np.pi, np.pi, 4)
+    arms = 0.5 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
+    middles = middles[[0, 3, 1, 2]]
+    square = [[0.3, 1.3], [1.3, 1.3], [1.3, 0.3], [0.3, 0.3]]
+    plan = ho.form(ho.Team(4, 2.0), middles - arms, middles + arms, square, 1.5, assign="fixed")
+    names = [phase.name for phase in plan.phases]
+    assert names[:5] == ["take-off", "gather", "turn", "approach", "open"]
+    assert plan.certificate["interlacing"].worst == 0.0
+    assert plan.certificate["cable_clearance"].worst >= 0.1
+
+
+BAD_STARTS: list[tuple[str, Array, Array, str]] = [
+    ("overlap", LINES * [1, 0.05, 1], LINES * [-1, 0.05, 1], "separation"),
+    ("overstretched", LINES * [2.1, 1, 1], LINES * [-2.1, 1, 1], "span"),
+    ("crossing", LINES * [1, 0.5, 1], LINES[::-1] * [-1, 0.5, 1], "crossing"),
+]
+
+
+@pytest.mark.parametrize(("name", "q", "r", "binds"), BAD_STARTS, ids=[c[0] for c in BAD_STARTS])
+def test_starts_that_break_limits_are_told(name: str, q: Array, r: Array, binds: str) -> None:
+    assert name
+    with pytest.raises(ho.InfeasibleError, match=rf"(?m)^{binds}: .* at the start \(t = 0\)"):
+        forming(q, r)
+
+
+def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused() -> None:
+    """Two robots start with crossed cables, one over the other: no certified plan unties them."""
+    q = np.array([[-0.6, -0.6, 2.0], [-0.6, 0.6, 2.6], [2.0, 2.0, 2.0]])
+    r = np.array([[0.6, 0.6, 2.0], [0.6, -0.6, 2.6], [3.0, 2.0, 2.0]])
+    with pytest.raises(ho.InfeasibleError) as told:
+        forming(q, r)
+    assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "binds"),
+    [
+        ({"polygon": TRIANGLE, "legs": [0.05, 0.7, 0.7]}, "legs"),
+        ({"polygon": TRIANGLE, "limits": ho.Limits(tilt=0.1)}, "tilt"),
+        ({"arena": ho.Arena([-3, -3, 0], [3, 3, 1.6])}, "arena"),
+    ],
+)
+def test_what_binds_in_the_hitch_or_in_the_swap_is_named(keys: dict[str, Any], binds: str) -> None:
+    with pytest.raises(ho.InfeasibleError) as told:
+        forming(LINES, LINES * [-1, 1, 1], **keys)
+    assert binds in {violation.constraint for violation in told.value.violations}
+    assert all("step 0" in v.when for v in told.value.violations)
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ([{"release": {}}], r"mission\[0\]\.release = 'no hitch': .*form one before"),
+        ([{"transport": {"to": [0, 0, 1]}}], r"mission\[0\]\.transport = 'no hitch'"),
+        (
+            [{"form": {"polygon": TRIANGLE.tolist()}}, {"land": {}}],
+            r"mission\[1\]\.land = 'a hitch': .*release it before",
+        ),
+    ],
+)
+def test_missions_that_make_no_sense_are_refused(steps: list[Any], message: str) -> None:
+    data = {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "start": {"drones": {"q": LINES.tolist(), "r": (LINES * [-1, 1, 1]).tolist()}},
+        "mission": steps,
+    }
+    with pytest.raises(ho.InputError, match=message):
+        problem_from_dict(data)
+
+
+def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
+    team = ho.Team(3, 2.4, cable_density=0.008)
+    plan = forming(LINES + [0, 0, 2], LINES * [-1, 1, 1] + [0, 0, 2], team)
+    free, taut = plan.at(0.0), plan.at(plan.duration)
+    weight = 9.81 * 0.008 * 2.4
+    pairs = free.cable_forces.reshape(3, 2, 3)
+    np.testing.assert_allclose(pairs.sum(axis=1), np.outer(np.ones(3), [0, 0, -weight]), atol=1e-12)
+    assert np.all(pairs[:, 0, 0] * np.sign(free.positions[1::2, 0] - free.positions[0::2, 0]) > 0)
+    level = np.linalg.norm(taut.cable_forces[:, :2], axis=1)
+    np.testing.assert_allclose(level, 0.4, atol=1e-9)
+    assert certify(plan.motion).certified
