@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Arena, Limits, Separation, Team
 from hitchopt.hitch.catenary import Catenary
@@ -193,8 +194,8 @@ def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:
 def _spaced(points: Array, least: float) -> Array:
     """Return points (n, 3) [m] moved from their middle until ``least`` [m] apart from above."""
     flat = points[:, :2]
-    apart = np.linalg.norm(flat[:, None] - flat, axis=-1) + least * np.eye(len(flat))
-    factor = max(1.0, least / max(float(np.min(apart)), 1e-9))
+    nearest = np.asarray(cKDTree(flat).query(flat, k=[2])[0])
+    factor = max(1.0, least / max(float(np.min(nearest)), 1e-9))
     middle = np.mean(flat, axis=0)
     spaced = points.copy()
     spaced[:, :2] = middle + factor * (flat - middle)
