@@ -1,0 +1,231 @@
+"""One flight: settle, fly the setpoints, rest, and pull at the hitch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import HitchoptError
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.simulate.air import downwash, drag
+from hitchopt.simulate.control import Reference, wanted_forces
+from hitchopt.simulate.disturbances import Disturbances
+from hitchopt.simulate.drones import make_drones
+from hitchopt.simulate.linking import linking_matrix
+from hitchopt.simulate.recorder import Recorder
+from hitchopt.simulate.records import Flight
+from hitchopt.simulate.ropes import Ropes, ropes_of, thickness_allowance
+from hitchopt.simulate.settings import Settings
+from hitchopt.simulate.shapes import clasped, hanging
+from hitchopt.simulate.tables import Setpoints, VertexTable
+from hitchopt.simulate.watch import check_valid
+from hitchopt.simulate.world import World, build_world, imported_mujoco
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+CONTROL = 0.002
+"""[s] Between two commands of the controller, as nearly as time steps allow."""
+
+SETTLE = 2.0
+"""[s] Before the flight: cables are drawn tight, or come to rest."""
+
+DRAWN = 1.0
+"""[s] Of it, in which the cables' pull grows to what it is to be."""
+
+SLACK_PULL = 0.3
+"""Of the tension, with which cables begin to be drawn tight."""
+
+REST = 1.0
+"""[s] After the flight, before anything is judged."""
+
+PULL, PULLED = 1.5, 2.0
+"""Pull test: tension over the plan's, and how long it takes [s], half of it to grow."""
+
+RESTING_SAMPLE = 0.01
+"""[s] Between samples after the last setpoint."""
+
+
+def fly(
+    team: Team,
+    setpoints: Setpoints,
+    vertices: VertexTable,
+    settings: Settings,
+    progress: Progress | None = None,
+) -> Flight:
+    """Return the flight of the setpoints; what ends it early is in it.
+
+    It begins with a hitch where ``vertices`` has one at the first setpoint, else with cables that
+    hang free.
+
+    Parameters
+    ----------
+    team: who flies.
+    setpoints: what they are told.
+    vertices: where the plan's hitch is: the cables' shape at the start, and how much longer they
+        must be for being simulated so thick. Drones never learn of it.
+    settings: of the simulation.
+    progress: called now and then with what is being done.
+
+    Raises
+    ------
+    InputError: a preset that cannot carry the team's tension.
+    ShapeError: cables that cannot hang between the first setpoints.
+    UnsupportedError: mujoco is not installed.
+    """
+    chance = Disturbances(settings.perturbations, team.robots, settings.seed)
+    allowance = thickness_allowance(team, vertices, settings.preset.diameter)
+    lengths = team.cable_length * chance.cable_scale + allowance
+    ropes = ropes_of(team, settings.preset, settings.density, settings.friction, lengths)
+    world = build_world(ropes, team.mass, rigid=settings.body == "rigid", ground=settings.ground)
+    begins = vertices.index(float(setpoints.t[0]))
+    start = setpoints.positions[0] + chance.start_offset
+    if begins is None:
+        world.place(hanging(ropes, start, settings.ground))
+    else:
+        world.place(clasped(ropes, team.layout, start, vertices.positions[begins]))
+    run = _Run(team, setpoints, settings, world, chance, progress)
+    error: HitchoptError | None = None
+    try:
+        run.fly(formed=begins is not None)
+    except HitchoptError as reason:
+        error = reason
+    return run.flight(error)
+
+
+class _Run:
+    """A flight under way."""
+
+    def __init__(
+        self,
+        team: Team,
+        setpoints: Setpoints,
+        settings: Settings,
+        world: World,
+        chance: Disturbances,
+        progress: Progress | None,
+    ) -> None:
+        self._setpoints, self._settings = setpoints, settings
+        self._world, self._chance, self._progress = world, chance, progress
+        self._mujoco = imported_mujoco()
+        self._drones = make_drones(world, team.max_thrust, settings.lag)
+        self._recorder = Recorder(world, team, self._drones)
+        # What the plan knows of the cables' weight is replaced by what it is.
+        self._planned_weight = _upward(team.cable_weight)
+        self._weight = _upward(_carried(world.ropes))
+        step = world.ropes.preset.time_step
+        self._substeps = max(1, round(CONTROL / step))
+        self._period = self._substeps * step
+        self._linking: NDArray[np.int64] | None = None
+        self._rested = self._pulled = float("nan")
+
+    def fly(self, *, formed: bool) -> None:
+        """Go through all of it; a HitchoptError tells that it ended early."""
+        end, last = self._setpoints.duration, len(self._setpoints.t) - 1
+        for time in self._times(-SETTLE, 0.0):
+            drawn = SLACK_PULL + (1.0 - SLACK_PULL) * (time + SETTLE) / DRAWN
+            self._step(time, 0, min(1.0, drawn) if formed else 1.0)
+        self._recorder.forget()
+        self._sample(0.0, 0)
+        told = 0
+        for time in self._times(0.0, end):
+            index = self._setpoints.index(time)
+            if index != told:
+                self._sample(time, told)
+                told = index
+                self._tell(time, told)
+            self._step(time, index, 1.0)
+        self._rest(end, end + REST, last, 1.0)
+        self._rested = end + REST
+        cables = [self._world.cable(k) for k in range(len(self._world.ropes.lengths))]
+        self._linking = linking_matrix(cables)
+        if self._settings.pull_test:
+            self._rest(self._rested, self._rested + PULLED, last, PULL)
+            self._pulled = self._rested + PULLED
+
+    def _rest(self, begin: float, end: float, index: int, pull: float) -> None:
+        """Hold one setpoint, its cables pulled by ``pull`` times as much half way through."""
+        every = max(1, round(RESTING_SAMPLE / self._period))
+        for step, time in enumerate(self._times(begin, end)):
+            if step % every == 0:
+                self._sample(time, index)
+            grown = min(1.0, 2.0 * (time - begin) / (end - begin))
+            self._step(time, index, 1.0 + (pull - 1.0) * grown)
+        self._sample(end, index)
+
+    def _times(self, begin: float, end: float) -> Array:
+        """Return the times of the commands in [begin, end)."""
+        count = max(0, round((end - begin) / self._period))
+        times: Array = begin + self._period * np.arange(count, dtype=np.float64)
+        return times
+
+    def _step(self, time: float, index: int, pull: float) -> None:
+        """Command the drones and let the world go on by one period."""
+        world, chance = self._world, self._chance
+        reference = self._reference(index, pull)
+        believed = world.drones + chance.noise.advance(self._period)
+        velocities = world.data.qvel[world.drone_dofs]
+        wanted = wanted_forces(reference, world.masses, believed, velocities)
+        self._drones.apply(world, wanted, reference, self._period)
+        push = chance.wind.advance(self._period)
+        if self._settings.perturbations.downwash:
+            push = push + downwash(world.drones, self._drones.thrusts)
+        world.data.xfrc_applied[world.drone_bodies, :3] += push
+        world.data.qfrc_applied[world.node_dofs] = drag(world)
+        for _ in range(self._substeps):
+            self._mujoco.mj_step(world.model, world.data)
+        check_valid(world, time)
+        self._recorder.watch(time)
+
+    def _reference(self, index: int, pull: float) -> Reference:
+        """Return setpoint ``index``, the cables' pull, their weight aside, times ``pull``."""
+        table = self._setpoints
+        tension = table.cable_forces[index] + self._planned_weight
+        return Reference(
+            table.positions[index],
+            table.velocities[index],
+            table.accelerations[index],
+            table.jerks[index],
+            table.yaw[index],
+            pull * tension - self._weight,
+        )
+
+    def _sample(self, time: float, index: int) -> None:
+        self._recorder.sample(time, self._setpoints.positions[index])
+
+    def _tell(self, time: float, index: int) -> None:
+        if self._progress is not None and index % TELLING == 0:
+            self._progress(f"flying, {time:.1f} of {self._setpoints.duration:.1f} s")
+
+    def flight(self, error: HitchoptError | None) -> Flight:
+        """Return what there is of the flight."""
+        if self._recorder.empty:  # ended while it settled
+            self._sample(0.0, 0)
+        return Flight(
+            self._recorder.record,
+            self._recorder.film,
+            self._recorder.events,
+            self._linking,
+            self._setpoints.duration,
+            self._rested,
+            self._pulled,
+            self._world.ropes.density,
+            error,
+        )
+
+
+TELLING = 50
+"""Setpoints between two signs of life."""
+
+
+def _carried(ropes: Ropes) -> Array:
+    """Return (2n,) [N]: the half of its cable's weight that each drone carries."""
+    weight: Array = np.repeat(0.5 * GRAVITY * ropes.density * ropes.lengths, 2)
+    return weight
+
+
+def _upward(forces: Array) -> Array:
+    upward: Array = np.multiply.outer(forces, [0.0, 0.0, 1.0])
+    return upward

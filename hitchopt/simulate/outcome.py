@@ -1,0 +1,181 @@
+"""What became of a flight: does it hold, and if not, what failed, where and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Team
+from hitchopt.simulate.records import Flight
+from hitchopt.simulate.watch import InvalidRunError
+
+Array = NDArray[np.float64]
+
+HELD = 0.10
+"""[m] A vertex that moves no farther under half as much tension again is held."""
+
+JUDGED = 0.5
+"""[s] Over which a vertex's place is averaged before the pull test, and at its end."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One thing that went wrong.
+
+    Attributes
+    ----------
+    kind: ``invalid`` (the simulation left its range), ``touch``, ``unlinked``, ``tangled``,
+        ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the pull test).
+    where: names of drones, cables or vertices.
+    time: [s], from the flight's start.
+    words: what happened.
+    """
+
+    kind: str
+    where: tuple[str, ...]
+    time: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Clasp:
+    """Whether one vertex is hitched.
+
+    Attributes
+    ----------
+    name: p0, p1, ….
+    linking: how often its two cables are linked, ±1 for a clasp; 0 where it was not reached.
+    bearing: how hard they press on each other after the rest [N].
+    moved: how far the vertex moved under the pull test [m]; nan without one.
+    holds: linked once, bearing, and held.
+    """
+
+    name: str
+    linking: int
+    bearing: float
+    moved: float
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a flight.
+
+    Attributes
+    ----------
+    clasps: of a plan that ends with a hitch; else none.
+    failures: all that went wrong, by time; none is a success.
+    """
+
+    clasps: tuple[Clasp, ...]
+    failures: tuple[Failure, ...]
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether nothing went wrong."""
+        return not self.failures
+
+    @property
+    def hitched(self) -> bool:
+        """Whether every vertex holds, and there are any."""
+        return bool(self.clasps) and all(clasp.holds for clasp in self.clasps)
+
+
+def judge(flight: Flight, team: Team, *, formed: bool) -> Outcome:
+    """Return what became of a flight.
+
+    Parameters
+    ----------
+    flight: simulated.
+    team: who flew.
+    formed: whether the plan ends with a hitch; else its cables are to be free of each other.
+    """
+    failures = [
+        Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
+        for e in flight.events
+    ]
+    if flight.error is not None:
+        time = flight.error.time if isinstance(flight.error, InvalidRunError) else np.nan
+        where = (flight.error.where,) if isinstance(flight.error, InvalidRunError) else ()
+        failures.append(Failure("invalid", where, float(time), str(flight.error)))
+    clasps = _clasps(flight, team) if formed else ()
+    if flight.linking is not None:
+        failures += _wrong_links(flight, flight.linking, team, formed=formed)
+        failures += [failure for clasp in clasps for failure in _weak(flight, clasp)]
+    failures.sort(key=lambda failure: failure.time)
+    return Outcome(clasps, tuple(failures))
+
+
+def _clasps(flight: Flight, team: Team) -> tuple[Clasp, ...]:
+    layout, record = team.layout, flight.record
+    before, bearing = _mean_place(flight, flight.rested)
+    after, _ = _mean_place(flight, flight.pulled)
+    moved = np.linalg.norm(after - before, axis=-1)
+    tested = record.t[-1] >= flight.pulled  # false where there is none: nan
+    found = []
+    for c, point in enumerate(layout.clasps):
+        pair = layout.behind[c], layout.ahead[c]
+        linking = 0 if flight.linking is None else int(flight.linking[pair])
+        held = bool(moved[c] <= HELD) if tested else np.isnan(flight.pulled)
+        holds = abs(linking) == 1 and bool(np.isfinite(before[c, 0])) and bool(held)
+        found.append(
+            Clasp(
+                team.point_names[point],
+                linking,
+                float(bearing[c]),
+                float(moved[c]) if tested else float("nan"),
+                holds and flight.error is None,
+            )
+        )
+    return tuple(found)
+
+
+def _mean_place(flight: Flight, end: float) -> tuple[Array, Array]:
+    """Return the vertices' places and forces over the last JUDGED seconds until ``end`` [s]."""
+    record = flight.record
+    chosen = (record.t > end - JUDGED) & (record.t <= end + 1e-9)
+    vertices, bearing = record.vertices[chosen], record.bearing[chosen]
+    there = np.isfinite(vertices[..., :1])
+    count = np.sum(there, axis=0)
+    sums = np.sum(np.where(there, vertices, 0.0), axis=0)
+    places: Array = np.divide(sums, count, out=np.full_like(sums, np.nan), where=count > 0)
+    forces: Array = np.sum(bearing, axis=0) / max(len(bearing), 1)
+    return places, forces
+
+
+def _wrong_links(
+    flight: Flight, linking: NDArray[np.int64], team: Team, *, formed: bool
+) -> list[Failure]:
+    layout = team.layout
+    wanted = np.zeros_like(linking)
+    if formed:
+        wanted[layout.behind, layout.ahead] = wanted[layout.ahead, layout.behind] = 1
+    point = {
+        tuple(sorted((int(j), int(k)))): team.point_names[p]
+        for j, k, p in zip(layout.behind, layout.ahead, layout.clasps, strict=True)
+    }
+    failures = []
+    for i, j in np.argwhere(np.triu(np.abs(linking) != wanted, 1)):
+        number = int(linking[i, j])
+        if wanted[i, j]:
+            name = point[int(i), int(j)]
+            words = f"{name}: cables {i} and {j} are linked {number} times, not once"
+            failures.append(Failure("unlinked", (name,), flight.rested, words))
+        else:
+            names = (f"cable {i}", f"cable {j}")
+            words = f"cables {i} and {j} are linked {number} times, and should not be"
+            failures.append(Failure("tangled", names, flight.rested, words))
+    return failures
+
+
+def _weak(flight: Flight, clasp: Clasp) -> list[Failure]:
+    """Return what is wrong with a clasp that is linked."""
+    if clasp.holds or abs(clasp.linking) != 1:
+        return []
+    if clasp.moved > HELD:
+        words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
+        return [Failure("slipped", (clasp.name,), flight.pulled, words)]
+    words = f"{clasp.name}: its cables do not bear on each other"
+    return [Failure("lost", (clasp.name,), flight.rested, words)]

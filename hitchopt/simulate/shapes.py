@@ -1,0 +1,203 @@
+"""How cables lie when a flight begins: interlaced at the vertices of a hitch, or hanging free.
+
+Every shape is a chain of segments that have their length exactly, so that nothing springs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root
+
+from hitchopt.errors import HitchoptError
+from hitchopt.hitch.layout import Layout
+from hitchopt.simulate.ropes import Ropes
+
+Array = NDArray[np.float64]
+
+ROOM = 1.5
+"""Diameters between two cables that pass each other in a clasp not yet drawn tight."""
+
+GRAIN = 2.0
+"""Segments, likewise: a bend has to be made of some."""
+
+
+class ShapeError(HitchoptError):
+    """Drones between which a cable cannot hang."""
+
+
+def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
+    """Return the cables of a formed hitch, loosely interlaced; drones lie a little inward.
+
+    At a clasp both cables bend toward each other and overlap; on the side of the legs cable k
+    passes over cable k-1, on the side of the edges under it.
+
+    Parameters
+    ----------
+    ropes: n of them.
+    layout: which cables meet where.
+    drones: (2n, 3) [m]
+    vertices: (points, 3) [m]
+
+    Returns
+    -------
+    n of (segments + 1, 3) [m].
+    """
+    room = max(ROOM * ropes.preset.diameter, GRAIN * float(np.max(ropes.segment_lengths)))
+    bends = _bends(layout, drones, vertices, room)
+    lengths = ropes.segment_lengths
+    return [
+        _walked(bend, int(count), float(length))
+        for bend, count, length in zip(bends, ropes.segments, lengths, strict=True)
+    ]
+
+
+def _bends(layout: Layout, drones: Array, vertices: Array, room: float) -> list[Array]:
+    """Return (corners, 3) [m] of every cable, from beyond q_k over both its vertices to r_k."""
+    q, r = drones[0::2], drones[1::2]
+    u = _unit(layout.edges(vertices))
+    p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
+    q_hat, r_hat = _unit(q[after] - p), _unit(r[before] - p)
+    across = _unit(q_hat + u[after])  # along it the bends of both cables are drawn together
+    lift = np.array([0.0, 0.0, 0.5 * room])
+    slope = np.sum(across * u[after], axis=-1, keepdims=True)
+    reach = room / np.maximum(slope, LEAST_SLOPE)  # from the bend to where the cables pass
+    apex, other = p - 0.5 * room * across, p + 0.5 * room * across
+    n = layout.robots
+    starts: list[list[Array]] = [[q[k]] for k in range(n)]
+    ends: list[list[Array]] = [[r[k]] for k in range(n)]
+    for c, (k, j) in enumerate(zip(after, before, strict=True)):
+        half = 0.5 * reach[c]
+        starts[k] = [
+            q[k] + BEYOND * q_hat[c],
+            apex[c] + 2.0 * half * q_hat[c] + lift,
+            apex[c] + half * q_hat[c] + lift,
+            apex[c],
+            apex[c] + half * u[k] - lift,
+            apex[c] + 2.0 * half * u[k] - lift,
+        ]
+        ends[j] = [
+            other[c] - 2.0 * half * u[j] + lift,
+            other[c] - half * u[j] + lift,
+            other[c],
+            other[c] + half * r_hat[c] - lift,
+            other[c] + 2.0 * half * r_hat[c] - lift,
+            r[j] + BEYOND * r_hat[c],
+        ]
+    return [np.array([*a, *b]) for a, b in zip(starts, ends, strict=True)]
+
+
+LEAST_SLOPE = 0.2
+"""The sharpest clasps, below 23°, begin with a little less overlap than they could have."""
+
+BEYOND = 0.5
+"""[m] How far a cable's line goes on where its last segments might need it."""
+
+
+def _walked(corners: Array, count: int, length: float) -> Array:
+    """Return (count + 1, 3): a chain along a line with corners, from the middle to both ends."""
+    middle = len(corners) // 2
+    centre = 0.5 * (corners[middle - 1] + corners[middle])
+    onward = _steps(np.vstack([centre, corners[middle:]]), count // 2, length)
+    back = _steps(np.vstack([centre, corners[:middle][::-1]]), count // 2, length)
+    return np.vstack([back[:0:-1], onward])
+
+
+def _steps(corners: Array, count: int, length: float) -> Array:
+    """Return (count + 1, 3): points on the line, each at ``length`` from the one before it."""
+    points, here, leg = [corners[0]], corners[0], 0
+    for _ in range(count):
+        while leg < len(corners) - 2 and np.linalg.norm(corners[leg + 1] - here) < length:
+            leg += 1
+        start, along = corners[leg], corners[leg + 1] - corners[leg]
+        along = along / np.linalg.norm(along)
+        offset = start - here
+        b, c = float(offset @ along), float(offset @ offset) - length**2
+        here = start + (np.sqrt(max(b * b - c, 0.0)) - b) * along
+        points.append(here)
+    return np.array(points)
+
+
+def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
+    """Return cables that hang between their drones, or lie beside them where the ground is near.
+
+    A cable that would touch the ground starts as an arc at its drones' height, bulging to their
+    right, and falls.
+
+    Parameters
+    ----------
+    ropes: n of them.
+    drones: (2n, 3) [m]
+    ground: its height [m].
+
+    Returns
+    -------
+    n of (segments + 1, 3) [m].
+
+    Raises
+    ------
+    ShapeError: drones farther apart than their cable is long.
+    """
+    found = []
+    for k, (count, length) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
+        q, r = drones[2 * k], drones[2 * k + 1]
+        if np.linalg.norm(r - q) > count * length * (1.0 + 1e-6):
+            raise ShapeError(
+                f"cable {k}: its drones start {np.linalg.norm(r - q):.4g} m apart, more than its "
+                f"{count * length:.4g} m; lengthen it, or start closer"
+            )
+        chain = _hanging_chain(q, r, int(count), float(length))
+        if np.min(chain[:, 2]) < ground + ropes.preset.diameter:
+            chain = _lying_arc(q, r, int(count), float(length))
+        found.append(chain)
+    return found
+
+
+def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
+    """Return the chain of equal links in balance between q and r: a catenary's discrete twin."""
+    across = r - q
+    span = float(np.hypot(across[0], across[1]))
+    level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    rank = np.arange(count) - 0.5 * (count - 1)
+
+    def links(unknown: Array) -> tuple[Array, Array]:
+        pull, tilt = np.exp(unknown[0]), unknown[1]  # in units of one link's weight
+        steep = rank + tilt
+        size = np.hypot(pull, steep)
+        return length * pull / size, length * steep / size
+
+    def gap(unknown: Array) -> Array:
+        x, z = links(unknown)
+        return np.array([np.sum(x) - span, np.sum(z) - across[2]]) / (count * length)
+
+    slack = max(1.0 - float(np.linalg.norm(across)) / (count * length), 1e-9)
+    for guess in (np.log(count / (5.0 * np.sqrt(slack))), np.log(0.05 * count), 8.0, 0.0):
+        found = root(gap, np.array([guess, 0.0]), tol=1e-13)
+        if np.max(np.abs(gap(found.x))) < 1e-8:
+            break
+    x, z = links(found.x)
+    steps = x[:, None] * level + z[:, None] * np.array([0.0, 0.0, 1.0])
+    return np.vstack([q, q + np.cumsum(steps, axis=0)])
+
+
+def _lying_arc(q: Array, r: Array, count: int, length: float) -> Array:
+    """Return links on a circle through q and r, in the level plane if these are level."""
+    across = r - q
+    span = float(np.linalg.norm(across))
+    along = across / span
+    side = np.cross(along, [0.0, 0.0, 1.0])
+    side = side / np.linalg.norm(side)
+    ratio = min(span / (count * length), 1.0)
+    low, high = 0.0, np.pi / count  # half the turn per link: sin(count a) / (count sin a) = ratio
+    for _ in range(100):
+        mid = 0.5 * (low + high)
+        chord = np.sin(count * mid) / (count * np.sin(mid))
+        low, high = (mid, high) if chord > ratio else (low, mid)
+    angles = high * (2.0 * np.arange(count) - (count - 1))
+    steps = length * (np.cos(angles)[:, None] * along + np.sin(angles)[:, None] * side)
+    return np.vstack([q, q + np.cumsum(steps, axis=0)])
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return unit
