@@ -29,19 +29,21 @@ MOST_NAMES = 4
 def phase_table(phases: Iterable[Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks where there are any."""
     rows = tuple(phases)
-    table = _table("Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"])
+    table = new_table(
+        "Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"]
+    )
     if any(phase.remark for phase in rows):
         table.add_column("remark", overflow="fold")
     for phase in rows:
         times = (phase.start, phase.end, phase.end - phase.start)
         remark = (Text(phase.remark),) if phase.remark else ()
         table.add_row(Text(phase.name), str(phase.step), *(f"{t:.3f} s" for t in times), *remark)
-    return _rendered(table)
+    return rendered(table)
 
 
 def certificate_table(certificate: Certificate) -> str:
     """Return the table of a certificate's checks, each with its worst value over all of time."""
-    table = _table("Certificate", [("check", "left")], ["worst", "limit"])
+    table = new_table("Certificate", [("check", "left")], ["worst", "limit"])
     for name in ("unit", "where", "when", "holds"):
         table.add_column(name, overflow="fold")
     for check in certificate.checks:
@@ -55,7 +57,7 @@ def certificate_table(certificate: Certificate) -> str:
             f"{check.time:.3f} s" if math.isfinite(check.time) else "",
             Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
         )
-    return _rendered(table)
+    return rendered(table)
 
 
 def closeness_table(closest: Closeness) -> str:
@@ -86,7 +88,8 @@ def _names(names: Sequence[str]) -> str:
     return f"{shown}, and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
 
 
-def _table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
+def new_table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
+    """Return an empty table: columns of words, each with its side, then columns of numbers."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name, side in words:
         table.add_column(name, justify="left" if side == "left" else "right", overflow="fold")
@@ -95,7 +98,8 @@ def _table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str])
     return table
 
 
-def _rendered(table: Table) -> str:
+def rendered(table: Table) -> str:
+    """Return the table as lines of text, as wide as the terminal."""
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
     text = StringIO()

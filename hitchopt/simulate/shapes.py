@@ -15,8 +15,8 @@ from hitchopt.simulate.ropes import Ropes
 
 Array = NDArray[np.float64]
 
-ROOM = 1.5
-"""Diameters between two cables that pass each other in a clasp not yet drawn tight."""
+ROOM = 2.5
+"""Diameters between the two bends of a clasp that is not yet drawn tight."""
 
 GRAIN = 2.0
 """Segments, likewise: a bend has to be made of some."""
@@ -29,8 +29,8 @@ class ShapeError(HitchoptError):
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
     """Return the cables of a formed hitch, loosely interlaced; drones lie a little inward.
 
-    At a clasp both cables bend toward each other and overlap; on the side of the legs cable k
-    passes over cable k-1, on the side of the edges under it.
+    At a clasp both cables bend toward each other and overlap like two links of a chain: cable k
+    lies flat, cable k-1 stands upright in it, its leg below.
 
     Parameters
     ----------
@@ -58,37 +58,36 @@ def _bends(layout: Layout, drones: Array, vertices: Array, room: float) -> list[
     u = _unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
     q_hat, r_hat = _unit(q[after] - p), _unit(r[before] - p)
-    across = _unit(q_hat + u[after])  # along it the bends of both cables are drawn together
+    along = 0.5 * room * _unit(q_hat + u[after])  # the way that cable k's bend opens
+    aside = 0.5 * room * _unit(q_hat - u[after])  # to the side of the legs
     lift = np.array([0.0, 0.0, 0.5 * room])
-    slope = np.sum(across * u[after], axis=-1, keepdims=True)
-    reach = room / np.maximum(slope, LEAST_SLOPE)  # from the bend to where the cables pass
-    apex, other = p - 0.5 * room * across, p + 0.5 * room * across
     n = layout.robots
     starts: list[list[Array]] = [[q[k]] for k in range(n)]
     ends: list[list[Array]] = [[r[k]] for k in range(n)]
     for c, (k, j) in enumerate(zip(after, before, strict=True)):
-        half = 0.5 * reach[c]
         starts[k] = [
             q[k] + BEYOND * q_hat[c],
-            apex[c] + 2.0 * half * q_hat[c] + lift,
-            apex[c] + half * q_hat[c] + lift,
-            apex[c],
-            apex[c] + half * u[k] - lift,
-            apex[c] + 2.0 * half * u[k] - lift,
+            p[c] + REACH * room * q_hat[c],
+            p[c] + along[c] + aside[c],
+            p[c] - along[c] + aside[c],
+            p[c] - along[c] - aside[c],
+            p[c] + along[c] - aside[c],
+            p[c] + REACH * room * u[k],
         ]
         ends[j] = [
-            other[c] - 2.0 * half * u[j] + lift,
-            other[c] - half * u[j] + lift,
-            other[c],
-            other[c] + half * r_hat[c] - lift,
-            other[c] + 2.0 * half * r_hat[c] - lift,
+            p[c] - REACH * room * u[j],
+            p[c] - along[c] + lift,
+            p[c] + along[c] + lift,
+            p[c] + along[c] - lift,
+            p[c] - along[c] - lift,
+            p[c] + REACH * room * r_hat[c],
             r[j] + BEYOND * r_hat[c],
         ]
     return [np.array([*a, *b]) for a, b in zip(starts, ends, strict=True)]
 
 
-LEAST_SLOPE = 0.2
-"""The sharpest clasps, below 23°, begin with a little less overlap than they could have."""
+REACH = 3.0
+"""Times the room between two bends: from there on a cable follows the plan's straight lines."""
 
 BEYOND = 0.5
 """[m] How far a cable's line goes on where its last segments might need it."""
@@ -194,7 +193,7 @@ def _lying_arc(q: Array, r: Array, count: int, length: float) -> Array:
         chord = np.sin(count * mid) / (count * np.sin(mid))
         low, high = (mid, high) if chord > ratio else (low, mid)
     angles = high * (2.0 * np.arange(count) - (count - 1))
-    steps = length * (np.cos(angles)[:, None] * along + np.sin(angles)[:, None] * side)
+    steps = length * (np.cos(angles)[:, None] * along - np.sin(angles)[:, None] * side)
     return np.vstack([q, q + np.cumsum(steps, axis=0)])
 
 

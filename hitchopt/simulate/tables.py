@@ -87,9 +87,9 @@ def read_setpoints(path: Path, team: Team) -> Setpoints:
     columns = [0, *range(2, 18)]
     values = _numbers(path, SETPOINTS_HEADER, columns)
     names = team.drone_names
-    _check_names(path, 1, names)
     if len(values) == 0 or len(values) % len(names):
         raise FileError(f"{path}: {len(values)} rows for {len(names)} drones; solve again")
+    _check_names(path, 1, names)
     table = values.reshape(-1, len(names), len(columns))
     t = table[:, 0, 0]
     if np.any(table[:, :, 0] != t[:, None]) or np.any(np.diff(t) <= 0.0):
@@ -114,7 +114,8 @@ def read_vertices(path: Path, team: Team) -> VertexTable:
     """
     points, n = team.layout.points, team.robots
     values = _numbers(path, VERTICES_HEADER, [0, 2, 3, 4, 5])
-    _check_names(path, 1, tuple(str(k) for k in range(points)))
+    if len(values):
+        _check_names(path, 1, tuple(str(k) for k in range(points)))
     if len(values) % points:
         raise FileError(f"{path}: {len(values)} rows for {points} vertices; solve again")
     table = values.reshape(-1, points, 5)
