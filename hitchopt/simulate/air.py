@@ -23,13 +23,21 @@ BLOCKED = 0.5
 """Share of the downward momentum through a drone's disk that becomes force on it."""
 
 
-def drag(world: World) -> Array:
-    """Return (nodes, 3) [N]: the air's drag on the cables' inner nodes, as on cylinders across."""
+def drag(world: World, slowing: float = 0.0) -> Array:
+    """Return (nodes, 3) [N]: the air's drag on the cables' inner nodes, as on cylinders across.
+
+    Parameters
+    ----------
+    world: whose cables move.
+    slowing: [1/s], how fast they lose speed besides.
+    """
     velocities = world.data.qvel[world.node_dofs]
     ropes = world.ropes
     area = np.repeat(ropes.preset.diameter * ropes.segment_lengths, ropes.segments - 1)
     speed = np.linalg.norm(velocities, axis=-1)
-    forces: Array = -0.5 * AIR_DENSITY * DRAG_COEFFICIENT * (area * speed)[:, None] * velocities
+    mass = np.repeat(ropes.density * ropes.segment_lengths, ropes.segments - 1)
+    rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * speed + slowing * mass
+    forces: Array = -rate[:, None] * velocities
     return forces
 
 

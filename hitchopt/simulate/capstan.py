@@ -34,6 +34,9 @@ TENSION, DENSITY = 0.5, 0.01
 DRAWN, TURNED = 1.0, 0.9
 """[s] After which the cables are tight and one begins to slide, and square to each other."""
 
+HONEY = 40.0
+"""[1/s] How fast cables lose their speed as they begin to be drawn tight; none once they are."""
+
 SPEED = 0.05
 """[m/s] Of the sliding cable. Faster, its segments cost tension as they pass the bend."""
 
@@ -89,6 +92,7 @@ def capstan_test(
     ropes = ropes_of(team, preset)
     world = build_world(ropes, team.mass, rigid=False, gravity=0.0)
     world.place(clasped(ropes, team.layout, hitch.drones, hitch.vertices))
+    loose = world.drones - hitch.drones
     edges = np.split(np.arange(len(world.edge_cables)), [int(ropes.segments[0])])[1]
     pulled = edges[MARGIN : int(0.25 * len(edges))]
     other = edges[int(0.7 * len(edges)) : -MARGIN]
@@ -96,7 +100,7 @@ def capstan_test(
     end = DRAWN + slide + measured
     for step in range(round(end / preset.time_step)):
         time = step * preset.time_step
-        _pull(world, team, hitch, time)
+        _pull(world, team, hitch, loose, time)
         mujoco.mj_step(world.model, world.data)
         check_valid(world, time)
         if time >= DRAWN + slide:
@@ -112,7 +116,7 @@ MARGIN = 2
 """Segments next to a drone that are left out."""
 
 
-def _pull(world: World, team: Team, hitch: Hitch, time: float) -> None:
+def _pull(world: World, team: Team, hitch: Hitch, loose: Array, time: float) -> None:
     """Let point drones pull; cable 0 turns about the clasp's bisector, then cable 1 slides."""
     slid = max(time - DRAWN, 0.0)
     angle = 0.5 * np.pi * min(time / TURNED, 1.0)
@@ -121,6 +125,8 @@ def _pull(world: World, team: Team, hitch: Hitch, time: float) -> None:
     clasp = hitch.vertices[1]
     goal[:2] = clasp + _turned(goal[:2] - clasp, angle)
     goal[2:] += SPEED * slid * along
+    drawn = min(1.0, time / DRAWN)
+    goal += (1.0 - drawn) * loose
     pace = np.zeros_like(goal)
     pace[2:] = SPEED * along * (slid > 0.0)
     ahead = -hitch.cable_forces
@@ -128,7 +134,10 @@ def _pull(world: World, team: Team, hitch: Hitch, time: float) -> None:
     ahead[:2] = _turned(ahead[:2], angle)
     error, rate = goal - world.drones, pace - world.data.qvel[world.drone_dofs]
     force = team.mass[:, None] * (POSITION_GAIN * error + VELOCITY_GAIN * rate)
-    world.data.xfrc_applied[world.drone_bodies, :3] = force + min(1.0, 0.3 + 0.7 * time) * ahead
+    world.data.xfrc_applied[world.drone_bodies, :3] = force + drawn * ahead
+    node = DENSITY * world.ropes.segment_lengths[0]
+    slowing = HONEY * (1.0 - drawn) * node
+    world.data.qfrc_applied[world.node_dofs] = -slowing * world.data.qvel[world.node_dofs]
 
 
 def _turned(vectors: Array, angle: float) -> Array:

@@ -26,17 +26,19 @@ from hitchopt.simulate.world import World, build_world, imported_mujoco
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-CONTROL = 0.002
+CONTROL = 0.005
 """[s] Between two commands of the controller, as nearly as time steps allow."""
 
-SETTLE = 2.0
+SETTLE = 2.5
 """[s] Before the flight: cables are drawn tight, or come to rest."""
 
-DRAWN = 1.0
-"""[s] Of it, in which the cables' pull grows to what it is to be."""
+DRAWN = 1.5
+"""[s] Of it, in which drones go from where their loose cables put them to the first setpoint, and
+the cables' pull grows to what it is to be: drawn in a jerk, loose clasps would tear."""
 
-SLACK_PULL = 0.3
-"""Of the tension, with which cables begin to be drawn tight."""
+HONEY = 40.0
+"""[1/s] How fast cables lose their speed as they begin to settle; in a flight air alone slows them.
+Falling free until they are taut, they would whip."""
 
 REST = 1.0
 """[s] After the flight, before anything is judged."""
@@ -118,15 +120,19 @@ class _Run:
         step = world.ropes.preset.time_step
         self._substeps = max(1, round(CONTROL / step))
         self._period = self._substeps * step
+        self._honey = 0.0
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
 
     def fly(self, *, formed: bool) -> None:
         """Go through all of it; a HitchoptError tells that it ended early."""
         end, last = self._setpoints.duration, len(self._setpoints.t) - 1
+        loose = self._world.drones - self._setpoints.positions[0] if formed else 0.0
         for time in self._times(-SETTLE, 0.0):
-            drawn = SLACK_PULL + (1.0 - SLACK_PULL) * (time + SETTLE) / DRAWN
-            self._step(time, 0, min(1.0, drawn) if formed else 1.0)
+            drawn = min(1.0, (time + SETTLE) / DRAWN)
+            share = drawn**3 * (10.0 - 15.0 * drawn + 6.0 * drawn**2)
+            self._honey = HONEY * (1.0 - share)
+            self._step(time, 0, share if formed else 1.0, (1.0 - share) * loose)
         self._recorder.forget()
         self._sample(0.0, 0)
         told = 0
@@ -137,6 +143,7 @@ class _Run:
                 told = index
                 self._tell(time, told)
             self._step(time, index, 1.0)
+        self._sample(end, last)
         self._rest(end, end + REST, last, 1.0)
         self._rested = end + REST
         cables = [self._world.cable(k) for k in range(len(self._world.ropes.lengths))]
@@ -149,7 +156,7 @@ class _Run:
         """Hold one setpoint, its cables pulled by ``pull`` times as much half way through."""
         every = max(1, round(RESTING_SAMPLE / self._period))
         for step, time in enumerate(self._times(begin, end)):
-            if step % every == 0:
+            if step and step % every == 0:
                 self._sample(time, index)
             grown = min(1.0, 2.0 * (time - begin) / (end - begin))
             self._step(time, index, 1.0 + (pull - 1.0) * grown)
@@ -161,10 +168,13 @@ class _Run:
         times: Array = begin + self._period * np.arange(count, dtype=np.float64)
         return times
 
-    def _step(self, time: float, index: int, pull: float) -> None:
-        """Command the drones and let the world go on by one period."""
+    def _step(self, time: float, index: int, pull: float, aside: Array | float = 0.0) -> None:
+        """Command the drones and let the world go on by one period.
+
+        Drones are to be at setpoint ``index``, and ``aside`` (2n, 3) [m] of it.
+        """
         world, chance = self._world, self._chance
-        reference = self._reference(index, pull)
+        reference = self._reference(index, pull, aside)
         believed = world.drones + chance.noise.advance(self._period)
         velocities = world.data.qvel[world.drone_dofs]
         wanted = wanted_forces(reference, world.masses, believed, velocities)
@@ -173,18 +183,18 @@ class _Run:
         if self._settings.perturbations.downwash:
             push = push + downwash(world.drones, self._drones.thrusts)
         world.data.xfrc_applied[world.drone_bodies, :3] += push
-        world.data.qfrc_applied[world.node_dofs] = drag(world)
+        world.data.qfrc_applied[world.node_dofs] = drag(world, self._honey)
         for _ in range(self._substeps):
             self._mujoco.mj_step(world.model, world.data)
         check_valid(world, time)
         self._recorder.watch(time)
 
-    def _reference(self, index: int, pull: float) -> Reference:
+    def _reference(self, index: int, pull: float, aside: Array | float) -> Reference:
         """Return setpoint ``index``, the cables' pull, their weight aside, times ``pull``."""
         table = self._setpoints
         tension = table.cable_forces[index] + self._planned_weight
         return Reference(
-            table.positions[index],
+            table.positions[index] + aside,
             table.velocities[index],
             table.accelerations[index],
             table.jerks[index],

@@ -108,7 +108,7 @@ def vertex_errors(
     )
 
 
-SAMPLE_SLACK = 2.5e-3
+SAMPLE_SLACK = 5.1e-3
 """[s] A sample is taken at the first command after its setpoint."""
 
 

@@ -15,10 +15,10 @@ from hitchopt.simulate.ropes import Ropes
 
 Array = NDArray[np.float64]
 
-ROOM = 2.5
+ROOM = 3.0
 """Diameters between the two bends of a clasp that is not yet drawn tight."""
 
-GRAIN = 2.0
+GRAIN = 1.7
 """Segments, likewise: a bend has to be made of some."""
 
 
@@ -86,7 +86,7 @@ def _bends(layout: Layout, drones: Array, vertices: Array, room: float) -> list[
     return [np.array([*a, *b]) for a, b in zip(starts, ends, strict=True)]
 
 
-REACH = 3.0
+REACH = 2.0
 """Times the room between two bends: from there on a cable follows the plan's straight lines."""
 
 BEYOND = 0.5
@@ -153,7 +153,11 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
 
 def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
-    """Return the chain of equal links in balance between q and r: a catenary's discrete twin."""
+    """Return the chain of equal links in balance between q and r: a catenary's discrete twin.
+
+    With q and r straight above each other it may end up to a link's length from r, since only whole
+    links hang down.
+    """
     across = r - q
     span = float(np.hypot(across[0], across[1]))
     level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])

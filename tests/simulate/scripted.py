@@ -53,7 +53,7 @@ def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
 
 def forming(
     hitch: Hitch,
-    turns: Sequence[float],
+    turns: Sequence[float] | Sequence[tuple[float, float]],
     *,
     leg: float = 0.3,
     tilt: float = np.pi / 4.0,
