@@ -163,6 +163,6 @@ def _check_names(path: Path, column: int, names: tuple[str, ...]) -> None:
     wrong = np.flatnonzero(found != wanted)
     if wrong.size:
         raise FileError(
-            f"{path}: row {wrong[0] + 1} is of {found[wrong[0]]!r} where {wanted[wrong[0]]!r} is "
+            f"{path}: row {wrong[0] + 1} is of '{found[wrong[0]]}' where '{wanted[wrong[0]]}' is "
             "due; plan and tables are not of one solve: solve again"
         )

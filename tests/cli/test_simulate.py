@@ -1,0 +1,111 @@
+"""hitchopt simulate: what it says, writes and ends with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import hitchopt as ho
+from hitchopt.cli import main
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A triangle that stands for a tenth of a second; regular, with room."""
+    team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, cable_friction=0.1)
+    hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
+    place = tmp_path_factory.mktemp("plan") / "out"
+    return ho.hold(hitch, seconds=0.1).save(place)
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_one_flight_says_that_it_holds_and_writes_it(solved: Path, tmp_path: Path) -> None:
+    film = tmp_path / "flight.gif"
+    result = run("simulate", solved, "--film", film, "--drones", "point")
+    assert result.exit_code == 0, result.output
+    assert "hitched: every vertex is linked and held" in result.stdout
+    assert "times real time" in result.stdout
+    assert result.stderr == ""
+    place = solved / "simulation"
+    names = {path.name for path in place.iterdir()}
+    assert names == {
+        "simulation.json",
+        "vertices.csv",
+        "cables.csv",
+        "drones.csv",
+        "recording.npz",
+    }
+    summary = json.loads((place / "simulation.json").read_text(encoding="utf-8"))
+    assert summary["hitched"] is summary["succeeded"] is True
+    assert [clasp["name"] for clasp in summary["clasps"]] == ["p0", "p1", "p2"]
+    assert summary["settings"]["lag"] == 0.08
+    assert summary["settings"]["preset"]["name"] == "fast"
+    with np.load(place / "recording.npz") as recording:
+        assert recording["nodes"].shape == (len(recording["t"]), recording["cables"][-1], 3)
+    rows = (place / "vertices.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0].startswith("t,vertex,x,y,z,planned_x")
+    assert len(rows) == 1 + 3 * len({row.split(",")[0] for row in rows[1:]})
+    error = [float(row.split(",")[9]) for row in rows[1:]]
+    assert np.mean(error) == pytest.approx(summary["vertex_error"]["all"]["mean"], rel=1e-6)
+    assert film.read_bytes()[:6] in {b"GIF87a", b"GIF89a"}
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.gif"]
+    check = run("check", solved)  # the plan's own files are as they were
+    assert check.exit_code == 0, check.output
+
+
+def test_a_campaign_says_how_often(solved: Path, tmp_path: Path) -> None:
+    place = tmp_path / "campaign"
+    options = ["--runs", "2", "--processes", "1", "--seed", "7", "--perturbed", "--noise", "0"]
+    result = run("simulate", solved, "-o", place, "--drones", "point", *options)
+    assert result.exit_code == 0, result.output
+    assert (
+        "2 of 2 flights succeeded: 100.0% (34.2% to 100.0% at 95 %), seeds 7 to 8" in result.stdout
+    )
+    assert {path.name for path in place.iterdir()} == {"campaign.json", "runs.csv"}
+    settings = json.loads((place / "campaign.json").read_text(encoding="utf-8"))["settings"]
+    assert settings["perturbations"]["noise"] == 0.0
+    assert settings["perturbations"]["wind"] == 0.05
+
+
+def test_a_flight_that_fails_ends_with_3_and_says_what(solved: Path, tmp_path: Path) -> None:
+    result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point", "--wind", "3")
+    assert result.exit_code == 3, result.output
+    assert "failed: t = " in result.stderr
+    summary = json.loads((tmp_path / "x" / "simulation.json").read_text(encoding="utf-8"))
+    assert summary["succeeded"] is False
+    assert summary["failures"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--preset", "fine"], "'fine' is not one of 'fast', 'accurate'"),
+        (["--preste", "fast"], "No such option"),
+        (["--noise", "-1"], "noise = -1.0: must be at least 0"),
+        (["--density", "0.0001"], "time_step = 0.00125: must be at most"),
+        (["--runs", "0"], "runs = 0: must be at least 1"),
+        (["--film", "flight.avi"], "must be a name in .gif or .mp4"),
+        (["--film", "flight.gif", "--runs", "3"], "must be of a single flight"),
+        (["--seed", "-3"], "seed = -3: must be a whole number"),
+    ],
+)
+def test_what_is_wrong_in_itself_ends_with_2(
+    solved: Path, tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    result = run("simulate", solved, "-o", tmp_path / "x", *arguments)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_directory_without_a_plan_is_told(tmp_path: Path) -> None:
+    result = run("simulate", tmp_path)
+    assert result.exit_code == 2
+    assert "plan.npz: there is no such file" in result.stderr
