@@ -157,7 +157,7 @@ def write_table(path: Path, header: str, t: Array, names: list[str], values: Arr
     )
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(header + "\n")
-        for row in stamped.reshape(len(t), -1):
+        for row in stamped.reshape(len(t), len(names) * stamped.shape[-1]):
             file.write(rows % tuple("" if math.isnan(x) else NUMBER % x for x in row.tolist()))
 
 
