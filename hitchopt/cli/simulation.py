@@ -60,7 +60,7 @@ RESULTS = "simulation"
 @click.option("--downwash", is_flag=True, help="Drones blow on those below them.")
 @click.option("--friction", metavar="MU", type=float, help="At the clasps; else the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Of the cables; else the team's.")
-@click.option("--ground", metavar="M", type=float, default=0.0, help="Height of the ground [m].")
+@click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
 @click.option(
     "--film",
     metavar="FILE",
@@ -126,14 +126,14 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
         done = simulated(task, settings, progress)
     save_simulation(place, done)
     say(flight_tables(done))
+    say(f"{_verdict(done.outcome.hitched, task.ends_formed)}; results are in {place}")
+    for failure in done.outcome.failures:
+        say(f"failed: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
         with LateProgress(sys.stderr, "drawing the film"):
             save_film(film, done.flight.film)
         say(f"the film is {film}")
-    say(f"{_verdict(done.outcome.hitched, task.ends_formed)}; results are in {place}")
     if not done.outcome.succeeded:
-        for failure in done.outcome.failures:
-            say(f"failed: t = {failure.time:.2f} s, {failure.words}", err=True)
         click.get_current_context().exit(UNMET)
 
 

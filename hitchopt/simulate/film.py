@@ -37,7 +37,7 @@ def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
     ------
     InputError: another ending.
     UnsupportedError: what writes films is not installed.
-    FileError: the file cannot be written.
+    FileError: the file cannot be written, or there is nothing to be seen.
     """
     check_film_name(path)
     try:
@@ -46,6 +46,8 @@ def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
         raise UnsupportedError(
             "films need imageio, which is not installed; pip install 'hitchopt[simulate]'"
         ) from None
+    if len(film.t) < 2:
+        raise FileError(f"{path}: the flight ended before there was anything to film")
     step = max(1, round(1.0 / rate / float(np.median(np.diff(film.t)))))
     pictures = _pictures(film, step)
     shown = float(np.median(np.diff(film.t))) * step

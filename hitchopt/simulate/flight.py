@@ -11,6 +11,7 @@ from hitchopt.errors import HitchoptError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.simulate.air import downwash, drag
 from hitchopt.simulate.control import Reference, wanted_forces
+from hitchopt.simulate.description import BODY
 from hitchopt.simulate.disturbances import Disturbances
 from hitchopt.simulate.drones import make_drones
 from hitchopt.simulate.linking import linking_matrix
@@ -81,11 +82,12 @@ def fly(
     allowance = thickness_allowance(team, vertices, settings.preset.diameter)
     lengths = team.cable_length * chance.cable_scale + allowance
     ropes = ropes_of(team, settings.preset, settings.density, settings.friction, lengths)
-    world = build_world(ropes, team.mass, rigid=settings.body == "rigid", ground=settings.ground)
+    ground = _ground(setpoints) if settings.ground is None else settings.ground
+    world = build_world(ropes, team.mass, rigid=settings.body == "rigid", ground=ground)
     begins = vertices.index(float(setpoints.t[0]))
     start = setpoints.positions[0] + chance.start_offset
     if begins is None:
-        world.place(hanging(ropes, start, settings.ground))
+        world.place(hanging(ropes, start, ground))
     else:
         world.place(clasped(ropes, team.layout, start, vertices.positions[begins]))
     run = _Run(team, setpoints, settings, world, chance, progress)
@@ -228,6 +230,15 @@ class _Run:
 
 TELLING = 50
 """Setpoints between two signs of life."""
+
+
+def _ground(setpoints: Setpoints) -> float:
+    """Return the height [m] of a ground at 0 that even the lowest drone stands above."""
+    return min(0.0, float(np.min(setpoints.positions[..., 2])) - STANDING)
+
+
+STANDING = BODY.half_height + 0.005
+"""[m] Height of a drone's centre that stands on the ground."""
 
 
 def _carried(ropes: Ropes) -> Array:

@@ -75,7 +75,7 @@ class VertexErrors:
 def vertex_errors(
     flight: Flight, team: Team, setpoints: Setpoints, vertices: VertexTable
 ) -> VertexErrors:
-    """Return the errors at those samples of the flight at which the plan has a hitch.
+    """Return the errors at those samples of the flight at which the plan has a hitch, drawn tight.
 
     Parameters
     ----------
@@ -88,6 +88,8 @@ def vertex_errors(
     rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= flight.duration + SAME_SAMPLE))
     place = _nearest(vertices.t, record.t[rows] + begin, SAMPLE_SLACK)
     rows, place = rows[place >= 0], place[place >= 0]
+    tight = np.all(vertices.tensions[place] >= TIGHT * team.tension, axis=-1)
+    rows, place = rows[tight], place[tight]
     planned = vertices.positions[place][:, clasps]
     sag = _sags(team, flight.density, setpoints, vertices, place)[:, clasps]
     offset = record.vertices[rows] - planned
@@ -107,6 +109,9 @@ def vertex_errors(
         step[place] > STILL,
     )
 
+
+TIGHT = 0.5
+"""Of the team's tension; with less, while a hitch is being drawn tight, its place means little."""
 
 SAMPLE_SLACK = 5.1e-3
 """[s] A sample is taken at the first command after its setpoint."""
@@ -144,17 +149,13 @@ def _sags(
                 density,
                 setpoints.positions[i],
                 vertices.positions[row],
-                np.maximum(vertices.tensions[row], LEAST_TENSION),
+                vertices.tensions[row],
             )
             for i, row in zip(told, rows[chosen], strict=True)
         ]
     )
     ranks = np.arange(len(rows))
     return np.column_stack([np.interp(ranks, chosen, sags[:, p]) for p in range(points)])
-
-
-LEAST_TENSION = 0.02
-"""[N] Cables that the plan has just begun to draw tight have no sag worth predicting."""
 
 
 def tracking_errors(flight: Flight) -> Array:

@@ -112,7 +112,8 @@ class Settings:
     friction: at the clasps, instead of the team's; or None.
     density: of the cables [kg/m], instead of the team's; None: the team's, and DENSITY where the
         team's cables have no weight, since a rope without mass cannot be simulated.
-    ground: height of the ground [m].
+    ground: its height [m]; None: 0, or lower where drones are told to go lower, so that they stand
+        on it.
     pull_test: whether the hitch is pulled at in the end.
     """
 
@@ -122,7 +123,7 @@ class Settings:
     seed: int = 0
     friction: float | None = None
     density: float | None = None
-    ground: float = 0.0
+    ground: float | None = None
     pull_test: bool = True
 
     def __post_init__(self) -> None:
@@ -134,7 +135,8 @@ class Settings:
             object.__setattr__(self, "friction", not_negative("friction", self.friction))
         if self.density is not None:
             object.__setattr__(self, "density", positive("density", self.density))
-        object.__setattr__(self, "ground", finite("ground", self.ground))
+        if self.ground is not None:
+            object.__setattr__(self, "ground", finite("ground", self.ground))
 
     @property
     def lag(self) -> float:

@@ -118,10 +118,9 @@ def _steps(corners: Array, count: int, length: float) -> Array:
 
 
 def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
-    """Return cables that hang between their drones, or lie beside them where the ground is near.
+    """Return cables that hang between their drones, or lie between them where the ground is near.
 
-    A cable that would touch the ground starts as an arc at its drones' height, bulging to their
-    right, and falls.
+    A cable that would touch the ground starts in narrow folds between its drones, and falls.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
             )
         chain = _hanging_chain(q, r, int(count), float(length))
         if np.min(chain[:, 2]) < ground + ropes.preset.diameter:
-            chain = _lying_arc(q, r, int(count), float(length))
+            chain = _folded(q, r, int(count), float(length))
         found.append(chain)
     return found
 
@@ -183,21 +182,16 @@ def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
     return np.vstack([q, q + np.cumsum(steps, axis=0)])
 
 
-def _lying_arc(q: Array, r: Array, count: int, length: float) -> Array:
-    """Return links on a circle through q and r, in the level plane if these are level."""
+def _folded(q: Array, r: Array, count: int, length: float) -> Array:
+    """Return an even number of links that zigzag along the line from q to r, a link wide."""
     across = r - q
     span = float(np.linalg.norm(across))
     along = across / span
     side = np.cross(along, [0.0, 0.0, 1.0])
     side = side / np.linalg.norm(side)
-    ratio = min(span / (count * length), 1.0)
-    low, high = 0.0, np.pi / count  # half the turn per link: sin(count a) / (count sin a) = ratio
-    for _ in range(100):
-        mid = 0.5 * (low + high)
-        chord = np.sin(count * mid) / (count * np.sin(mid))
-        low, high = (mid, high) if chord > ratio else (low, mid)
-    angles = high * (2.0 * np.arange(count) - (count - 1))
-    steps = length * (np.cos(angles)[:, None] * along - np.sin(angles)[:, None] * side)
+    forward = min(span / (count * length), 1.0)
+    aside = np.sqrt(1.0 - forward**2) * (-1.0) ** np.arange(count)
+    steps = length * (forward * along + aside[:, None] * side)
     return np.vstack([q, q + np.cumsum(steps, axis=0)])
 
 

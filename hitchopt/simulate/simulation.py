@@ -68,7 +68,8 @@ class Simulation:
     @property
     def pace(self) -> float:
         """Simulated seconds, settling included, per second of one processor."""
-        simulated = float(self.flight.film.t[-1] - self.flight.film.t[0])
+        times = self.flight.film.t
+        simulated = float(times[-1] - times[0]) if len(times) else 0.0
         return simulated / max(self.processor, 1e-9)
 
 

@@ -99,7 +99,7 @@ def test_cables_between_drones_straight_above_each_other_hang_in_a_fold() -> Non
     assert np.min(cable[:, 2]) == pytest.approx(3.0 - 1.3, abs=0.05)
 
 
-def test_cables_near_the_ground_lie_beside_their_drones() -> None:
+def test_cables_near_the_ground_lie_in_narrow_folds() -> None:
     ropes = Ropes(np.array([2.0, 2.0]), 0.01, 0.0, FAST)
     drones = np.array([[0.0, 0.0, 0.1], [1.2, 0.5, 0.1], [0.0, 3.0, 0.1], [1.9, 3.0, 0.1]])
     cables = hanging(ropes, drones, 0.0)
@@ -109,9 +109,9 @@ def test_cables_near_the_ground_lie_beside_their_drones() -> None:
         np.testing.assert_allclose(cable[:, 2], 0.1)
         across = drones[2 * k + 1] - drones[2 * k]
         side = np.cross(across, [0.0, 0.0, 1.0])
-        bulge = (cable - drones[2 * k]) @ (side / np.linalg.norm(side))
-        assert np.min(bulge) > -1e-9
-        assert np.max(bulge) > 0.2
+        off = (cable - drones[2 * k]) @ (side / np.linalg.norm(side))
+        assert np.min(off) > -1e-9
+        assert 0.001 < np.max(off) < FAST.segment
 
 
 def test_drones_too_far_apart_are_told() -> None:
