@@ -40,7 +40,7 @@ class Preset:
 FRICTION_GRAIN = 0.85
 """Longest segment over diameter with which a clasp's friction is that of a capstan."""
 
-FAST = Preset("fast", 0.030, 0.012, 0.00125)
+FAST = Preset("fast", 0.030, 0.012, 0.001)
 """For topology: does it hold. Bends are made of too few segments for friction to be right."""
 
 ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
