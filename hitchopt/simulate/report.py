@@ -1,4 +1,4 @@
-"""A simulated flight as files: a summary, tables over time, and the recording."""
+"""A simulated flight as files: a summary, tables over time, the recording and a picture."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.simulate.measures import Spread, tracking_errors
+from hitchopt.simulate.picture import save_picture
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.simulation import Simulation
 
@@ -25,17 +26,18 @@ VERTICES = "vertices.csv"
 CABLES = "cables.csv"
 DRONES = "drones.csv"
 RECORDING = "recording.npz"
+PICTURE = "simulation.png"
 CAMPAIGN = "campaign.json"
 RUNS = "runs.csv"
 
-OWNED = (SUMMARY, VERTICES, CABLES, DRONES, RECORDING, CAMPAIGN, RUNS)
+OWNED = (SUMMARY, VERTICES, CABLES, DRONES, RECORDING, PICTURE, CAMPAIGN, RUNS)
 """The names that are ours in the directory of results; nothing else there is touched."""
 
 NUMBER = "%.9g"
 
 
 def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
-    """Write summary, tables and recording, all of them or none; return the directory.
+    """Write summary, tables, recording and picture, all of them or none; return the directory.
 
     Raises
     ------
@@ -46,6 +48,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
         CABLES: lambda path: _write_cables(path, simulation),
         DRONES: lambda path: _write_drones(path, simulation),
         RECORDING: lambda path: _write_recording(path, simulation),
+        PICTURE: lambda path: save_picture(path, simulation),
         SUMMARY: lambda path: write_json(path, summary(simulation)),
     }
     return replace_files(directory, writers, OWNED, seal=SUMMARY)

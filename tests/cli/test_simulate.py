@@ -41,6 +41,7 @@ def test_one_flight_says_that_it_holds_and_writes_it(solved: Path, tmp_path: Pat
         "cables.csv",
         "drones.csv",
         "recording.npz",
+        "simulation.png",
     }
     summary = json.loads((place / "simulation.json").read_text(encoding="utf-8"))
     assert summary["hitched"] is summary["succeeded"] is True
