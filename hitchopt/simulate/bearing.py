@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import Team
 from hitchopt.simulate.world import World
 
 Array = NDArray[np.float64]
@@ -64,45 +64,3 @@ class Bearing:
         vertices[bears] = self._moment[bears] / self._force[bears, None]
         self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
         return vertices, forces
-
-
-def predicted_sag(
-    team: Team, density: float, drones: Array, vertices: Array, tensions: Array
-) -> Array:
-    """Return (points,) [m]: how far below the plan cables of weight hang at the clasps.
-
-    The balance of heights, linear in them: every part of a cable pulls along its chord and puts
-    half of its weight on each of its ends. Drones are where they should be.
-
-    Parameters
-    ----------
-    team: whose hitch it is.
-    density: of its cables [kg/m].
-    drones, vertices: (2n, 3), (points, 3) [m], of the plan.
-    tensions: (n,) [N]
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.linalg import spsolve
-
-    layout = team.layout
-    points, clasps = layout.points, layout.clasps
-    edge = np.linalg.norm(layout.edges(vertices), axis=-1)
-    anchors = vertices[layout.anchors]
-    leg = np.where(layout.has_leg.ravel(), np.linalg.norm(drones - anchors, axis=-1), 0.0)
-    pull = np.repeat(tensions, 2)
-    legged = leg > 0.0
-    stiffness = np.divide(pull, leg, out=np.zeros_like(leg), where=legged)
-    diagonal = np.zeros(points)
-    load = np.zeros(points)
-    np.add.at(diagonal, layout.anchors, stiffness)
-    np.add.at(load, layout.anchors, 0.5 * GRAVITY * density * leg)
-    for end in (layout.starts, layout.ends):
-        np.add.at(diagonal, end, tensions / edge)
-        np.add.at(load, end, 0.5 * GRAVITY * density * edge)
-    rows = np.concatenate([np.arange(points), layout.starts, layout.ends])
-    columns = np.concatenate([np.arange(points), layout.ends, layout.starts])
-    values = np.concatenate([diagonal, -tensions / edge, -tensions / edge])
-    matrix = coo_array((values, (rows, columns)), shape=(points, points)).tocsc()
-    sag = np.zeros(points)  # a chain's ends are held by drones
-    sag[clasps] = spsolve(matrix[clasps][:, clasps], load[clasps])
-    return sag

@@ -130,11 +130,14 @@ class _Run:
         """Go through all of it; a HitchoptError tells that it ended early."""
         end, last = self._setpoints.duration, len(self._setpoints.t) - 1
         loose = self._world.drones - self._setpoints.positions[0] if formed else 0.0
+        friction = self._world.model.flex_friction.copy()
+        self._world.model.flex_friction[:] = 0.0  # so that where it begins is no matter of history
         for time in self._times(-SETTLE, 0.0):
             drawn = min(1.0, (time + SETTLE) / DRAWN)
             share = drawn**3 * (10.0 - 15.0 * drawn + 6.0 * drawn**2)
             self._honey = HONEY * (1.0 - share)
             self._step(time, 0, share if formed else 1.0, (1.0 - share) * loose)
+        self._world.model.flex_friction[:] = friction
         self._recorder.forget()
         self._sample(0.0, 0)
         told = 0

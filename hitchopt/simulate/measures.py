@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.simulate.bearing import predicted_sag
+from hitchopt.simulate.control import POSITION_GAIN
 from hitchopt.simulate.records import Flight
+from hitchopt.simulate.sag import predicted_sag
 from hitchopt.simulate.tables import SAME_SAMPLE, Setpoints, VertexTable
 
 Array = NDArray[np.float64]
@@ -150,6 +151,7 @@ def _sags(
                 setpoints.positions[i],
                 vertices.positions[row],
                 vertices.tensions[row],
+                POSITION_GAIN * team.mass[::2],
             )
             for i, row in zip(told, rows[chosen], strict=True)
         ]

@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 from scripted import regular_hitch, standing
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.simulate.bearing import predicted_sag
 from hitchopt.simulate.measures import Spread, tracking_errors, vertex_errors
 from hitchopt.simulate.records import Film, Flight, Record
+from hitchopt.simulate.sag import predicted_sag
 from hitchopt.simulate.tables import VertexTable
 
 Array = NDArray[np.float64]
@@ -108,3 +108,20 @@ def test_the_predicted_sag_has_the_least_energy(topology: str) -> None:
     np.testing.assert_allclose(
         predicted_sag(team, 3 * density, drones, vertices, 2 * tension), 1.5 * found
     )
+
+
+def test_drones_that_give_way_pull_harder_and_the_hitch_hangs_less() -> None:
+    hitch = regular_hitch(5)
+    team, leg, edge = hitch.team, 0.5, 1.3
+    drones, vertices, planned = hitch.drones, hitch.vertices, team.tension
+    sag = predicted_sag(team, 0.01, drones, vertices, planned, 4.75)[0]
+    # All vertices hang alike: one unknown, solved by bisection of the tension's own equation.
+    low, high = planned[0], 2.0 * planned[0]
+    for _ in range(60):
+        tension = 0.5 * (low + high)
+        deep = GRAVITY * 0.01 * leg * (leg + edge) / (2.0 * tension)
+        bent = (GRAVITY * 0.01 / tension) ** 2 * (2.0 * leg**3 + edge**3) / 24.0
+        pulls = planned[0] + 0.5 * 4.75 * (2.0 * deep**2 / (2.0 * leg) + bent)
+        low, high = (tension, high) if pulls > tension else (low, tension)
+    assert sag == pytest.approx(deep, rel=1e-5)
+    assert sag < 0.95 * predicted_sag(team, 0.01, drones, vertices, planned)[0]
