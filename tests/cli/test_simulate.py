@@ -90,7 +90,7 @@ def test_a_flight_that_fails_ends_with_3_and_says_what(solved: Path, tmp_path: P
         (["--preset", "fine"], "'fine' is not one of 'fast', 'accurate'"),
         (["--preste", "fast"], "No such option"),
         (["--noise", "-1"], "noise = -1.0: must be at least 0"),
-        (["--density", "0.0001"], "time_step = 0.00125: must be at most"),
+        (["--density", "0.0001"], "time_step = 0.001: must be at most"),
         (["--runs", "0"], "runs = 0: must be at least 1"),
         (["--film", "flight.avi"], "must be a name in .gif or .mp4"),
         (["--film", "flight.gif", "--runs", "3"], "must be of a single flight"),
