@@ -114,7 +114,7 @@ def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
     InputError: no run, or not as many as succeeded.
     """
     if not 0 <= successes <= runs or runs == 0:
-        raise InputError("successes", successes, f"from 0 to {runs} runs, at least one", "count")
+        raise InputError("successes", successes, f"from 0 to the {runs} runs", "fly at least one")
     z2 = CONFIDENCE**2 / runs
     rate = successes / runs
     middle = (rate + 0.5 * z2) / (1.0 + z2)

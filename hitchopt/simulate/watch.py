@@ -22,7 +22,8 @@ class InvalidRunError(HitchoptError):
 
     Attributes
     ----------
-    quantity: ``strain``, ``penetration``, ``tension`` or ``state``.
+    quantity: ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
+    value: what it was; nan of a state.
     time: [s], from the flight's start; negative while it settles.
     where: names of cables.
     """
@@ -34,10 +35,14 @@ class InvalidRunError(HitchoptError):
         self.value = value
         self.time = time
         self.where = where
+        broken = (
+            "its state is no longer finite"
+            if quantity == "state"
+            else f"{quantity} of {value:.4g} {unit} is beyond {limit:.4g} {unit} at {where}"
+        )
         super().__init__(
-            f"simulation: {quantity} of {value:.4g} {unit} is beyond {limit:.4g} {unit} at "
-            f"{where}, t = {time:.3f} s: ropes may have passed each other; take a finer preset or "
-            "a shorter time step, or fly more gently"
+            f"simulation: {broken}, t = {time:.3f} s: ropes may have passed each other; take a "
+            "finer preset or a shorter time step, or fly more gently"
         )
 
 
@@ -57,7 +62,7 @@ def check_valid(world: World, time: float) -> None:
     """
     data, model = world.data, world.model
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
-        raise InvalidRunError("state", float("nan"), 0.0, "(not finite)", time, "some cable")
+        raise InvalidRunError("state", float("nan"), 0.0, "", time, "all")
     strain = np.abs(data.flexedge_length / model.flexedge_length0 - 1.0)
     worst = int(np.argmax(strain))
     if strain[worst] > MOST_STRAIN:

@@ -143,7 +143,9 @@ def build_world(
 
 
 def imported_mujoco() -> Any:
-    """Return the module.
+    """Return the module, kept from writing its warnings to a file where the user happens to be.
+
+    They are counted in the data all the same, and end a run (see watch).
 
     Raises
     ------
@@ -155,4 +157,10 @@ def imported_mujoco() -> Any:
         raise UnsupportedError(
             "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
         ) from None
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_unheard)
     return mujoco
+
+
+def _unheard(_text: str) -> None:
+    """Take a warning that the data tells as well."""
