@@ -53,7 +53,7 @@ RESULTS = "simulation"
     help="1 cm of noise, 0.05 N of wind, cables 0.5 % off, starts 2 cm off, unless said otherwise.",
 )
 @click.option("--noise", metavar="M", type=float, help="Of believed positions, per axis [m].")
-@click.option("--wind", metavar="N", type=float, help="Gusts on every drone, per axis [N].")
+@click.option("--wind", metavar="N", type=float, help="Gusts on every drone [N].")
 @click.option("--lag", metavar="S", type=float, help="Of the thrust [s].")
 @click.option("--cable-error", metavar="X", type=float, help="Of cables' lengths, relative.")
 @click.option("--start-error", metavar="M", type=float, help="Of the drones' start, per axis [m].")

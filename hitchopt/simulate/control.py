@@ -22,10 +22,10 @@ POSITION_GAIN = 36.0
 VELOCITY_GAIN = 10.0
 """[1/s]"""
 
-ATTITUDE_GAIN = 1600.0
-"""[1/s²] Of the attitude loop, which answers in some 40 ms."""
+ATTITUDE_GAIN = 900.0
+"""[1/s²] Of the attitude loop, which answers some 60 ms late."""
 
-RATE_GAIN = 64.0
+RATE_GAIN = 54.0
 """[1/s]"""
 
 ARM = 0.5

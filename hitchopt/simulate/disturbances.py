@@ -62,4 +62,4 @@ class Disturbances:
         self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
         self.start_offset: Array = perturbations.start_error * start.standard_normal(drones)
         self.noise = Drift(perturbations.noise, NOISE_TIME, drones, noise)
-        self.wind = Drift(perturbations.wind, GUST_TIME, drones, wind)
+        self.wind = Drift(perturbations.wind / np.sqrt(3.0), GUST_TIME, drones, wind)

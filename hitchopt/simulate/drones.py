@@ -1,8 +1,7 @@
 """Drones as bodies: what of a command becomes force and moment, and when.
 
-A ``rigid`` drone has an attitude loop (some 40 ms) and motors (first order) behind the force along
-its axis; a ``point`` drone has one lag of 80 ms between the wanted force and the real one, which is
-about as late in all.
+A ``rigid`` drone has an attitude loop (some 60 ms late) and motors (first order, 20 ms) between the
+wanted force and the real one; a ``point`` drone has one lag of 80 ms, which is as late in all.
 """
 
 from __future__ import annotations

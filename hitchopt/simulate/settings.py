@@ -56,7 +56,7 @@ class Perturbations:
     Parameters
     ----------
     noise: standard deviation, per axis, of the position that a drone believes [m].
-    wind: standard deviation, per axis, of the force of gusts on a drone [N].
+    wind: root mean square of the force of gusts on a drone [N].
     lag: time constant of the thrust [s]; by default MOTOR_LAG of a rigid body, FORCE_LAG of a
         point mass, which has no attitude to turn first.
     cable_error: standard deviation of the cables' lengths, relative.
@@ -90,10 +90,10 @@ LARGEST_CABLE_ERROR = 0.1
 CALM = Perturbations()
 
 USUAL = Perturbations(noise=0.01, wind=0.05, cable_error=0.005, start_error=0.02)
-"""1 cm, 0.05 N, and a lag of about 80 ms from the command to the force in all (see drones)."""
+"""As rope simulations of the swap have been flown before; with 80 ms from command to force."""
 
 MOTOR_LAG = 0.02
-"""[s] Of a rigid drone's motors; its attitude loop takes the rest of some 80 ms."""
+"""[s] Of a rigid drone's motors; its attitude loop takes the other 60 ms."""
 
 FORCE_LAG = 0.08
 """[s] From a point mass's command to its force."""

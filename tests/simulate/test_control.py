@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
 from hitchopt.simulate.control import (
+    ATTITUDE_GAIN,
     POSITION_GAIN,
     VELOCITY_GAIN,
     Reference,
@@ -102,7 +103,7 @@ def test_a_small_tilt_is_turned_back_as_a_damped_spring_would() -> None:
         attitudes = np.tile(Rotation.from_rotvec(tilt).as_matrix(), (2, 1, 1))
         _, moments = attitude_command(still, wanted, attitudes, zero, MASSES, INERTIA)
         expected = np.zeros((2, 3))
-        expected[:, axis] = -1600.0 * 1e-4 * INERTIA[:, axis]
+        expected[:, axis] = -ATTITUDE_GAIN * 1e-4 * INERTIA[:, axis]
         np.testing.assert_allclose(moments, expected, atol=1e-10)
 
 

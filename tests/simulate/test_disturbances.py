@@ -37,3 +37,8 @@ def test_a_quantity_that_is_switched_off_leaves_the_others_as_they_were() -> Non
     np.testing.assert_array_equal(both.noise.advance(0.1), windless.noise.advance(0.1))
     assert np.max(np.abs(both.wind.value)) > 0.0
     assert not np.array_equal(both.start_offset, Disturbances(USUAL, 4, 12).start_offset)
+
+
+def test_gusts_have_the_size_that_was_asked_for() -> None:
+    gusts = Disturbances(replace(CALM, wind=0.05), 3000, 5).wind.value
+    assert np.sqrt(np.mean(np.sum(gusts**2, axis=-1))) == pytest.approx(0.05, rel=0.02)
