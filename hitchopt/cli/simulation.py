@@ -14,7 +14,7 @@ from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
     from hitchopt.simulate.settings import Settings
-    from hitchopt.simulate.simulation import Task
+    from hitchopt.simulate.simulation import Simulation, Task
 
 RESULTS = "simulation"
 """The directory in DIR that results go to unless another one is named."""
@@ -126,7 +126,7 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
         done = simulated(task, settings, progress)
     save_simulation(place, done)
     say(flight_tables(done))
-    say(f"{_verdict(done.outcome.hitched, task.ends_formed)}; results are in {place}")
+    say(f"{_verdict(done)}; results are in {place}")
     for failure in done.outcome.failures:
         say(f"failed: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
@@ -137,10 +137,12 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
         click.get_current_context().exit(UNMET)
 
 
-def _verdict(hitched: bool, formed: bool) -> str:
-    if not formed:
-        return "the plan ends without a hitch"
-    return "hitched: every vertex is linked and held" if hitched else "NOT hitched"
+def _verdict(done: Simulation) -> str:
+    if done.task.ends_formed:
+        held = done.outcome.hitched
+        return "hitched: every vertex is linked and held" if held else "NOT hitched"
+    linked = done.flight.linking is None or bool(done.flight.linking.any())
+    return "NOT untied" if linked else "untied: no two cables are linked"
 
 
 def _fly_often(

@@ -20,6 +20,9 @@ Index = NDArray[np.intp]
 OWN = 2.0
 """Radii of its own cable next to a drone that it cannot touch."""
 
+LANDED = 0.2
+"""[m] Lower than this above the ground, a drone may stand beside its own cable on the ground."""
+
 
 @dataclass(frozen=True)
 class Touch:
@@ -64,6 +67,7 @@ def _foreign(world: World, drone: Index, node: Index, cable: Index) -> NDArray[n
     rank = node - world.cable_vertices[cable]
     from_end = np.where(drone % 2 == 0, rank, world.ropes.segments[cable] - rank)
     far = from_end * world.ropes.segment_lengths[cable] > OWN * BODY.radius
+    far &= world.drones[drone, 2] > world.ground + LANDED
     foreign: NDArray[np.bool_] = (drone // 2 != cable) | far
     return foreign
 

@@ -32,6 +32,7 @@ class World:
     model, data: of MuJoCo.
     ropes: what was built.
     rigid: whether drones have an attitude.
+    ground: its height [m].
     masses: (2n,) [kg], of the drones q0, r0, q1, r1, ….
     inertia: (2n, 3) [kg m²], about the drones' own axes.
     node_qpos, node_dofs: (nodes, 3), addresses of the inner nodes of all cables, in order, in
@@ -49,6 +50,7 @@ class World:
     data: Any
     ropes: Ropes
     rigid: bool
+    ground: float
     masses: Array
     inertia: Array
     node_qpos: Index
@@ -128,6 +130,7 @@ def build_world(
         mujoco.MjData(model),
         ropes,
         rigid,
+        ground,
         np.array(masses, dtype=np.float64),
         inertia,
         model.jnt_qposadr[node_joint][:, None] + axes,

@@ -101,3 +101,14 @@ def test_a_free_cable_hangs_on_as_it_was_placed() -> None:
         world.data.xfrc_applied[world.drone_bodies, :3] = force
         mujoco.mj_step(world.model, world.data)
     assert np.max(np.linalg.norm(world.nodes - before, axis=1)) < 0.03
+
+
+def test_a_drone_that_has_landed_may_stand_on_its_own_cable() -> None:
+    """Its two drones are side by side, and the cable between them is folded up."""
+    for height, expected in ((0.04, []), (1.0, ["cable 0"])):
+        ropes = Ropes(np.array([0.5, 1.5]), 0.01, 0.1, FAST)
+        world = build_world(ropes, np.full(4, 0.13), rigid=False)
+        cable = np.linspace([0.0, 0.0, height], [0.16, 0.0, height], ropes.segments[0] + 1)
+        far = np.linspace([0.0, 2.0, height], [1.5, 2.0, height], ropes.segments[1] + 1)
+        world.place([cable, far])
+        assert sorted({touch.second for touch in touches(world)}) == expected
