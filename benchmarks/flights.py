@@ -25,6 +25,8 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.environment import busy, print_environment
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.problem import Problem
 from hitchopt.simulate.campaign import run_campaign
 from hitchopt.simulate.capstan import capstan_test
 from hitchopt.simulate.measures import Spread
@@ -71,7 +73,11 @@ EXPERIMENTS = (
     ),
 )
 
-FORMED = ("form_triangle", "form_square", "form_pentagon", "form_hexagon", "form_twelve_gon")
+FORMED = (3, 4, 6, 8, 12)
+"""Robots of the regular hitches that are tied."""
+
+EDGE, LENGTH = 1.3, 2.2
+"""[m] Of their polygons, and of their cables."""
 
 PARTS = ("capstan", "experiments", "formed")
 
@@ -150,10 +156,32 @@ def formed(only: str, runs: int, seed: int, processes: int) -> None:
         "\n| problem | friction | preset | flights | succeeded (95 %) | vertex error [cm] | first "
         "failures |\n| --- | --- | --- | --- | --- | --- | --- |"
     )
-    for name in FORMED:
-        if only in name:
-            task = planned(name)
+    for n in FORMED:
+        if only in (name := f"n = {n}"):
+            with tempfile.TemporaryDirectory() as place:
+                ho.solve(regular(n)).save(place)
+                task = read_task(Path(place))
             campaign(task, name, f"{task.team.cable_friction}", None, runs, seed, processes)
+
+
+def regular(n: int) -> Problem:
+    """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
+    angle = 0.5 * np.pi - 2.0 * np.pi * np.arange(n) / n
+    radius = EDGE / (2.0 * np.sin(np.pi / n))
+    polygon = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    row, column = np.divmod(np.arange(n), 2)
+    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
+    r = q + [1.0, 0.0, 0.0]
+    team = {
+        "robots": n,
+        "cable_length": LENGTH,
+        "cable_density": 0.01,
+        "cable_friction": 0.1,
+        "tension": 0.5,
+    }
+    step = {"form": {"polygon": polygon.tolist(), "altitude": 1.6, "legs": "balanced"}}
+    start = {"drones": {"q": q.tolist(), "r": r.tolist()}}
+    return problem_from_dict({"team": team, "start": start, "mission": [step]})
 
 
 def campaign(

@@ -62,7 +62,7 @@ def certificate_table(certificate: Certificate) -> str:
 
 def closeness_table(closest: Closeness) -> str:
     """Return the table of the closest neighbours, each with its smallest separation for all t."""
-    table = _table("Closest neighbours", [("pair", "left")], ["separation", "apart", "when"])
+    table = new_table("Closest neighbours", [("pair", "left")], ["separation", "apart", "when"])
     table.add_column("closest for", justify="right", overflow="fold")
     span = (closest.spans[-1].end - closest.spans[0].start) / len(closest.spans)
     for pair in closest.pairs:
@@ -73,7 +73,7 @@ def closeness_table(closest: Closeness) -> str:
             f"{pair.time:.3f} s",
             f"{span * pair.spans:.3f} s",
         )
-    return _rendered(table)
+    return rendered(table)
 
 
 def number(value: float) -> str:
