@@ -81,7 +81,7 @@ def _pictures(film: Film, step: int) -> NDArray[np.uint8]:
 
     figure = Figure(SIZE, dpi=DOTS)
     canvas: Any = FigureCanvasAgg(figure)
-    axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    axes: Any = figure.add_axes((0.0, 0.0, 0.93, 1.0), projection="3d")
     lower, upper = np.min(film.nodes, axis=(0, 1)), np.max(film.nodes, axis=(0, 1))
     for axis, low, high in zip("xyz", lower - MARGIN, upper + MARGIN, strict=True):
         getattr(axes, f"set_{axis}lim")(low, high)
