@@ -168,13 +168,23 @@ def _gathered(task: ApproachTask) -> list[Stage]:
     )
     wheels = replace(ways_there, centres=start)
     rolled = wheels.drones(goal, wheels.angles)
+    opened = task.goal.copy()
+    opened[:, 2] = np.maximum(opened[:, 2], altitude)
     return [
         *stages,
         Stage("gather", straight(team, task.limits, here, gathered)),
         Stage("turn", turned(team, wheels, task.limits)),
         Stage("approach", wheels.carried(found.drones)),
-        Stage("open", straight(team, task.limits, rolled, task.goal)),
+        Stage("open", straight(team, task.limits, rolled, opened)),
+        *_descended(task, opened),
     ]
+
+
+def _descended(task: ApproachTask, here: Array) -> list[Stage]:
+    """Return the stage straight down to the goal, where there is any way to go."""
+    if np.max(np.abs(task.goal - here)) < STILL:
+        return []
+    return [Stage("descend", straight(task.team, task.limits, here, task.goal))]
 
 
 def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:

@@ -52,6 +52,7 @@ class PreHitch:
     scale: of the hitch's polygon.
     kept: what the swaps keep, angle by angle.
     shortfall: by how much that misses what is asked, relative; none if at most zero.
+    separation: distances that were asked for.
     """
 
     turns: Turns
@@ -59,6 +60,7 @@ class PreHitch:
     scale: float
     kept: Measures
     shortfall: float
+    separation: Separation
 
     @property
     def drones(self) -> Array:
@@ -111,7 +113,7 @@ def _turning(
         if np.any(better):
             turns = turns.with_senses(np.where(better, -senses, senses))
             kept = measured(turns, separation)
-    return PreHitch(turns, share, scale, kept, _shortfall(kept, separation))
+    return PreHitch(turns, share, scale, kept, _shortfall(kept, separation), separation)
 
 
 def _opening(separation: Separation) -> float:

@@ -11,8 +11,8 @@ from hitchopt.hitch import Hitch, Limits
 from hitchopt.planners.forming.prehitch import PreHitch
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.stage import Stage
-from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.swap import swap
+from hitchopt.planners.forming.tightening import tightened
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -32,11 +32,12 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
     team = hitch.team
     legs = float(np.max(hitch.legs))
     shorter = (1.0 - pre.share) * legs  # at least what any drone goes, whatever the polygon
+    ways = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
     rest = PiecewisePolynomial.constant([0.0, PULL_SECONDS], hitch.drones)
     return [
         Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds)),
         Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds)),
-        Stage("tighten", straight(team, limits, pre.drones, hitch.drones, shorter)),
+        *(Stage("tighten", way) for way in ways),
         Stage("tension", rest, SMOOTH[None]),
     ]
 
