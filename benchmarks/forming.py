@@ -4,13 +4,15 @@ Usage: python -m benchmarks.forming
 
 Two tables: from the pre-hitch on, on regular n-gons of the same edge, cable, legs and ellipse (the
 paper's claim is that the flight takes as long for any n); and from scattered robots on the ground,
-turned and numbered at random, to the tensioned hitch. Every plan is certified.
+turned and numbered at random, to the tensioned hitch. Then how many of random irregular hitches on
+unequal cables are formed. Every plan is certified.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from benchmarks.environment import print_environment
 from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.mission.form_records import Assign
 from hitchopt.mission.free_flight import staged
 from hitchopt.mission.motions import Kept
 from hitchopt.planners.forming.prehitch import find_prehitch
@@ -33,6 +36,9 @@ SWAP = SwapSettings(radius=0.3, tilt=math.radians(45.0))
 
 TYING = (6, 12, 25, 50, 100, 200)
 FROM_GROUND = (6, 12, 24, 48)
+
+RANDOM = 60
+"""Irregular hitches."""
 
 
 def regular_hitch(n: int) -> Hitch:
@@ -89,6 +95,45 @@ def ground_row(n: int, seed: int) -> str:
     return f"{n:6d} {seed:5d} {plan.duration:9.2f} {seconds:9.2f}  {way}"
 
 
+def random_polygon(n: int, rng: np.random.Generator) -> Array:
+    """Return an irregular convex polygon (n, 2) [m] on an ellipse."""
+    while True:
+        angles = np.sort(rng.uniform(0.0, 2.0 * math.pi, n))
+        gaps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))
+        if np.min(gaps) >= math.pi / n:
+            break
+    radius = 0.55 / math.sin(math.pi / n)
+    points = radius * np.column_stack([np.cos(-angles), np.sin(-angles)])
+    return points * [1.0, rng.uniform(0.8, 1.2)] + rng.uniform(-1.0, 1.0, 2)
+
+
+def random_outcome(rng: np.random.Generator) -> str:
+    """Return what becomes of one random hitch: formed, or what binds first."""
+    n = int(rng.integers(3, 9))
+    polygon = ho.ConvexPolygon(random_polygon(n, rng))
+    cables = polygon.edge_lengths + rng.uniform(0.8, 1.2, n)
+    if rng.random() < 0.5:
+        cables = rng.permutation(cables)
+    k, columns = np.arange(n), math.ceil(math.sqrt(n))
+    middles = 1.7 * np.column_stack([k % columns, k // columns, np.zeros(n)]).astype(np.float64)
+    middles[:, :2] = middles[:, :2] + rng.uniform(-0.15, 0.15, (n, 2))
+    angles = rng.uniform(-math.pi, math.pi, n)
+    arms = 0.45 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+    middles[:, 2] = rng.choice([0.0, 2.5])
+    team = Team(n, cables, cable_density=float(rng.choice([0.0, 0.005])))
+    altitude = float(rng.choice([1.0, 1.6]))
+    order: Assign = "fixed" if rng.random() < 1.0 / 3.0 else "auto"
+    try:
+        ho.form(team, middles - arms, middles + arms, polygon, altitude, assign=order)
+    except ho.InfeasibleError as error:
+        first = error.violations[0]
+        at_rest = "end of step" in first.when or first.constraint == "legs"
+        return "the hitch breaks a limit at rest" if at_rest else f"refused: {first.constraint}"
+    except ho.HitchoptError:
+        return "a planner failed"
+    return "formed"
+
+
 def main() -> None:
     """Print both tables."""
     print_environment("processor seconds of one run each; one process, the first row warmed up")
@@ -107,6 +152,13 @@ def main() -> None:
     for n in FROM_GROUND:
         for seed in range(3):
             print(ground_row(n, seed), flush=True)
+    rng = np.random.default_rng(5)
+    outcomes = Counter(random_outcome(rng) for _ in range(RANDOM))
+    print(
+        f"\n{RANDOM} random irregular hitches, n = 3 to 8, unequal cables, a third in a given order"
+    )
+    for outcome, count in outcomes.most_common():
+        print(f"{count:6d} {outcome}")
 
 
 if __name__ == "__main__":
