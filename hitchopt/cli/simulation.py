@@ -96,9 +96,9 @@ def simulate(
 
 
 def _check_film(film: Path, runs: int | None) -> None:
-    from hitchopt.simulate.film import check_film_name
+    from hitchopt.simulate.film import check_film
 
-    check_film_name(film)
+    check_film(film)
     if runs is not None:
         raise InputError("--film", str(film), "of a single flight", "leave out --runs, give a seed")
 

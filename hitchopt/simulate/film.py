@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +40,9 @@ def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
     UnsupportedError: what writes films is not installed.
     FileError: the file cannot be written, or there is nothing to be seen.
     """
-    check_film_name(path)
-    try:
-        import imageio.v3 as imageio
-    except ImportError:
-        raise UnsupportedError(
-            "films need imageio, which is not installed; pip install 'hitchopt[simulate]'"
-        ) from None
+    check_film(path)
+    import imageio.v3 as imageio
+
     if len(film.t) < 2:
         raise FileError(f"{path}: the flight ended before there was anything to film")
     step = max(1, round(1.0 / rate / float(np.median(np.diff(film.t)))))
@@ -58,20 +55,34 @@ def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
         else:
             imageio.imwrite(draft, pictures, fps=1.0 / shown)
         draft.replace(path)
-    except ImportError:
-        raise UnsupportedError(
-            f"{path}: writing mp4 needs ffmpeg; pip install 'imageio[ffmpeg]', or name a .gif"
-        ) from None
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error}; name another place") from error
     finally:
         draft.unlink(missing_ok=True)
 
 
-def check_film_name(path: Path) -> None:
-    """Raise InputError unless films are written under such a name."""
+def check_film(path: Path) -> None:
+    """Raise an error unless a film can be written under such a name.
+
+    Raises
+    ------
+    InputError: another ending than .gif or .mp4.
+    UnsupportedError: what writes it is not installed.
+    """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError("--film", str(path), "a name in .gif or .mp4", "such as flight.gif")
+    if find_spec("imageio") is None:
+        raise UnsupportedError(
+            "films need imageio, which is not installed; pip install 'hitchopt[simulate]'"
+        )
+    if path.suffix.lower() == ".mp4" and not any(find_spec(name) for name in ENCODERS):
+        raise UnsupportedError(
+            f"{path}: an mp4 needs ffmpeg; pip install 'imageio[ffmpeg]', or name a .gif"
+        )
+
+
+ENCODERS = ("imageio_ffmpeg", "av")
+"""Modules with which imageio writes mp4."""
 
 
 def _pictures(film: Film, step: int) -> NDArray[np.uint8]:
