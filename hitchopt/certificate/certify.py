@@ -14,6 +14,7 @@ from hitchopt.certificate import (
     continuity,
     convexity,
     crossing,
+    drawn_length,
     duration,
     equilibrium,
     hanging_clearance,
@@ -63,6 +64,7 @@ FREE: dict[str, Callable[[Motion], Check | None]] = {
     "cable_clearance": hanging_clearance.check,
     "crossing": hanging_crossing.check,
     "span": span.check,
+    "cable_length": drawn_length.check,
 }
 """Checks of free cables, for as long as there is no hitch."""
 

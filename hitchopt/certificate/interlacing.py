@@ -2,8 +2,9 @@
 
 The *crossing number* of two cables counts how often their chords have passed through each other,
 with signs. Free cables have 0. A hitch is right when neighbours have ±1 (either way of turning
-holds) and all others 0; once it has been released all have 0 again. Besides, no drone may fly
-inside the hanging cable of another: what it pulls there is caught although no chords have met.
+holds) and all others 0; once it has been released all have 0 again. A hitch that is there at first
+is taken to have been tied with every q going up first, which is 1. Besides, no drone may fly inside
+the hanging cable of another: what it pulls there is caught although no chords have met.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ def _wrong(motion: Motion, spans: tuple[Motion, ...]) -> Iterator[_Wrong]:
     """Yield the pairs that are wrong after each span without a hitch."""
     n, layout = motion.team.robots, motion.team.layout
     beside = _beside(layout)
-    # What each pair of neighbours is known to have; 0 is not known yet of a hitch given at first.
-    numbers = np.zeros(len(beside), dtype=np.intp)
-    formed_before = spans[0].drones.breaks[0] > motion.drones.breaks[0] + JOINT
+    # A hitch that is there at first has been tied with every q going up first: 1 for neighbours.
+    given = spans[0].drones.breaks[0] > motion.drones.breaks[0] + JOINT
+    numbers = np.full(len(beside), int(given), dtype=np.intp)
     for span in spans:
         end = float(span.drones.breaks[-1])
         formed_after = end < motion.drones.breaks[-1] - JOINT
@@ -76,21 +77,13 @@ def _wrong(motion: Motion, spans: tuple[Motion, ...]) -> Iterator[_Wrong]:
         place = np.searchsorted(beside, pairs)
         known = np.isin(pairs, beside)
         counted[place[known]] = met.count[known]
-        unknown = formed_before & (numbers == 0)
-        after = numbers + counted
-        if formed_after:
-            right = np.abs(after) == 1
-            # From a hitch of unknown signs to another one: both ±1, so 0 or ±2 in between.
-            right = np.where(unknown, np.isin(counted, (-2, 0, 2)), right)
-        else:
-            right = np.where(unknown, np.abs(counted) == 1, after == 0)
+        numbers = numbers + counted
+        right = np.abs(numbers) == 1 if formed_after else numbers == 0
         yield _Wrong(beside[~right], np.full(int(np.sum(~right)), end))
         inside = entered(span)
         own = inside.drone // 2
         caught = np.minimum(own, inside.cable) * n + np.maximum(own, inside.cable)
         yield _Wrong(caught, inside.time)
-        numbers = np.where(unknown & formed_after, 0, after)
-        formed_before = formed_after
 
 
 def _beside(layout: Layout) -> Indices:

@@ -30,12 +30,14 @@ REMEDIES = {
 """Per check, what a user can change. Words of advice; what would do is computed in ``repair``."""
 
 FREE_REMEDIES = {
-    "separation": "place the drones farther apart, or allow a smaller separation.radius",
+    "separation": "place the drones farther apart, use longer cables or a larger polygon, "
+    "or allow a smaller separation.radius",
     "cable_clearance": "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     "crossing": "place the robots farther apart, or lower separation.crossing",
     "thrust": "give the drone more thrust, or lower team.cable_density",
     "tilt": "raise limits.tilt_deg, or lower team.cable_density",
+    "cable_length": "use a longer cable, or a smaller polygon",
 }
 """The same while cables are free."""
 

@@ -47,6 +47,31 @@ def check_start(before: Situation, kept: Kept) -> None:
     check_part(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
 
 
+def check_above_ground(motion: Motion) -> None:
+    """Raise InfeasibleError where a drone goes below the ground, z = 0, that it takes off from.
+
+    An arena's floor has a check of its own.
+    """
+    heights = motion.drones.coefficients[:, :, 2]
+    if motion.arena is not None or np.min(heights) >= -LEVEL:
+        return
+    piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
+    raise InfeasibleError(
+        [
+            Violation(
+                "arena",
+                float(np.min(heights)),
+                0.0,
+                "min",
+                "m",
+                (motion.team.drone_names[drone],),
+                f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s",
+                "keep altitudes above 0, or give an arena with a lower floor",
+            )
+        ]
+    )
+
+
 def _resting_name(before: Situation, kept: Kept) -> str:
     """Return what a phase of rest is called: whether cables hang decides how they are checked."""
     floor = floor_of(kept.arena)

@@ -15,7 +15,7 @@ from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
-from hitchopt.mission.free_flight import check_start, plan_hover, plan_land
+from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
 from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem
@@ -83,6 +83,7 @@ def solve_from_drones(
     before = Situation(assignment.team(team), assignment.drones(drones))
     check_start(before, kept)
     found = _solved(before, steps, kept, progress)
+    check_above_ground(found.motion)
     return replace(found, motion=replace(found.motion, assignment=assignment))
 
 

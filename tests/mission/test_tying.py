@@ -280,3 +280,19 @@ def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
     level = np.linalg.norm(taut.cable_forces[:, :2], axis=1)
     np.testing.assert_allclose(level, 0.4, atol=1e-9)
     assert certify(plan.motion).certified
+
+
+@pytest.mark.parametrize("low", ["form", "start"])
+def test_nobody_flies_below_the_ground(low: str) -> None:
+    lines = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    below = np.array([0.0, 0.0, -1.0 if low == "start" else 0.0])
+    q, r = lines + below - [0.5, 0.0, 0.0], lines + below + [0.5, 0.0, 0.0]
+    polygon = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    altitude = -1.0 if low == "form" else 1.2
+    with pytest.raises(ho.InfeasibleError, match="over the ground"):
+        ho.form(ho.Team(3, 2.4), q, r, polygon, altitude=altitude)
+    arena = ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
+    lower = np.array([0.0, 0.0, 3.0])
+    ho.form(
+        ho.Team(3, 2.4), q - below - lower, r - below - lower, polygon, altitude=-1.0, arena=arena
+    )

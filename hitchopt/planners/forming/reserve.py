@@ -26,8 +26,10 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
 
     Raises
     ------
-    InfeasibleError: hovering alone takes more thrust or tilt than there is.
+    InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
+        is too short for its drones' places.
     """
+    _check_reach(team, drones)
     mass = team.mass
     loads = np.zeros(drones.shape)
     loads[..., 2] = mass * GRAVITY
@@ -59,3 +61,28 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
     most: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
     return most
+
+
+def _check_reach(team: Team, drones: Array) -> None:
+    """Raise InfeasibleError where a cable with weight is shorter than its drones are apart.
+
+    Its pull would be beyond all bounds, and say nothing of why.
+    """
+    spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
+    cable = int(np.argmax(np.max(spans, axis=0)))
+    worst = float(np.max(spans))
+    if team.cable_density > 0.0 and worst >= 1.0:
+        raise InfeasibleError(
+            [
+                Violation(
+                    "span",
+                    worst,
+                    1.0,
+                    "max",
+                    "1",
+                    (f"cable {cable}",),
+                    "between its drones' places",
+                    "use a longer cable, a smaller polygon, or place the drones closer together",
+                )
+            ]
+        )

@@ -24,12 +24,15 @@ class Stage:
     pull: (pieces, m + 1): Bernstein coefficients of the factor that the team's tensions are pulled
         with, over the drones' pieces; None while there is no hitch.
     remark: of the phase.
+    points: of shape (points, 3) [m]: where the clasps may lie while the drones draw them out; None
+        for the hitch's vertices.
     """
 
     name: str
     drones: PiecewisePolynomial
     pull: Array | None = None
     remark: str = ""
+    points: PiecewisePolynomial | None = None
 
     @property
     def formed(self) -> bool:
@@ -39,10 +42,13 @@ class Stage:
     def reversed(self, name: str) -> Stage:
         """Return the stretch backward in time, exactly, under another name."""
         pull = None if self.pull is None else self.pull[::-1, ::-1]
-        return Stage(name, self.drones.reversed(), pull, self.remark)
+        points = None if self.points is None else self.points.reversed()
+        return Stage(name, self.drones.reversed(), pull, self.remark, points)
 
     def vertices(self, hitch: Hitch) -> PiecewisePolynomial:
         """Return the vertices (points, 3) [m]: where they are, or are going to be or have been."""
+        if self.points is not None:
+            return self.points
         return PiecewisePolynomial.constant(self.drones.breaks, hitch.vertices)
 
     def legs(self, hitch: Hitch) -> PiecewisePolynomial:
