@@ -16,7 +16,11 @@ from hitchopt.certificate import (
     arena,
     cable_clearance,
     cable_length,
+    hanging_clearance,
+    hanging_crossing,
+    keep_out,
     separation,
+    span,
     speed,
     thrust,
     tilt,
@@ -37,6 +41,9 @@ Array = NDArray[np.float64]
 CABLE_LENGTH = 1e-3
 """Relative: what files that hold millimetres can keep of a plan's 1e-4."""
 
+FLOOR = 1e-4
+"""[m] By which exported curves may pass a wall, as those of a drone at rest on it do."""
+
 DRONES: dict[str, Callable[[Flying], Check | None]] = {
     "separation": separation.check,
     "speed": speed.check,
@@ -49,8 +56,27 @@ HITCH: dict[str, Callable[[Motion], Check | None]] = {
     "cable_clearance": cable_clearance.check,
     "cable_length": cable_length.check,
 }
+"""While the hitch exists."""
 
-ORDER = ("separation", "cable_clearance", "speed", "thrust", "tilt", "arena", "cable_length")
+FREE: dict[str, Callable[[Motion], Check | None]] = {
+    "cable_clearance": hanging_clearance.check,
+    "crossing": hanging_crossing.check,
+    "span": span.check,
+}
+"""While the cables hang free."""
+
+ORDER = (
+    "separation",
+    "cable_clearance",
+    "crossing",
+    "speed",
+    "thrust",
+    "tilt",
+    "arena",
+    "keep_out",
+    "cable_length",
+    "span",
+)
 """The checks of what is flown, as they are listed."""
 
 NEED_ACCELERATION = ("thrust", "tilt")
@@ -209,12 +235,28 @@ def _deviations(
 def _checked(name: str, motion: Flying) -> list[Check]:
     if name in DRONES:
         check = DRONES[name](motion)
-        return [] if check is None else [check]
+        if check is None:
+            return []
+        return [_grounded(check)] if name == "arena" else [check]
     if not isinstance(motion, Motion):
-        return []
-    found = [HITCH[name](span) for span in motion.spans(formed=True)]
+        check = keep_out.check(motion) if name == "keep_out" else None
+        return [] if check is None else [check]
+    found = [
+        checks[name](run)
+        for checks, formed in ((HITCH, True), (FREE, False))
+        if name in checks
+        for run in motion.spans(formed=formed)
+    ]
     checks = [check for check in found if check is not None]
     return [_loosened(c) if name == "cable_length" else c for c in checks]
+
+
+def _grounded(check: Check) -> Check:
+    """Who lands on the floor of an arena is written, and interpolated, to within FLOOR of it."""
+    c = check
+    if c.holds:
+        return c
+    return Check.of(c.name, c.worst, -FLOOR, c.sense, c.unit, c.time, c.where)
 
 
 def _loosened(check: Check) -> Check:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import zipfile
 from collections.abc import Callable
@@ -93,7 +94,7 @@ def test_velocity_that_jumps_is_a_warning(tmp_path: Path) -> None:
     polys(tmp_path, ([1.0, 1.0], [[0.0, 0.5], [0.5, -0.5]]))
     found = report(tmp_path)
     assert found.sound
-    assert rules_of(found, WARNING) == {"jump"}
+    assert rules_of(found, WARNING) == {"jump", "end"}  # and it ends at -0.5 m/s
     assert found.flight.jumps[1] == pytest.approx(1.0)
 
 
@@ -121,7 +122,16 @@ def test_relative_trajectories_cannot_be_judged_together(tmp_path: Path) -> None
     (tmp_path / "d1.csv").write_bytes((tmp_path / "d0.csv").read_bytes())
     found = report(tmp_path)
     assert found.sound
-    assert rules_of(found, WARNING) == {"separation"}
+    assert rules_of(found, WARNING) == {"separation", "end"}
+
+
+def test_settings_of_drones_that_stand_too_close(tmp_path: Path) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    assert "start" not in rules_of(report(tmp_path), ERROR)
+    path = tmp_path / "crazyflies.yaml"
+    place = "initial_position: [9.0, 9.0, 0.0]"
+    path.write_text(re.sub(r"initial_position: \[[^]]*\]", place, path.read_text()))
+    assert "start" in rules_of(report(tmp_path), ERROR)
 
 
 def test_a_missing_header_and_frames_that_differ(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -209,3 +210,33 @@ def test_generators_set_starts_and_goals_apart() -> None:
             scaled = points * problem.separation.scale
             i, j = np.triu_indices(len(points), 1)
             assert np.all(np.linalg.norm(scaled[i] - scaled[j], axis=1) > 1.05)
+
+
+def test_drones_may_rest_on_the_floor() -> None:
+    data = {
+        "team": {"drones": 2},
+        "arena": {"lower": [-3, -3, 0], "upper": [3, 3, 3]},
+        "start": [[-1.0, 0.4, 0.0], [-1.0, -0.4, 1.0]],
+        "goal": [[1.0, 0.4, 1.0], [1.0, -0.4, 0.0]],
+    }
+    certificate = ho.solve(any_problem_from_dict(data)).certificate
+    assert certificate.certified
+    assert certificate["arena"].worst == 0.0
+
+
+def test_the_duration_that_is_told_will_do() -> None:
+    data = {**full(), "duration": 2.0}
+    told = re.compile(r"allow (?:at least )?([0-9.e+]+) s")
+    for _ in range(3):  # first the bound for one drone alone may be told
+        with pytest.raises(ho.InfeasibleError) as error:
+            ho.solve(any_problem_from_dict(data))
+        found = told.search(str(error.value))
+        assert found is not None
+        data["duration"] = float(found.group(1))
+        try:
+            plan = ho.solve(any_problem_from_dict(data))
+        except ho.InfeasibleError:
+            continue
+        assert plan.duration == pytest.approx(data["duration"])
+        return
+    pytest.fail("no duration that was told would do")

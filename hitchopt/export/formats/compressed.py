@@ -185,13 +185,13 @@ def _most(curves: PiecewisePolynomial) -> int:
     return room // (HEADER_BYTES + 2 * DEGREE * max(1, axes))
 
 
-def _fits(motion: Flying) -> bool:
-    return _segments(motion, _most(motion.drones)) is not None
+def _fits(motion: Flying, share: float) -> bool:
+    return _segments(motion, _most(motion.drones), share * BOUNDS[0]) is not None
 
 
 def _needed(motion: Flying) -> Violation:
     many = ceil(motion.duration / KIND.quantum) + 1
-    breaks = _segments(motion, many)
+    breaks = _segments(motion, many, BOUNDS[0])
     return Violation(
         "memory",
         float(many if breaks is None else len(breaks) - 1),
@@ -204,6 +204,6 @@ def _needed(motion: Flying) -> Violation:
     )
 
 
-def _segments(motion: Flying, most: int) -> Array | None:
+def _segments(motion: Flying, most: int, bound: float) -> Array | None:
     error = span_error(motion.drones, KIND)
-    return greedy_breaks(error, float(motion.drones.breaks[-1]), KIND, BOUNDS[0], most)
+    return greedy_breaks(error, float(motion.drones.breaks[-1]), KIND, bound, most)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hitchopt.errors import Violation
 from hitchopt.export.atomic import Writer
@@ -44,6 +45,9 @@ KIND = Kind(degree=7, match=3, quantum=1.0 / 1024.0, longest=60.0)
 """Durations are exact in single precision; position, velocity and acceleration are continuous."""
 
 SMOOTH = 2
+
+STACKED = 1.0 - 1e-4
+"""Of an ellipsoid's width: drones less apart, seen from above, stand in each other's way."""
 
 COARSEST = 1.0
 """Of Scale: a millimetre at most."""
@@ -90,13 +94,30 @@ class Crazyswarm2:
         writers["README.txt"] = lambda path: _write(path, note_text(task, curves.duration))
         used = curves.pieces * PIECE_BYTES
         note = f"{curves.pieces} pieces, {used} of {memory.BYTES} bytes of each drone's memory"
-        yield Candidate(writers, (note,))
+        yield Candidate(writers, (note, *_stacked(task, curves)))
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves of the drones' files."""
         tables = [read_poly_csv(folder / f"{name}.csv") for name in task.names]
         curves = [table.curve for table in tables]
         return recording_of_curves(task.names, curves, tables[0].frame, SMOOTH)
+
+
+def _stacked(task: Task, curves: PiecewisePolynomial) -> tuple[str, ...]:
+    """Return a warning where drones start, or land, below one another: fly.py goes straight up."""
+    found = []
+    for points, what in zip(curves.ends(), ("take off from", "land on"), strict=True):
+        across = points[0 if what == "take off from" else -1][:, :2]
+        pairs = cKDTree(across).query_pairs(STACKED * 2.0 * task.motion.separation.radius)
+        if pairs:
+            i, j = min(pairs)
+            found.append(
+                f"{task.names[i]} and {task.names[j]}"
+                + (f" and {len(pairs) - 1} pairs more" if len(pairs) > 1 else "")
+                + f" would {what} one place, as one is above the other: fly.py and crazyflies.yaml "
+                "will not do, bring them there one by one"
+            )
+    return tuple(found)
 
 
 def _writer(durations: Array, powers: Array, frame: str) -> Writer:
@@ -107,13 +128,13 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _fits(motion: Flying) -> bool:
-    return _breaks_at_coarsest(motion.drones, MOST) is not None
+def _fits(motion: Flying, share: float) -> bool:
+    return _coarse_breaks(motion.drones, MOST, share * COARSEST) is not None
 
 
 def _needed(motion: Flying) -> Violation:
     many = 100 * (MOST + ceil(motion.duration / 0.01))
-    breaks = _breaks_at_coarsest(motion.drones, many)
+    breaks = _coarse_breaks(motion.drones, many, COARSEST)
     pieces = float(many if breaks is None else len(breaks) - 1)
     return Violation(
         "memory",
@@ -128,5 +149,5 @@ def _needed(motion: Flying) -> Violation:
     )
 
 
-def _breaks_at_coarsest(curves: PiecewisePolynomial, most: int) -> Array | None:
-    return greedy_breaks(span_error(curves, KIND), float(curves.breaks[-1]), KIND, COARSEST, most)
+def _coarse_breaks(curves: PiecewisePolynomial, most: int, bound: float) -> Array | None:
+    return greedy_breaks(span_error(curves, KIND), float(curves.breaks[-1]), KIND, bound, most)

@@ -13,23 +13,30 @@ from hitchopt.model.motion import Flying
 BYTES = 4096
 """For all trajectories of one drone."""
 
+CLOSER = 0.3
+"""Of the accuracy, that parts are refitted within where coarser ones lose a limit."""
+
 
 def arrangements(
-    task: Task, fits: Callable[[Flying], bool], needed: Callable[[Flying], Violation]
+    task: Task,
+    fits: Callable[[Flying, float], bool],
+    needed: Callable[[Flying], Violation],
 ) -> Iterator[Arrangement]:
     """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
+
+    Parts that are refitted too coarsely to keep the plan's limits are followed by closer ones.
 
     Parameters
     ----------
     task: the plan.
-    fits: whether a motion can be refitted within memory and accuracy.
+    fits: whether a motion can be refitted within memory and a share of the accuracy.
     needed: what to say of one that cannot.
 
     Raises
     ------
     InfeasibleError: between two rests there is more than fits.
     """
-    whole = fits(task.motion)
+    whole = fits(task.motion, 1.0)
     if whole:
         yield Arrangement((task,))
     motion = task.motion
@@ -38,22 +45,34 @@ def arrangements(
         if not whole:
             raise _left_to_streaming(needed(motion))
         return
-    parts = []
-    first = 0
-    while first < len(at) - 1:
-        last = first + 1
-        if not fits(cut(motion, at[first], at[last])):
-            raise _left_to_streaming(needed(cut(motion, at[first], at[last])))
-        while last + 1 < len(at) and fits(cut(motion, at[first], at[last + 1])):
-            last += 1
-        parts.append(replace(task, motion=cut(motion, at[first], at[last])))
-        first = last
-    if len(parts) > 1:
-        yield Arrangement(
-            tuple(parts),
-            f"the plan is cut into {len(parts)} parts at rests, since a drone's memory of {BYTES} "
-            "bytes does not hold it whole: fly one, upload the next while the drones hover, go on",
-        )
+    before = 1
+    for share in (1.0, CLOSER):
+        parts = []
+        first = 0
+        while first < len(at) - 1:
+            last = first + 1
+            if not fits(cut(motion, at[first], at[last]), share):
+                if share < 1.0:
+                    return
+                raise _left_to_streaming(needed(cut(motion, at[first], at[last])))
+            while _more(first, last, len(at)) and fits(cut(motion, at[first], at[last + 1]), share):
+                last += 1
+            parts.append(replace(task, motion=cut(motion, at[first], at[last])))
+            first = last
+        if len(parts) > before:
+            before = len(parts)
+            why = "loses a limit in so few pieces" if whole else "does not fit"
+            yield Arrangement(
+                tuple(parts),
+                f"the plan is cut into {len(parts)} parts at rests, since as a whole it {why} "
+                f"(a drone's memory holds {BYTES} bytes): fly one, upload the next while the "
+                "drones hover, go on",
+            )
+
+
+def _more(first: int, last: int, rests: int) -> bool:
+    """Return whether a part may go on to the next rest; all of the plan has been tried before."""
+    return last + 1 < rests and (first, last + 2) != (0, rests)
 
 
 def _left_to_streaming(violation: Violation) -> InfeasibleError:

@@ -9,6 +9,7 @@ from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hitchopt.errors import HitchoptError
 from hitchopt.export.formats.compressed import read_bytes
@@ -18,6 +19,7 @@ from hitchopt.export.formats.poly_csv import PIECE_BYTES, read_poly_csv
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, DroneFacts, Finding, Loaded
 from hitchopt.export.recording import recording_of_curves
 from hitchopt.export.room import AXES
+from hitchopt.hitch import Separation
 
 Array = NDArray[np.float64]
 
@@ -25,6 +27,12 @@ LEAST_ROWS = 2
 
 AT_START = 0.1
 """[m] How far from its settings' initial position a drone's trajectory may begin, across."""
+
+CROWDED = 1.0 - 1e-4
+"""Of the separation in which drones stand: less is too close; file digits are let off."""
+
+MOST_CROWDED = 10
+"""Pairs that are told of."""
 
 STEADY = 2e-3
 """[rad] Yaw that changes less is constant: a tenth of a degree is the format's last digit."""
@@ -177,6 +185,7 @@ def _settings(path: Path, starts: Mapping[str, Array]) -> list[Finding]:
     if not isinstance(robots, dict):
         return [Finding(WARNING, "settings", path.name, "has no robots")]
     found = []
+    places: dict[str, Array] = {}
     for name in sorted(set(robots) ^ set(starts)):
         missing = "trajectory" if name in robots else f"entry in {path.name}"
         found.append(Finding(WARNING, "settings", name, f"has no {missing}"))
@@ -186,7 +195,8 @@ def _settings(path: Path, starts: Mapping[str, Array]) -> list[Finding]:
         if not _is_point(place):
             found.append(Finding(WARNING, "settings", name, "has no initial_position of 3 numbers"))
             continue
-        apart = float(np.linalg.norm(np.array(place[:2], dtype=np.float64) - starts[name][:2]))
+        places[name] = np.array(place, dtype=np.float64)
+        apart = float(np.linalg.norm(places[name][:2] - starts[name][:2]))
         if apart > AT_START:
             found.append(
                 Finding(
@@ -197,6 +207,28 @@ def _settings(path: Path, starts: Mapping[str, Array]) -> list[Finding]:
                     "place it there, or see that its way there is free",
                 )
             )
+    return found + _crowded(places)
+
+
+def _crowded(places: Mapping[str, Array]) -> list[Finding]:
+    """Return which drones stand so close that they cannot take off together."""
+    if len(places) < 2:
+        return []
+    names = list(places)
+    scaled = np.array(list(places.values())) * Separation().scale
+    pairs = cKDTree(scaled).query_pairs(CROWDED, output_type="ndarray")
+    found = []
+    for i, j in pairs[:MOST_CROWDED]:
+        apart = float(np.linalg.norm(places[names[i]] - places[names[j]]))
+        found.append(
+            Finding(
+                ERROR,
+                "start",
+                f"{names[i]}, {names[j]}",
+                f"their initial_positions are {apart:.3g} m apart: they cannot take off together; "
+                "place them apart, and see that the ways to their trajectories are free",
+            )
+        )
     return found
 
 

@@ -90,6 +90,7 @@ def flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding,
     found = [
         *_broken(worst, seen.first, len(recording.names)),
         *_jumping(seen, rules),
+        *_stopping(seen.last, recording.names, rules),
         *_placed(seen, loaded),
     ]
     return flight, tuple(found)
@@ -197,6 +198,26 @@ def _jumping(seen: _Seen, rules: Rules) -> list[Finding]:
                 )
             )
     return found
+
+
+def _stopping(last: PiecewisePolynomial, names: Sequence[str], rules: Rules) -> list[Finding]:
+    """Return who still moves at the end: as what is cut off in mid-flight does."""
+    _, ends = last.ends(1)
+    speeds = np.linalg.norm(ends[-1], axis=-1)
+    moving = np.flatnonzero(speeds > rules.jumps[1])
+    if len(moving) == 0:
+        return []
+    drone = int(np.argmax(speeds))
+    who = names[drone] + (f" and {len(moving) - 1} more" if len(moving) > 1 else "")
+    return [
+        Finding(
+            WARNING,
+            "end",
+            who,
+            f"still moves at {speeds[drone]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
+            f"(more than {rules.jumps[1]:g} m/s); let it come to rest: is something cut off?",
+        )
+    ]
 
 
 def _placed(seen: _Seen, loaded: Loaded) -> list[Finding]:

@@ -50,8 +50,9 @@ def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[V
     if task.arena is None:
         return []
     lower, upper = task.arena.lower, task.arena.upper
-    digits = LAST_DIGITS * (np.abs(lower) + np.abs(upper))
-    room = np.min(np.minimum(points - lower, upper - points) - digits, axis=1)
+    room = np.minimum(  # a floor at 0 is exact: who rests on it is inside
+        points - lower - LAST_DIGITS * np.abs(lower), upper - points - LAST_DIGITS * np.abs(upper)
+    ).min(axis=1)
     remedy = f"move the {end} inside, or the wall out"
     return [
         Violation("arena", float(room[i]), 0.0, "min", "m", (task.names[i],), when, remedy)

@@ -203,6 +203,8 @@ def _last_resort(task: SeparationTask, tried: list[Standing], say: Progress) -> 
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
+    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # upward: what is told must do
+    enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
     return Violation(
         "duration",
         needed,
@@ -211,7 +213,7 @@ def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
         "s",
         (),
         "",
-        f"{which}; allow {needed:.4g} s, or raise the limits",
+        f"{which}; allow {enough:.4g} s, or raise the limits",
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.certificate.keep_out import smallest_clearance
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.rates import largest_rate, norm_bound
-from hitchopt.certificate.rounding import ROUNDING
+from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING
 from hitchopt.errors import Violation
 from hitchopt.planners.demands import LIMIT_SHARE
 from hitchopt.planners.separation.course import Course
@@ -100,14 +100,11 @@ def _surroundings(
     if task.arena is not None:
         x = unit.coefficients  # an arena is convex: what holds the coefficients holds the curves
         room = np.minimum(x - task.arena.lower[:, None], task.arena.upper[:, None] - x)
-        margin = ROUNDING * float(
-            max(
-                np.max(np.abs(x)),
-                np.max(np.abs(task.arena.lower)),
-                np.max(np.abs(task.arena.upper)),
-            )
-        )
+        corners = np.abs([task.arena.lower, task.arena.upper])
+        margin = ROUNDING * float(max(np.max(np.abs(x)), np.max(corners)))
         worst = float(np.min(room)) - margin
+        if float(np.min(room)) >= -LAST_PLACE * float(np.max(corners)):
+            worst = 0.0  # who rests on the floor is not below it, as the certificate has it
         if worst < 0.0:
             piece, drone = np.unravel_index(int(np.argmin(room)), room.shape)[:2]
             when = _when(float(unit.breaks[piece]), duration)
