@@ -98,6 +98,8 @@ def named_cases() -> list[Case]:
     four, weak = ho.Team(4, 2.4), ho.Quadrotor(0.132, 1.6)
     thrust_bound = ho.Team(4, 2.4, tension=0.8, quadrotor=weak)
     moved = square.rotated(0.9).translated([0.5, 0.2])
+    small, five = ho.regular_polygon(5, 0.45, 0.3), ho.Team(5, 2.0)
+    first, last = (ho.Hitch(five, small, 1.0, np.full(5, d)) for d in (1.2, 0.35))
     return [
         make_case("square, quarter turn", four, square, square.renumbered(1), free),
         make_case("square, half turn", four, square, square.renumbered(2), free),
@@ -105,4 +107,5 @@ def named_cases() -> list[Case]:
         make_case("pentagon", ho.Team(5, 2.6), pentagon, pentagon.renumbered(2), free),
         make_case("thrust-bound", thrust_bound, square, moved, free),
         make_case("narrow arena", four, square, square.renumbered(1), narrow),
+        Case("star tip", first, last, free),
     ]
