@@ -296,3 +296,11 @@ def test_nobody_flies_below_the_ground(low: str) -> None:
     ho.form(
         ho.Team(3, 2.4), q - below - lower, r - below - lower, polygon, altitude=-1.0, arena=arena
     )
+
+
+@pytest.mark.parametrize("stem", ["cable_too_short", "ceiling_too_low", "start_overstretched"])
+def test_what_cannot_be_formed_is_told_with_what_would_mend_it(stem: str) -> None:
+    problem = load_problem(PROBLEMS / "infeasible" / f"form_{stem}.yaml")
+    found = ho.suggestions(problem, budget=300.0)  # seconds, were the machine not busy
+    assert found
+    assert ho.solve(found[0].change.problem).certificate.certified

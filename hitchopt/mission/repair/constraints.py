@@ -10,7 +10,7 @@ from hitchopt.errors import InfeasibleError, Violation
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
 
-SPACE = frozenset({"separation", "cable_clearance", "legs", "span"})
+SPACE = frozenset({"separation", "cable_clearance", "legs", "span", "cable_length"})
 """What longer legs mend."""
 
 RATES = frozenset({"speed", "acceleration", "jerk", "vertex_speed"})
