@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     "folder",
     metavar="PATH",
     type=click.Path(path_type=Path),
-    help="The folder to write; by default DIR's name, a dash and NAME, beside DIR.",
+    help="The folder to write, or the file where there is but one (plan.csv); by default DIR's "
+    "name, a dash and NAME, beside DIR.",
 )
 @click.option("--frame", metavar="FRAME", help="enu, nwu or ned; by default the format's usual.")
 @click.option(

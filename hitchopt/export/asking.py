@@ -15,6 +15,7 @@ from hitchopt.export.fleet import placeholder_fleet, read_fleet
 from hitchopt.export.formats.format import Format, Task
 from hitchopt.export.formats.registry import format_of
 from hitchopt.export.room import Room
+from hitchopt.export.single_file import ENDINGS, export_file
 from hitchopt.model.motion import Flying
 
 MAX_RATE = 10_000.0
@@ -22,9 +23,6 @@ MAX_RATE = 10_000.0
 
 STORAGES = ("mcap", "sqlite3")
 """Of a bag."""
-
-FILES = (".csv", ".parquet", ".npz", ".json", ".skyc", ".zip", ".mcap", ".db3", ".bin", ".yaml")
-"""Endings of what goes into an export's folder: whoever names a file so did not mean a folder."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,8 @@ def export_motion(
     motion: the plan; it is certified first, stretched as asked.
     title: what it is called.
     wish: how it is to be told.
-    folder: where to.
+    folder: where to; a name that ends as the format's only file does is that file, its manifest
+        beside it.
     progress: called with what is being done now.
 
     Raises
@@ -94,8 +93,8 @@ def export_motion(
         wish.rate is not None,
     )
     place = Path(folder)
-    if place.suffix.lower() in FILES and not place.is_dir():
-        raise InputError("-o", str(place), "a folder", "an export is one; leave the ending out")
+    if place.suffix.lower() in ENDINGS and not place.is_dir():
+        return export_file(kind, task, certify(task.motion, progress), place, progress)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is a file; an export is a folder, choose another one")
     return export_plan(kind, task, certify(task.motion, progress), place, progress)

@@ -127,10 +127,10 @@ def test_the_help_names_every_format() -> None:
 
 def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
     assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
-    ending = run("export", plan, "--format", "csv", "-o", "table.csv")
+    ending = run("export", plan, "--format", "csv", "-o", "table.npz")
     assert ending.exit_code == 2
-    assert "-o = 'table.csv': must be a folder" in ending.stderr
-    assert not Path("table.csv").exists()
+    assert "-o = 'table.npz': must be a folder" in ending.stderr
+    assert list(Path().iterdir()) == []
     Path("taken").write_text("mine")
     done = run("export", plan, "--format", "csv", "-o", "taken")
     assert done.exit_code == 2
@@ -148,3 +148,31 @@ def test_lint_ends_with_3_where_something_would_go_wrong(plan: Path) -> None:
     assert run("lint", "files", "--radius", "-1").exit_code == 2
     assert run("lint", "nowhere").exit_code == 2
     assert "hitchopt check" in run("lint", plan).stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "ending"),
+    [
+        ("csv", "csv"),
+        ("parquet", "parquet"),
+        ("npz", "npz"),
+        ("json", "json"),
+        ("skybrush", "skyc"),
+    ],
+)
+def test_a_format_of_one_file_is_written_where_it_is_wanted(
+    plan: Path, name: str, ending: str
+) -> None:
+    place = Path("new") / f"table.{ending}"
+    told = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
+    assert told.exit_code == 0, told.stderr
+    assert run("export", plan, "--format", name, "-o", "folder", "--stretch", "1.02").exit_code == 0
+    (same,) = (path for path in Path("folder").iterdir() if path.name != "export.json")
+    assert place.stat().st_size == same.stat().st_size
+    beside = {path.name for path in place.parent.iterdir()}
+    assert beside == {place.name, f"{place.name}.export.json"}
+    again = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
+    assert again.exit_code == 0
+    Path("mine.csv").write_text("mine")
+    assert run("export", plan, "--format", "csv", "-o", "mine.csv").exit_code == 2
+    assert Path("mine.csv").read_text() == "mine"
