@@ -183,7 +183,7 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         )
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)
-        prisms = tuple(Prism(**entry) for entry in settings.get("keep_out", ()))
+        prisms = tuple(Prism(**entry) for entry in settings["keep_out"])
         motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases, prisms)
     _check_phases(motion)
     return motion

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import struct
 import zipfile
@@ -96,6 +97,23 @@ def test_velocity_that_jumps_is_a_warning(tmp_path: Path) -> None:
     assert found.sound
     assert rules_of(found, WARNING) == {"jump", "end"}  # and it ends at -0.5 m/s
     assert found.flight.jumps[1] == pytest.approx(1.0)
+
+
+def test_yaw_that_jumps_is_a_warning(tmp_path: Path) -> None:
+    polys(tmp_path, ([1.0, 1.0, 1.0], [[0.0], [0.0], [0.0]]))
+    assert report(tmp_path).sound
+    assert rules_of(report(tmp_path), WARNING) == set()
+    path = tmp_path / "d0.csv"
+    header, *rows = path.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    column = len(cells[0]) - 8  # yaw^0
+    cells[1][column], cells[2][column] = str(2.0 * math.pi), "0.5"  # a whole turn, then a jump
+    path.write_text("\n".join([header, *(",".join(row) for row in cells)]) + "\n")
+    found = report(tmp_path)
+    assert rules_of(found, WARNING) == {"jump"}
+    (finding,) = (f for f in found.findings if f.level == WARNING)
+    assert "28.6°" in str(finding)
+    assert "t = 2 s" in str(finding)
 
 
 def test_limits(tmp_path: Path) -> None:

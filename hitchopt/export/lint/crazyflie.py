@@ -15,7 +15,7 @@ from hitchopt.errors import HitchoptError
 from hitchopt.export.formats.compressed import read_bytes
 from hitchopt.export.formats.compressed_bytes import LARGEST, LONGEST, MILLI, decoded
 from hitchopt.export.formats.memory import BYTES
-from hitchopt.export.formats.poly_csv import PIECE_BYTES, read_poly_csv
+from hitchopt.export.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, DroneFacts, Finding, Loaded
 from hitchopt.export.recording import recording_of_curves
 from hitchopt.export.room import AXES
@@ -70,6 +70,7 @@ def poly_files(files: Sequence[Path]) -> Loaded:
                 )
             )
         findings += _long(name, float(np.max(table.durations)))
+        findings += _yaw_jumps(name, table)
     frames = {table.frame for table in tables} - {""}
     if len(frames) > 1:
         findings.append(Finding(ERROR, "frame", "", f"files are in {' and '.join(sorted(frames))}"))
@@ -79,6 +80,28 @@ def poly_files(files: Sequence[Path]) -> Loaded:
     findings += _settings(files[0].parent / SETTINGS, starts)
     recording = recording_of_curves(names, curves, frame, 2)
     return Loaded("crazyswarm2", recording, tuple(facts), tuple(findings))
+
+
+def _yaw_jumps(name: str, table: PolyTable) -> list[Finding]:
+    """Return the largest jump of yaw where pieces join, whole turns being none."""
+    if len(table.durations) < LEAST_ROWS:
+        return []
+    powers = table.powers[:, 3]
+    ends = np.sum(powers * table.durations[:, None] ** np.arange(powers.shape[1]), axis=1)
+    jumps = np.abs(np.angle(np.exp(1j * (powers[1:, 0] - ends[:-1]))))
+    joint = int(np.argmax(jumps))
+    if jumps[joint] <= STEADY:
+        return []
+    after = float(np.sum(table.durations[: joint + 1]))
+    return [
+        Finding(
+            WARNING,
+            "jump",
+            name,
+            f"yaw jumps by {math.degrees(jumps[joint]):.3g}° at t = {after:.4g} s; "
+            "let every piece begin with the yaw at which the one before ends",
+        )
+    ]
 
 
 def byte_files(files: Sequence[Path]) -> Loaded:
