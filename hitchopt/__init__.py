@@ -1,4 +1,4 @@
-"""hitchopt plans how teams of quadrotors reshape polygonal cable hitches in midair.
+"""hitchopt plans how teams of quadrotors tie and reshape polygonal cable hitches in midair.
 
 Names are imported when they are first used, so that ``import hitchopt`` stays light.
 """

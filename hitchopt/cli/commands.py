@@ -40,7 +40,7 @@ def _version() -> str:
 @click.group(cls=SafeGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version=_version(), prog_name="hitchopt")
 def main() -> None:
-    """Plan how teams of quadrotors reshape polygonal cable hitches in midair.
+    """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
 
     Every plan comes with a certificate that holds for all of continuous time.
 
