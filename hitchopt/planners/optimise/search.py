@@ -112,7 +112,9 @@ def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
         if outlooks[k] > HOPELESS * fastest:
             break
         settled = _settled(ways[k], search, seen)
-        if settled is None or promise(settled, search.kept) > WORSE * fastest:
+        if settled is None:
+            continue
+        if found and promise(settled, search.kept) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
         if refined is not None:
@@ -153,7 +155,9 @@ def _refined(way: Way, search: Search) -> Candidate | None:
         quick = Step(LATER_STEP, how.parts, fastest=True)
         steps_on = iterates(way, bounds, quick, FASTEST_STEPS, STILL)
         faster = [moved for moved in steps_on if clear(moved, search)]
-        choices = sorted([*faster, way], key=lambda w: promise(w, search.kept))
+        choices = [*faster, way]
+        if faster:
+            choices.sort(key=lambda choice: promise(choice, search.kept))
         for choice in dict.fromkeys([choices[0], way]):
             found = judged(choice, search)
             if found is not None:
