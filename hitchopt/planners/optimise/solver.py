@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import casadi as ca
 import numpy as np
 
@@ -10,6 +12,11 @@ from hitchopt.planners.optimise.way import Way
 
 TOLERANCE = 1e-3
 """Of the scaled conditions: a way is settled and measured anyway, and never believed."""
+
+
+_LAST: deque[ca.Function] = deque(maxlen=1)
+"""casadi keeps a function's derivatives as long as somebody uses them: the solver before does, for
+the next one, which is built a third faster."""
 
 
 def solve_program(program: WayProgram) -> Way | None:
@@ -32,6 +39,7 @@ def solve_program(program: WayProgram) -> Way | None:
             },
         },
     )
+    _LAST.append(solver)
     solution = solver(
         x0=program.start,
         lbx=program.lower,
