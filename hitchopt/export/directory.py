@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from hitchopt.certificate.report import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.plan_file import write_plan
 from hitchopt.export.setpoints import Progress, write_setpoints
+from hitchopt.export.strict_json import write_strict_json
 from hitchopt.export.vertices import write_vertices
 from hitchopt.mission.repair import Suggestion
 from hitchopt.model.motion import Flying, Motion
@@ -65,7 +63,7 @@ def save_plan(
         PLAN: lambda path: write_plan(path, motion, title),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
         **(pictures or {}),
-        CERTIFICATE: lambda path: _write_json(path, content),
+        CERTIFICATE: lambda path: write_strict_json(path, content),
     }
     if isinstance(motion, Motion):
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
@@ -95,21 +93,5 @@ def save_diagnosis(
         "violations": [{**vars(v), "message": str(v)} for v in violations],
         "suggestions": [suggestion.to_dict() for suggestion in suggestions],
     }
-    writers = {DIAGNOSIS: lambda path: _write_json(path, content)}
+    writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", newline="\n")
-
-
-def _strict(value: Any) -> Any:
-    """Return ``value`` with null for every number that JSON has no word for."""
-    if isinstance(value, dict):
-        return {key: _strict(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -15,7 +15,7 @@ from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.schema import (
-    LimitsKeys,
+    MotionLimitsKeys,
     QuadrotorKeys,
     StartKeys,
     TeamKeys,
@@ -70,7 +70,7 @@ def built_problem(keys: ProblemKeys) -> Problem:
     attempt = faults.attempt
     title = attempt("", lambda: checked_title(keys.title))
     team = attempt("team", lambda: _team(keys.team))
-    limits = attempt("limits", lambda: _limits(keys.limits))
+    limits = attempt("limits", lambda: built_limits(keys.limits))
     separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
     box = keys.arena
     arena = attempt("arena", lambda: Arena(box.lower, box.upper)) if box is not None else None
@@ -93,7 +93,6 @@ def checked_title(title: str) -> str:
 
 
 def _team(keys: TeamKeys) -> Team:
-    kinds = keys.quadrotor
     return Team(
         keys.robots,
         keys.cable_length,
@@ -101,15 +100,21 @@ def _team(keys: TeamKeys) -> Team:
         cable_density=keys.cable_density,
         cable_friction=keys.cable_friction,
         tension=keys.tension,
-        quadrotor=[_kind(kind) for kind in kinds] if isinstance(kinds, list) else _kind(kinds),
+        quadrotor=built_quadrotors(keys.quadrotor),
     )
 
 
-def _kind(keys: QuadrotorKeys) -> Quadrotor:
+def built_quadrotors(
+    keys: QuadrotorKeys | list[QuadrotorKeys],
+) -> Quadrotor | list[Quadrotor]:
+    """Return the one kind, or the list of kinds, that ``keys`` describe."""
+    if isinstance(keys, list):
+        return [Quadrotor(kind.mass, kind.max_thrust) for kind in keys]
     return Quadrotor(keys.mass, keys.max_thrust)
 
 
-def _limits(keys: LimitsKeys) -> Limits:
+def built_limits(keys: MotionLimitsKeys) -> Limits:
+    """Return the limits that ``keys`` describe, angles in rad."""
     values = keys.model_dump()
     return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
 

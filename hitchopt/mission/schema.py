@@ -147,8 +147,8 @@ class TeamKeys(Keys):
     )
 
 
-class LimitsKeys(Keys):
-    """Limits of motion; all norms are Euclidean."""
+class MotionLimitsKeys(Keys):
+    """Limits of what drones do, with cables or without; all norms are Euclidean."""
 
     speed: Positive = Field(default=Limits.speed, description="Of every drone [m/s]")
     acceleration: Positive = Field(default=Limits.acceleration, description="Of every drone [m/s²]")
@@ -156,14 +156,19 @@ class LimitsKeys(Keys):
     tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
         default=45.0, description="Largest angle of the thrust from vertical [°]"
     )
+    duration: Positive | None = Field(
+        default=Limits.duration, description="Of the whole plan [s], or null for no limit"
+    )
+
+
+class LimitsKeys(MotionLimitsKeys):
+    """Limits of a hitch; all norms are Euclidean."""
+
     vertex_speed: Positive = Field(
         default=Limits.vertex_speed, description="How fast a vertex of the hitch may go [m/s]"
     )
     leg: Positive = Field(
         default=Limits.leg, description="Shortest leg, vertex to drone, while the hitch holds [m]"
-    )
-    duration: Positive | None = Field(
-        default=Limits.duration, description="Of the whole plan [s], or null for no limit"
     )
 
 

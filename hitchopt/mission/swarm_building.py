@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
-from hitchopt.hitch import Arena, Limits, Prism, Quadrotor, Separation, Swarm
-from hitchopt.mission.building import checked_title
+from hitchopt.hitch import Arena, Prism, Separation, Swarm
+from hitchopt.mission.building import built_limits, built_quadrotors, checked_title
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.mission.swarm_schema import PrismKeys, SwarmKeys, SwarmLimitsKeys, SwarmTeamKeys
+from hitchopt.mission.swarm_schema import PrismKeys, SwarmKeys
 
 
 def built_swarm(keys: SwarmKeys) -> SwarmProblem:
@@ -22,8 +21,10 @@ def built_swarm(keys: SwarmKeys) -> SwarmProblem:
     faults = Collector()
     attempt = faults.attempt
     title = attempt("", lambda: checked_title(keys.title))
-    team = attempt("team", lambda: _team(keys.team))
-    limits = attempt("limits", lambda: _limits(keys.limits))
+    team = attempt(
+        "team", lambda: Swarm(keys.team.drones, quadrotor=built_quadrotors(keys.team.quadrotor))
+    )
+    limits = attempt("limits", lambda: built_limits(keys.limits))
     separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
     box = keys.arena
     arena = attempt("arena", lambda: Arena(box.lower, box.upper)) if box is not None else None
@@ -52,18 +53,6 @@ def built_swarm(keys: SwarmKeys) -> SwarmProblem:
     if problem is None:
         raise RuntimeError("a part of the problem is missing although nothing was refused")
     return problem
-
-
-def _team(keys: SwarmTeamKeys) -> Swarm:
-    kinds = keys.quadrotor
-    if isinstance(kinds, list):
-        return Swarm(keys.drones, quadrotor=[Quadrotor(k.mass, k.max_thrust) for k in kinds])
-    return Swarm(keys.drones, quadrotor=Quadrotor(kinds.mass, kinds.max_thrust))
-
-
-def _limits(keys: SwarmLimitsKeys) -> Limits:
-    values = keys.model_dump()
-    return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
 
 
 def _prism(keys: PrismKeys) -> Prism:

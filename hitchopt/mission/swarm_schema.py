@@ -6,15 +6,15 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag
 
-from hitchopt.hitch import Limits, Separation
+from hitchopt.hitch import Separation
 from hitchopt.hitch.swarm import MAX_DRONES
 from hitchopt.mission.schema import (
     EACH,
     MAX_TITLE,
-    MIN_QUANTITY,
     ONE,
     ArenaKeys,
     Keys,
+    MotionLimitsKeys,
     Number,
     Point2,
     Point3,
@@ -46,20 +46,6 @@ class SwarmTeamKeys(Keys):
     )
 
 
-class SwarmLimitsKeys(Keys):
-    """Limits of motion; all norms are Euclidean."""
-
-    speed: Positive = Field(default=Limits.speed, description="Of every drone [m/s]")
-    acceleration: Positive = Field(default=Limits.acceleration, description="Of every drone [m/s²]")
-    jerk: Positive = Field(default=Limits.jerk, description="Of every drone [m/s³]")
-    tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
-        default=45.0, description="Largest angle of the thrust from vertical [°]"
-    )
-    duration: Positive | None = Field(
-        default=Limits.duration, description="Of the whole plan [s], or null for no limit"
-    )
-
-
 class SwarmSeparationKeys(Keys):
     """The ellipsoids that are kept apart."""
 
@@ -88,8 +74,8 @@ class SwarmKeys(Keys):
 
     title: str = Field(default="", max_length=MAX_TITLE, description="What to call the plan")
     team: SwarmTeamKeys = Field(description=str(SwarmTeamKeys.__doc__), examples=[{"drones": 2}])
-    limits: SwarmLimitsKeys = Field(
-        default_factory=SwarmLimitsKeys, description=str(SwarmLimitsKeys.__doc__)
+    limits: MotionLimitsKeys = Field(
+        default_factory=MotionLimitsKeys, description=str(MotionLimitsKeys.__doc__)
     )
     separation: SwarmSeparationKeys = Field(
         default_factory=SwarmSeparationKeys, description=str(SwarmSeparationKeys.__doc__)

@@ -16,9 +16,10 @@ import numpy as np
 
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.export.atomic import Writer, replace_files
+from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulate.measures import Spread, tracking_errors
 from hitchopt.simulate.outcome import Failure
-from hitchopt.simulate.report import CAMPAIGN, OWNED, RUNS, settings_summary, write_json
+from hitchopt.simulate.report import CAMPAIGN, OWNED, RUNS, settings_summary
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.simulation import Task, simulate
 
@@ -211,7 +212,7 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
     """
     writers: dict[str, Writer] = {
         RUNS: lambda path: _write_runs(path, campaign),
-        CAMPAIGN: lambda path: write_json(path, campaign.to_dict()),
+        CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
     }
     return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
 

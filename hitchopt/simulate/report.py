@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.export.atomic import Writer, replace_files
+from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulate.measures import Spread, tracking_errors
 from hitchopt.simulate.picture import save_picture
 from hitchopt.simulate.settings import Settings
@@ -49,7 +49,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
         DRONES: lambda path: _write_drones(path, simulation),
         RECORDING: lambda path: _write_recording(path, simulation),
         PICTURE: lambda path: save_picture(path, simulation),
-        SUMMARY: lambda path: write_json(path, summary(simulation)),
+        SUMMARY: lambda path: write_strict_json(path, summary(simulation)),
     }
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
@@ -95,22 +95,6 @@ def summary(simulation: Simulation) -> dict[str, Any]:
 def settings_summary(settings: Settings) -> dict[str, Any]:
     """Return how a flight was simulated, the values that were taken by default among it."""
     return {**asdict(settings), "lag": settings.lag}
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write strict JSON: null for what is not finite."""
-    text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", newline="\n")
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _strict(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _write_vertices(path: Path, simulation: Simulation) -> None:

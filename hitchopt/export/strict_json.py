@@ -1,0 +1,30 @@
+"""JSON that every reader takes: null for every number that it has no word for."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+
+def write_strict_json(path: Path, content: dict[str, Any]) -> None:
+    """Write the content, indented, in UTF-8.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def _strict(value: Any) -> Any:
+    """Return ``value`` with null for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
