@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from hitchopt.certificate import Certificate, merged
 from hitchopt.errors import InfeasibleError, InputError, Violation
@@ -16,20 +13,17 @@ from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
+from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
-from hitchopt.mission.problem import DronesStart, Problem
+from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.mission.situation import Situation, Tied
 from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
 from hitchopt.mission.tying import plan_form, plan_release
 from hitchopt.model.motion import Motion, joined_motions
 from hitchopt.planners.forming.assigning import assigned
 
-__all__ = ["Certified", "Kept", "Progress", "solve_from_drones", "solve_problem", "solve_steps"]
-
-Array = NDArray[np.float64]
-
-Progress = Callable[[str], None]
+__all__ = ["Certified", "Kept", "Progress", "solve_problem", "solve_steps"]
 
 RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
 """Checks that hold more easily where everything goes slower."""
@@ -52,39 +46,7 @@ def solve_problem(
     HitchoptError: a planner failed to find what may exist, and says so.
     """
     kept = Kept(problem.limits, problem.separation, problem.arena, optimiser)
-    start = problem.start
-    if isinstance(start, DronesStart):
-        return solve_from_drones(problem.team, start.drones, problem.mission, kept, progress)
-    _tell(progress, "sharing the start's legs")
-    hitch = shared_hitch(problem.team, start.polygon, start.altitude, start.legs, kept)
-    return solve_steps(hitch, problem.mission, kept, progress)
-
-
-def solve_from_drones(
-    team: Team,
-    drones: Array,
-    steps: tuple[Step, ...],
-    kept: Kept,
-    progress: Progress | None = None,
-) -> Certified:
-    """Return the plan of ``steps`` from drones on free cables; errors as solve_problem.
-
-    The first hitch that is formed assigns robots to roles, for all of the plan.
-
-    Parameters
-    ----------
-    drones: (2n, 3) [m], q0, r0, q1, … of the robots as they are given.
-    """
-    first = next((step for step in steps if isinstance(step, Form)), None)
-    assignment = Assignment.fixed(team.robots)
-    if first is not None and first.assign == "auto":
-        _tell(progress, "assigning robots to edges")
-        assignment = assigned(team, drones, first.polygon, kept.limits.leg)
-    before = Situation(assignment.team(team), assignment.drones(drones))
-    check_start(before, kept)
-    found = _solved(before, steps, kept, progress)
-    check_above_ground(found.motion)
-    return replace(found, motion=replace(found.motion, assignment=assignment))
+    return _solved(progress, problem.team, problem.start, problem.mission, kept)
 
 
 def solve_steps(
@@ -94,48 +56,116 @@ def solve_steps(
     progress: Progress | None = None,
 ) -> Certified:
     """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    check_at_rest(start, kept, "at the start (t = 0)")
-    return _solved(Situation.holding(start), steps, kept, progress)
+    return _solved(progress, start.team, start, steps, kept)
 
 
+@remembered
 def _solved(
-    start: Situation, steps: tuple[Step, ...], kept: Kept, progress: Progress | None
+    progress: Progress | None,
+    team: Team,
+    start: Start | Hitch,
+    steps: tuple[Step, ...],
+    kept: Kept,
 ) -> Certified:
-    situation = start
+    begun = _begun(progress, team, start, _first_form(steps), kept)
+    situation = begun.situation
     motions: list[Motion] = []
     certificates: list[Certificate] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
-        try:
-            planned = _planned(situation, group, first, kept)
-        except InfeasibleError as error:
-            raise _in_step(error, first, group) from None
+        planned = _step(progress, situation, group, first, kept)
         motions.append(planned.motion)
+        certificates.append(planned.certificate)
         situation = planned.after
-        if planned.certificate is None:
-            _tell(progress, f"certifying step {first} ({group[0].name})")
-        certificates.append(planned.certificate or certified(planned.motion).certificate)
     motion = joined_motions(motions)
     certificate = merged(motion, certificates)
     if not certificate.certified:
         broken = infeasible(certificate, kept.separation, motion.phases)
         raise _advised(broken, certificate, motion, steps)
-    return Certified(motion, certificate)
+    if isinstance(start, DronesStart):
+        check_above_ground(motion)
+    return Certified(replace(motion, assignment=begun.assignment), certificate)
 
 
-def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, list[Step]]]:
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """Where a mission starts; from free cables, with the robots' roles for all of the plan."""
+
+    situation: Situation
+    assignment: Assignment | None = None
+
+
+@remembered
+def _begun(
+    progress: Progress | None,
+    team: Team,
+    start: Start | Hitch,
+    form: Form | None,
+    kept: Kept,
+) -> _Begun:
+    """Return where a mission starts, ``form`` being the first step that forms a hitch."""
+    if not isinstance(start, DronesStart):
+        if isinstance(start, Hitch):
+            hitch = start
+        else:
+            _tell(progress, "sharing the start's legs")
+            hitch = shared_hitch(team, start.polygon, start.altitude, start.legs, kept)
+        check_at_rest(hitch, kept, "at the start (t = 0)")
+        return _Begun(Situation.holding(hitch))
+    assignment = Assignment.fixed(team.robots)
+    if form is not None and form.assign == "auto":
+        _tell(progress, "assigning robots to edges")
+        assignment = assigned(team, start.drones, form.polygon, kept.limits.leg)
+    before = Situation(assignment.team(team), assignment.drones(start.drones))
+    check_start(before, kept)
+    return _Begun(before, assignment)
+
+
+def _first_form(steps: Sequence[Step]) -> Form | None:
+    return next((step for step in steps if isinstance(step, Form)), None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """The motion of steps without a stop, where it ends, and its certificate, duration left out."""
+
+    motion: Motion
+    after: Situation
+    certificate: Certificate
+
+
+@remembered
+def _step(
+    progress: Progress | None,
+    before: Situation,
+    group: tuple[Step, ...],
+    first: int,
+    kept: Kept,
+) -> _Step:
+    try:
+        planned = _planned(before, group, first, kept)
+    except InfeasibleError as error:
+        raise _in_step(error, first, group) from None
+    certificate = planned.certificate
+    if certificate is None:
+        _tell(progress, f"certifying step {first} ({group[0].name})")
+        certificate = certified(planned.motion).certificate
+    return _Step(planned.motion, planned.after, certificate)
+
+
+def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
     """Yield the steps that follow one another without a stop, with the first one's index."""
     group: list[Step] = []
     for i, step in enumerate(steps):
         group.append(step)
         if not getattr(step, "blend", False):
-            yield i + 1 - len(group), group
+            yield i + 1 - len(group), tuple(group)
             group = []
     if group:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
 
 
-def _planned(before: Situation, group: list[Step], first: int, kept: Kept) -> Tied:
+def _planned(before: Situation, group: Sequence[Step], first: int, kept: Kept) -> Tied:
     """Return the plan of steps that follow one another without a stop; mostly there is one."""
     step = group[0]
     if isinstance(step, Form):
@@ -157,7 +187,7 @@ def _planned(before: Situation, group: list[Step], first: int, kept: Kept) -> Ti
     return Tied(planned.motion, after, planned.certificate)
 
 
-def _in_step(error: InfeasibleError, first: int, group: list[Step]) -> InfeasibleError:
+def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
     """Return the error with the step named wherever its words do not name it yet."""
     names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
     suffix = f"of step {names}"

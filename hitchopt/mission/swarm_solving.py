@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from hitchopt.certificate import Certificate, certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.diagnosis import infeasible
+from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.model.motion import Phase, SwarmMotion
 
@@ -30,15 +30,18 @@ class CertifiedSwarm:
     certificate: Certificate
 
 
-def solve_swarm(
-    problem: SwarmProblem, progress: Callable[[str], None] | None = None
-) -> CertifiedSwarm:
+def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> CertifiedSwarm:
     """Return the plan with its certificate.
 
     Raises
     ------
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
+    return _solved(progress, problem)
+
+
+@remembered
+def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
     from hitchopt.planners.separation import SeparationTask, separate
 
     longest = problem.limits.duration

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hitchopt.planners.optimise.program import WayProgram
+from hitchopt.planners.optimise.signals import answered_later
 from hitchopt.planners.optimise.way import Way
 
 TOLERANCE = 1e-3
@@ -40,13 +41,14 @@ def solve_program(program: WayProgram) -> Way | None:
         },
     )
     _LAST.append(solver)
-    solution = solver(
-        x0=program.start,
-        lbx=program.lower,
-        ubx=program.upper,
-        lbg=program.least,
-        ubg=program.most,
-    )
+    with answered_later():
+        solution = solver(
+            x0=program.start,
+            lbx=program.lower,
+            ubx=program.upper,
+            lbg=program.least,
+            ubg=program.most,
+        )
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not solver.stats()["success"] or not np.all(np.isfinite(x)):
         return None

@@ -21,6 +21,9 @@ ACCURACY = 1e-4
 MOST_ITERATIONS = 500
 """A program that takes more is used as it is then: whoever asks checks what becomes of it."""
 
+INTERRUPTED = "interrupted"
+"""What OSQP says when it has kept Ctrl-C to itself."""
+
 
 class ProgramError(Exception):
     """A program that OSQP did not solve in any sense."""
@@ -113,6 +116,8 @@ class Solver:
         self._program = program
         self._osqp.warm_start(x=first, y=multipliers)
         result = self._osqp.solve(raise_error=False)
+        if result.info.status == INTERRUPTED:
+            raise KeyboardInterrupt
         x = np.asarray(result.x, dtype=np.float64)
         if x.shape != program.q.shape or not np.all(np.isfinite(x)):
             self._osqp = None
