@@ -36,7 +36,8 @@ LIMITATIONS = (
     "are let off cable_clearance and crossing, toppra knows boxes of speed and acceleration only; "
     "rivals' times leave imports out but not the building of their programs, which they do anew "
     "every time, and get 6 GB; first and second are whole solves in one process, with their "
-    "certificates"
+    "certificates and without memory of earlier ones, and rivals are compared with these alone; "
+    "again is no solve: the same morph once more, its plan taken from memory"
 )
 STOPPED = 90.0
 """[s] Rivals are stopped so long after their limit, by the clock on the wall: for building their

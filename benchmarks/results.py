@@ -20,6 +20,7 @@ COLUMNS = {
     "cold": ".2f",
     "first": ".2f",
     "second": ".2f",
+    "again": ".4f",
     "certify": ".2f",
     "sharing": ".2f",
     "write": ".2f",

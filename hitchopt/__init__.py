@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from hitchopt.hitch import Arena, Hitch, Limits, Prism, Quadrotor, Separation, Swarm, Team
     from hitchopt.hitch.assignment import Assignment
     from hitchopt.mission.loading import load_problem, load_swarm, read_problem
+    from hitchopt.mission.memory import forget
     from hitchopt.mission.problem import (
         Adjust,
         DronesStart,
@@ -106,6 +107,7 @@ _HOMES = {
     "certify": "certificate",
     "closest": "plan",
     "follow_vertex": "actions",
+    "forget": "mission.memory",
     "form": "tying",
     "hold": "actions",
     "land": "tying",
@@ -175,6 +177,7 @@ __all__ = [
     "certify",
     "closest",
     "follow_vertex",
+    "forget",
     "form",
     "hold",
     "land",

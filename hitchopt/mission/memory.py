@@ -122,6 +122,8 @@ def remembered(
     def found(progress: Progress | None, /, *args: P.args, **kwargs: P.kwargs) -> T:
         key = _key(work.__module__, work.__qualname__, args, sorted(kwargs.items()))
         known = None if key is None else memory.recall(key)
+        if known is not None and progress is not None:
+            progress("planned before, taken from memory")
         if isinstance(known, Refusal):
             raise InfeasibleError(known.violations, known.note)
         if known is not None:

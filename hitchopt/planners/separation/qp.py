@@ -21,9 +21,6 @@ ACCURACY = 1e-4
 MOST_ITERATIONS = 500
 """A program that takes more is used as it is then: whoever asks checks what becomes of it."""
 
-INTERRUPTED = "interrupted"
-"""What OSQP says when it has kept Ctrl-C to itself."""
-
 
 class ProgramError(Exception):
     """A program that OSQP did not solve in any sense."""
@@ -100,6 +97,8 @@ class Solver:
         ------
         ProgramError: not solved, not even roughly.
         """
+        import osqp
+
         if first.shape != program.q.shape:
             raise ValueError(f"a start of {first.shape} for {program.q.shape}")
         multipliers = np.zeros(len(program.lower))
@@ -116,8 +115,8 @@ class Solver:
         self._program = program
         self._osqp.warm_start(x=first, y=multipliers)
         result = self._osqp.solve(raise_error=False)
-        if result.info.status == INTERRUPTED:
-            raise KeyboardInterrupt
+        if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+            raise KeyboardInterrupt  # which OSQP has kept to itself
         x = np.asarray(result.x, dtype=np.float64)
         if x.shape != program.q.shape or not np.all(np.isfinite(x)):
             self._osqp = None
