@@ -31,7 +31,7 @@ MOST = 512
 """Things remembered."""
 
 MOST_BYTES = 256 * 2**20
-"""[B] Of all of them together: a plan of 1000 robots takes some 60 MB."""
+"""[B] Of all of them together: a mission of one step with 1000 robots takes 76 MB."""
 
 Progress = Callable[[str], None]
 
