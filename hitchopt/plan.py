@@ -19,7 +19,6 @@ from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.exporting import Export
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
-from hitchopt.mission.loading import load_problem, load_swarm, read_problem
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
@@ -175,11 +174,14 @@ def solve(problem: Problem | SwarmProblem | str | Path, progress: Progress | Non
     InputError, FileError: a problem that is wrong in itself.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    task = read_problem(problem) if isinstance(problem, str | Path) else problem
-    if isinstance(task, SwarmProblem):
-        return separate(task, progress)
-    found = solve_problem(task, progress)
-    return Plan(found.motion, found.certificate, task.title)
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import read_problem  # heavy, as of all files
+
+        problem = read_problem(problem)
+    if isinstance(problem, SwarmProblem):
+        return separate(problem, progress)
+    found = solve_problem(problem, progress)
+    return Plan(found.motion, found.certificate, problem.title)
 
 
 def separate(
@@ -197,9 +199,12 @@ def separate(
     InputError, FileError: a problem that is wrong in itself.
     InfeasibleError: it cannot be met; says which drones, where and when.
     """
-    task = load_swarm(problem) if isinstance(problem, str | Path) else problem
-    found = solve_swarm(task, progress)
-    return Plan(found.motion, found.certificate, task.title)
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import load_swarm
+
+        problem = load_swarm(problem)
+    found = solve_swarm(problem, progress)
+    return Plan(found.motion, found.certificate, problem.title)
 
 
 def suggestions(
@@ -219,7 +224,7 @@ def suggestions(
     ------
     InputError, FileError: a problem that is wrong in itself.
     """
-    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    task = _loaded(problem)
     try:
         solve_problem(task, progress)
     except InfeasibleError as error:
@@ -243,7 +248,7 @@ def repair(
     InfeasibleError: what binds; no single change was found that mends it.
     InputError, FileError: a problem that is wrong in itself.
     """
-    task = problem if isinstance(problem, Problem) else load_problem(problem)
+    task = _loaded(problem)
     try:
         return solve(task, progress)
     except InfeasibleError as error:
@@ -291,3 +296,11 @@ def load(directory: Path | str) -> Plan:
     path = Path(directory) / PLAN
     motion = read_plan(path)
     return Plan(motion, certify(motion), read_title(path))
+
+
+def _loaded(problem: Problem | str | Path) -> Problem:
+    if isinstance(problem, Problem):
+        return problem
+    from hitchopt.mission.loading import load_problem
+
+    return load_problem(problem)

@@ -1,8 +1,9 @@
 """The smallest distance between any two of many moving points and segments.
 
-Few bodies are all paired. Of many, a span of time is searched for an attained distance first;
-only pairs whose boxes over that span come at least as close are looked at, all others being
-farther apart for certain. Spans in which much moves are halved before.
+A span of time is searched for an attained distance first; only pairs whose boxes over that span
+come at least as close are looked at, all others being farther apart for certain. Few bodies are all
+paired, and all of the time is one span; of many the close pairs are listed span by span, and spans
+in which much moves are halved before.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.geometry import shortest_offset
+from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import (
     Boxes,
     Indices,
@@ -89,17 +90,19 @@ def smallest_distance(
         every = all_pairs(len(first), None if second is None else count)
         every = every.take(allowed(every.first, every.second))
         group = max(1, CHUNK // max(1, len(every)))  # pieces at a time
-        for start in range(0, len(breaks) - 1, group):
+        for start in range(0, len(breaks) - 1 if len(every) else 0, group):
             a = first.corners[start : start + group]
             b = a if second is None else second.corners[start : start + group]
             times = breaks[start : start + group + 1]
-            search.add(_cells(times, a, b, every, count, margin))
+            piece, pair = _near(a, b, every, margin)
+            search.add(_cells(times, a, b, piece, every.take(pair), count, margin))
         return _not_negative(search.finish())
     for span in _spans(breaks, first, second, search, allowed, margin):
         a, b = span.first, span.second if span.second is not None else span.first
         for start in range(0, len(span.pairs), CHUNK):
             chunk = span.pairs.take(slice(start, start + CHUNK))
-            search.add(_cells(span.times, a[None], b[None], chunk, count, margin))
+            piece = np.zeros(len(chunk), dtype=np.intp)
+            search.add(_cells(span.times, a[None], b[None], piece, chunk, count, margin))
         if search.value <= search.absolute:  # they touch: no other pair can do worse
             return Extremum(0.0, search.value, search.item, search.time)
     return _not_negative(search.finish())
@@ -152,15 +155,47 @@ def _spans(
             yield _Span(times, a, b, pairs)
 
 
-def _cells(times: Array, a: Array, b: Array, pairs: Pairs, count: int, margin: float) -> Cells:
-    """Return one cell per piece and pair, holding the differences of their ends."""
-    ends_a = a[:, pairs.first][:, :, :, None]
-    ends_b = b[:, pairs.second][:, :, None]
-    each = ends_a - ends_b  # (pieces, pairs, ends, ends, 3, degree + 1), of no pairs perhaps
-    rows = each.reshape(*each.shape[:2], math.prod(each.shape[2:5]), each.shape[-1])
-    cells = Cells.over(times, [rows], margin)
-    item = np.tile(pairs.first * count + pairs.second, len(times) - 1)
-    return Cells(cells.blocks, item, cells.start, cells.end, cells.margin)
+def _near(a: Array, b: Array, pairs: Pairs, margin: float) -> tuple[Indices, Indices]:
+    """Return (piece, pair) of those that some other one's distance does not rule out.
+
+    By the boxes over each piece of (pieces, bodies, 1 or 2, 3, degree + 1), held against what the
+    few pairs are apart in a piece's middle whose boxes come closest.
+    """
+    with np.errstate(all="ignore"):  # what is no number rules nothing out
+        drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
+        (a_lower, a_upper), (b_lower, b_upper) = (
+            (np.min(c, axis=(2, 4)), np.max(c, axis=(2, 4))) for c in (a - drift, b - drift)
+        )
+        i, j = pairs.first, pairs.second
+        apart = np.maximum(a_lower[:, i] - b_upper[:, j], b_lower[:, j] - a_upper[:, i])
+        gaps = np.linalg.norm(np.maximum(apart, 0.0), axis=-1)
+        count = min(NEIGHBOURS, gaps.shape[1])
+        closest = np.argpartition(gaps, count - 1, axis=1)[:, :count]
+        half = bernstein.basis(np.array(0.5), a.shape[-1] - 1)
+        each = np.arange(len(a))[:, None]
+        offsets = shortest_offset(
+            differences((a @ half)[each, i[closest]], (b @ half)[each, j[closest]])
+        )
+        attained = np.min(np.linalg.norm(offsets, axis=-1))
+        piece, pair = np.nonzero(~(gaps > attained * (1.0 + SLACK) + margin))
+    return piece, pair
+
+
+def _cells(
+    times: Array, a: Array, b: Array, piece: Indices, pairs: Pairs, count: int, margin: float
+) -> Cells:
+    """Return one cell per piece (cells,) and pair, holding the differences of their ends."""
+    ends_a = a[piece, pairs.first][:, :, None]
+    ends_b = b[piece, pairs.second][:, None]
+    each = ends_a - ends_b  # (cells, ends, ends, 3, degree + 1), of no pairs perhaps
+    rows = each.reshape(len(each), math.prod(each.shape[1:4]), each.shape[-1])
+    return Cells(
+        (rows,),
+        pairs.first * count + pairs.second,
+        times[piece],
+        times[piece + 1],
+        np.full(len(each), margin),
+    )
 
 
 def _attained(a: Array, b: Array | None, allowed: Allowed) -> float:
@@ -176,8 +211,8 @@ def _attained(a: Array, b: Array | None, allowed: Allowed) -> float:
     i, j = i[counted], j[counted]
     if len(i) == 0:
         return np.inf
-    differences = (here[i][:, :, None] - there[j][:, None]).reshape(len(i), -1, 3)
-    return float(np.min(np.linalg.norm(shortest_offset(differences), axis=-1)))
+    offsets = shortest_offset(differences(here[i], there[j]))
+    return float(np.min(np.linalg.norm(offsets, axis=-1)))
 
 
 def _halves(corners: Array) -> tuple[Array, Array]:

@@ -59,7 +59,7 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.first)
 
-    def take(self, index: NDArray[np.bool_] | slice) -> Pairs:
+    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Pairs:
         """Return the chosen pairs."""
         return Pairs(self.first[index], self.second[index])
 

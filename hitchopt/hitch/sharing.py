@@ -36,7 +36,7 @@ def share(task: SharingTask) -> Sharing:
     a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
     linear in J·n.
     """
-    slack, bodies = task.slack, SharingBodies(task)
+    slack, bodies = task.slack, SharingBodies(task, *sharing_bounds(task))
     start = np.clip(task.reference, *sharing_bounds(task))
     if task.roughness == 0.0 and np.array_equal(start, task.reference):
         # To the last bit, where a solver would come within its tolerance.
@@ -71,8 +71,12 @@ def _uneven_fractions(task: SharingTask) -> Array:
 
 
 def measured(task: SharingTask) -> float:
-    """Return the margin of the reference itself: the smallest distance over its limit."""
-    return SharingBodies(task).margin(task, task.reference)
+    """Return the margin of the reference itself: the smallest distance over its limit.
+
+    Pairs that keep the wanted margin and more need not be among those that are looked at.
+    """
+    bodies = SharingBodies(task, task.reference, task.reference)
+    return bodies.margin(task, task.reference)
 
 
 def _merit(task: SharingTask, sharing: Sharing) -> float:

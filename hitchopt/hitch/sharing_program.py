@@ -27,9 +27,15 @@ PENALTY = 1e3
 
 
 class SharingBodies:
-    """Nodes and pairs of a task, flat over its J polygons."""
+    """Nodes and pairs of a task, flat over its J polygons.
 
-    def __init__(self, task: SharingTask) -> None:
+    Parameters
+    ----------
+    task: whose bodies.
+    lowest, highest: sharings (J, n) [m] between which pairs have to come near to be kept.
+    """
+
+    def __init__(self, task: SharingTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         p = task.polygons
         layout = task.team.layout
@@ -48,7 +54,7 @@ class SharingBodies:
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
         keep = task.separation
         self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
-        self._find_pairs(task, Parts.of(n, task.team.topology))
+        self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
 
     def nodes(self, d: Array) -> Array:
         """Return the nodes' positions (J·count, 2) [m]."""
@@ -75,10 +81,9 @@ class SharingBodies:
         drones = self.nodes(d)[self.drones]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
-    def _find_pairs(self, task: SharingTask, parts: Parts) -> None:
-        """Keep the pairs whose sweeps over all sharings come within reach of their limits."""
+    def _find_pairs(self, task: SharingTask, parts: Parts, lower: Array, upper: Array) -> None:
+        """Keep the pairs whose sweeps between two sharings come within reach of their limits."""
         J = len(task.reference)
-        lower, upper = sharing_bounds(task)
         swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, -1, 2)
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)

@@ -23,6 +23,15 @@ def every(i: np.ndarray, _: np.ndarray) -> np.ndarray:
     return np.ones(len(i), dtype=np.bool_)
 
 
+def all_of_them(
+    a: np.ndarray, b: np.ndarray, pairs: Pairs, margin: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Every piece of every pair."""
+    assert (len(a), margin) == (len(b), 0.0)
+    piece, pair = np.divmod(np.arange(len(a) * len(pairs)), len(pairs))
+    return piece, pair
+
+
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), ends=st.sampled_from([1, 2]), speed=st.floats(0.0, 30.0))
 def test_with_and_without_the_index_the_distance_is_the_same(
@@ -43,7 +52,11 @@ def test_with_and_without_the_index_the_distance_is_the_same(
             patch.setattr(proximity, "FEW", 0)
             indexed = smallest_distance(breaks, first, group, every, 0.0)
             patch.setattr(proximity, "FEW", FAR)
+            paired = smallest_distance(breaks, first, group, every, 0.0)
+            patch.setattr(proximity, "_near", all_of_them)
             plain = smallest_distance(breaks, first, group, every, 0.0)
+        assert paired.worst == pytest.approx(plain.worst, rel=2e-4)
+        assert paired.item == plain.item or abs(paired.value - plain.value) < 1e-3
         assert indexed.worst == pytest.approx(plain.worst, rel=2e-4, abs=1e-6)
         assert indexed.item == plain.item or abs(indexed.value - plain.value) < 1e-3
 

@@ -102,18 +102,24 @@ def candidates(
 def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
     """Return the ways found from the given first ones, the fastest first.
 
-    Those that take the least time as they are come first; the others have to be near them.
+    Those that take the least time as they are come first; the others have to be near them. A guess
+    that is one with another, from which a way was found, would come to the same.
     """
     found: list[Candidate] = []
     seen: list[Way] = []
+    tried: list[Way] = []
     fastest = np.inf
     outlooks = [promise(way, search.kept) for way in ways]
     for k in np.argsort(outlooks, kind="stable"):
         if outlooks[k] > HOPELESS * fastest:
             break
-        settled = _settled(ways[k], search, seen)
+        knots = ways[k].resampled(_steps(ways[k]) + 1)
+        if any(same(knots, other) for other in tried):
+            continue
+        settled = _settled(knots, search, seen)
         if settled is None:
             continue
+        tried.append(knots)
         if found and promise(settled, search.kept) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
@@ -123,11 +129,10 @@ def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
     return sorted(found, key=lambda candidate: candidate.flight.duration)
 
 
-def _settled(way: Way, search: Search, seen: list[Way]) -> Way | None:
+def _settled(knots: Way, search: Search, seen: list[Way]) -> Way | None:
     """Return the way of least energy near a guess; None where it is one that was seen before."""
     found: Way | None = None
     before = tuple(seen)
-    knots = way.resampled(_steps(way) + 1)
     for moved in iterates(knots, search.bounds(FIRST_MARGIN), FIRST_STEP, FIRST_STEPS):
         if any(same(moved, other) for other in before):
             return None
