@@ -13,8 +13,12 @@ from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.morph import straight_morph
+from hitchopt.planners.optimise import settling
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
+from hitchopt.planners.optimise.program import WayProgram
 from hitchopt.planners.optimise.search import Candidate, candidates
+from hitchopt.planners.optimise.solver import solve_program
+from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath
 
 
@@ -117,6 +121,28 @@ def test_what_the_judge_turns_down_is_refined_and_never_returned() -> None:
     assert found
     assert max(seen) > seen[0]
     assert candidates(start, end, FREE, lambda _: None) == []
+
+
+def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turned a little, all guesses are; turned far, each is a way of its own."""
+    solved: list[str] = []
+    solve = solve_program
+
+    def counting(program: WayProgram) -> Way | None:
+        solved.append(program.way.name)
+        return solve(program)
+
+    monkeypatch.setattr(settling, "solve_program", counting)
+
+    def fly_all(path: ShapePath) -> Flight:
+        return fly(path, FREE.limits)
+
+    candidates(*ends(FOUR, SQUARE, SQUARE.rotated(0.3)), FREE, fly_all)
+    near = set(solved)
+    solved.clear()
+    candidates(*ends(FOUR, SQUARE, SQUARE.rotated(1.2)), FREE, fly_all)
+    assert len(near) == 1
+    assert len(set(solved)) > 1
 
 
 @pytest.mark.parametrize("name", MUST_PLAN)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
 from hitchopt.geometry import random_convex_polygon, regular_polygon
-from hitchopt.planners import jets
+from hitchopt.planners import jets, timing
 from hitchopt.planners.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.mesh import time_mesh
@@ -92,6 +92,19 @@ def test_the_rows_allow_what_the_limits_allow_and_nothing_else(seed: int, n: int
             assert not np.all(rows.normals[j] @ [0.995 * u, 0.995 * x] <= rows.bounds[j]) or (
                 ratio > 0.98 * LIMIT_SHARE
             )
+
+
+def test_rows_are_the_same_however_many_rays_are_cast_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = demands(straight(5, 3, Limits()), Limits(), 40)
+    rows = {}
+    for chunk in (1, 3000, 10**9):
+        monkeypatch.setattr(timing, "CHUNK", chunk)
+        rows[chunk] = acceleration_rows(found)
+    for other in (rows[1], rows[3000]):
+        np.testing.assert_array_equal(other.normals, rows[10**9].normals)
+        np.testing.assert_array_equal(other.bounds, rows[10**9].bounds)
 
 
 @pytest.mark.parametrize("distance", [0.1, 0.6, 3.0])
