@@ -33,8 +33,11 @@ Array = NDArray[np.float64]
 Allowed = Callable[[Indices, Indices], NDArray[np.bool_]]
 """Which pairs (first, second) count."""
 
-FEW = 1500
+FEW = 6000
 """Pairs in all, up to which an index costs more than it saves."""
+
+GROUP = 32_768
+"""Of few bodies, pairs times pieces whose boxes are compared at a time."""
 
 CHUNK = 8192
 """Pairs whose polynomials are laid out at a time."""
@@ -89,7 +92,7 @@ def smallest_distance(
     if pairs <= FEW:
         every = all_pairs(len(first), None if second is None else count)
         every = every.take(allowed(every.first, every.second))
-        group = max(1, CHUNK // max(1, len(every)))  # pieces at a time
+        group = max(1, GROUP // max(1, len(every)))  # pieces at a time
         for start in range(0, len(breaks) - 1 if len(every) else 0, group):
             a = first.corners[start : start + group]
             b = a if second is None else second.corners[start : start + group]
