@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate.bodies import edge_vectors, leg_vectors
+from hitchopt.certificate.friction import beyond_friction
 from hitchopt.certificate.pull import NO_DIRECTION, lowered
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import ROUNDING, position_margin
@@ -27,7 +28,11 @@ SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
 def check(motion: Motion) -> Check:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    The residual is ``T_k (q̂_k + u_k) + T_{k-1} (r̂_{k-1} - u_{k-1})``; ``where`` names the vertex.
+    The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1}``; ``where`` names the
+    vertex. Legs pull with their cable's tension, ``P = T``, or with what friction makes of it. What
+    friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ β}``
+    times the tension, or short of ``e^{-μ β}`` times.
+
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
     tension are compared coefficient by coefficient, and where both vanish nothing is unbalanced.
@@ -37,26 +42,53 @@ def check(motion: Motion) -> Check:
     ahead, behind = layout.ahead, layout.behind
     meeting = [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
     vectors = np.stack(meeting, axis=2)
-    tension = lowered(motion.tensions.coefficients)
-    both = np.stack([tension[:, ahead], tension[:, behind]], axis=2)
     rows = vectors.reshape(*vectors.shape[:2], 12, -1)
     bound = partial(_bound, noise=position_margin(motion))
-    found = largest(Cells.over(motion.drones.breaks, [rows, both]), bound)
-    where = (f"p{layout.clasps[found.item]}",)
-    return Check.of("equilibrium", found.worst, LIMIT, "max", "1", found.time, where)
+    found = largest(Cells.over(motion.drones.breaks, [rows, _pulls(motion)]), bound)
+    worst, time, clasp = found.worst, found.time, found.item
+    if motion.leg_tensions is not None:
+        beyond = beyond_friction(motion, motion.leg_tensions)
+        if beyond.worst > worst:
+            worst, time, clasp = beyond.worst, beyond.time, beyond.item // 2
+    where = (f"p{layout.clasps[clasp]}",)
+    return Check.of("equilibrium", worst, LIMIT, "max", "1", time, where)
+
+
+def _pulls(motion: Motion) -> Array:
+    """Return, per piece and clasp, the tensions of the cables ahead and behind (…, 2, degree + 1).
+
+    Or, where legs pull otherwise than their edges, the pulls along all four vectors (…, 4, …).
+    """
+    layout = motion.team.layout
+    tension = motion.tensions.coefficients
+    if motion.leg_tensions is None:
+        tension = lowered(tension)
+        return np.stack([tension[:, layout.ahead], tension[:, layout.behind]], axis=2)
+    pull = motion.leg_tensions.coefficients
+    order = max(bernstein.degree(pull), bernstein.degree(tension))
+    pull, tension = bernstein.elevate(pull, order), bernstein.elevate(tension, order)
+    each = [
+        pull[:, layout.ahead, 0],
+        tension[:, layout.ahead],
+        pull[:, layout.behind, 1],
+        tension[:, layout.behind],
+    ]
+    return np.stack(each, axis=2)
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
-    rows, tension = blocks
+    rows, pulls = blocks
     vectors = rows.reshape(len(rows), 4, 3, -1)
+    shared = 4 // pulls.shape[1]  # directions along which one pull acts
+    tension = pulls if shared == 2 else pulls[:, 1::2]
     along = enclosure.direction(vectors, noise)
     signed = along.coefficients * SIGNS[:, None, None]
-    pulls = np.stack([signed[:, 0] + signed[:, 1], signed[:, 2] + signed[:, 3]], axis=1)
-    residual = np.sum(bernstein.multiply(tension[:, :, None], pulls), axis=1)
+    grouped = np.sum(signed.reshape(len(rows), -1, shared, *signed.shape[2:]), axis=2)
+    residual = np.sum(bernstein.multiply(pulls[:, :, None], grouped), axis=1)
     norms = np.linalg.norm(residual, axis=1)
-    radius = along.radius[:, 0::2] + along.radius[:, 1::2] + ROUNDING
+    radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
-    sizes = bernstein.elevate(np.abs(tension), bernstein.degree(norms))
+    sizes = bernstein.elevate(np.abs(pulls), bernstein.degree(norms))
     norms = norms + np.sum(sizes * radius[..., None], axis=1)
     # {|S| <= θ T} is a convex cone in (S, T): coefficients within it keep the curve within it.
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
@@ -67,11 +99,11 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     length = np.linalg.norm(there, axis=-1, keepdims=True)
     known = length > NO_DIRECTION
     unit = np.divide(there, length, out=np.zeros_like(there), where=known)
-    T = bernstein.evaluate(tension, x[:, None])
-    forces = unit * SIGNS[:, None] * np.repeat(T, 2, axis=1)[..., None]
-    unknown = np.sum(np.where(known[..., 0], 0.0, np.repeat(np.abs(T), 2, axis=1)), axis=1)
+    P = np.repeat(bernstein.evaluate(pulls, x[:, None]), shared, axis=1)
+    forces = unit * SIGNS[:, None] * P[..., None]
+    unknown = np.sum(np.where(known[..., 0], 0.0, np.abs(P)), axis=1)
     unbalanced = np.linalg.norm(np.sum(forces, axis=1), axis=-1) + unknown
-    weakest = np.min(T, axis=-1)
+    weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
     value = np.where(nothing, 0.0, _over(unbalanced, weakest))
     return Estimate(np.max(reach, axis=-1), value, x)

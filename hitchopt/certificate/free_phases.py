@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,12 +44,4 @@ def free_phases(motion: Motion) -> Iterator[FreePhase]:
         if phase.formed or len(pieces) == 0:
             continue
         run = slice(int(pieces[0]), int(pieces[-1]) + 1)
-        part = replace(
-            motion,
-            drones=motion.drones.taken(run),
-            vertices=motion.vertices.taken(run),
-            legs=motion.legs.taken(run),
-            tensions=motion.tensions.taken(run),
-            phases=(phase,),
-        )
-        yield FreePhase(phase, part)
+        yield FreePhase(phase, motion.taken(run, (phase,)))

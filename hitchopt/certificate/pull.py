@@ -42,7 +42,7 @@ def thrust_cells(motion: Flying, unit: Array) -> Cells:
     if isinstance(motion, Motion):
         free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
         legs = pull_vectors(motion)
-        tension = lowered(np.repeat(motion.tensions.coefficients, 2, axis=1) / unit[:, None])
+        tension = lowered(motion.pulls.coefficients / unit[:, None])
     else:  # no cable, no pull, whichever way it points
         legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
         tension = np.zeros((*free.shape[:2], 1))

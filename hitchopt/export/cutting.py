@@ -67,11 +67,4 @@ def changed(motion: Flying, change: Change) -> Flying:
     """Return the motion with all its polynomials changed alike; phases are left to the caller."""
     if not isinstance(motion, Motion):
         return replace(motion, drones=change(motion.drones))
-    return replace(
-        motion,
-        phases=(),  # those of the old times would not fit
-        drones=change(motion.drones),
-        vertices=change(motion.vertices),
-        legs=change(motion.legs),
-        tensions=change(motion.tensions),
-    )
+    return motion.changed(change, ())  # phases of the old times would not fit

@@ -204,14 +204,7 @@ def _planned(motion: Flying, breaks: Array) -> Flying:
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
     if isinstance(motion, Motion):
-        return replace(
-            motion,
-            phases=here,
-            drones=span(motion.drones),
-            vertices=span(motion.vertices),
-            legs=span(motion.legs),
-            tensions=span(motion.tensions),
-        )
+        return motion.changed(span, here)
     return replace(motion, phases=here, drones=span(motion.drones))
 
 

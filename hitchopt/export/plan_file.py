@@ -27,7 +27,9 @@ FORMAT = "hitchopt-plan/1"
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 """Bernstein coefficients (pieces, *shape, degree + 1) under these names, common ``breaks``.
 
-Of a swarm without cables the drones alone."""
+Of a swarm without cables the drones alone; with friction ``leg_tensions`` as well."""
+
+LEG_TENSIONS = "leg_tensions"
 
 PER_ROBOT = ("mass", "max_thrust", "cable_length", "tension")
 """(n,) each, of the team; of a swarm the first two, (N,)."""
@@ -80,7 +82,9 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
         who = {"drones": team.drones}
     for name in POLYNOMIALS if isinstance(motion, Motion) else SWARM_POLYNOMIALS:
         arrays[name] = getattr(motion, name).coefficients
-    settings = {
+    if isinstance(motion, Motion) and motion.leg_tensions is not None:
+        arrays[LEG_TENSIONS] = motion.leg_tensions.coefficients
+    settings: dict[str, Any] = {
         "title": title,
         "team": who,
         "limits": vars(motion.limits),
@@ -99,6 +103,8 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
         ]
     if isinstance(motion, Motion) and motion.assignment is not None:
         settings["assignment"] = motion.assignment.to_dict()
+    if LEG_TENSIONS in arrays:
+        settings[LEG_TENSIONS] = True
     head = {
         "format": np.array(FORMAT),
         "settings": np.array(json.dumps(settings, allow_nan=False)),
@@ -142,6 +148,8 @@ def _contents(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
     swarm = "drones" in settings["team"]
     names = (*PER_DRONE, *SWARM_POLYNOMIALS) if swarm else (*PER_ROBOT, *POLYNOMIALS)
+    if settings.get(LEG_TENSIONS) is True:
+        names = (*names, LEG_TENSIONS)
     arrays = read_arrays(path, ("breaks", *names))
     for name, array in arrays.items():
         if array.dtype != np.float64:
@@ -155,7 +163,7 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         Quadrotor(float(mass), float(max_thrust))
         for mass, max_thrust in zip(arrays["mass"], arrays["max_thrust"], strict=True)
     ]
-    names = [name for name in POLYNOMIALS if name in arrays]
+    names = [name for name in (*POLYNOMIALS, LEG_TENSIONS) if name in arrays]
     for name in names:
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
@@ -180,6 +188,7 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
             parts["tensions"],
             phases,
             None if given_to is None else _assignment(**given_to),
+            parts.get(LEG_TENSIONS),
         )
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)

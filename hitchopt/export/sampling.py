@@ -39,9 +39,9 @@ class States:
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
     velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
         pieces join, those of the later piece.
-    cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: ``-T_k`` along its leg (its
-        edge, at a chain's end), and down by half of the cable's weight; while there is no hitch,
-        what a hanging cable pulls with.
+    cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: what its leg (its edge, at a
+        chain's end) pulls with, ``T_k`` but for friction, and down by half of the cable's weight;
+        while there is no hitch, what a hanging cable pulls with.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
@@ -149,8 +149,9 @@ def _states_within(motion: Flying, piece: int, t: Array, elapsed: Array, formed:
     if isinstance(motion, Motion):
         vertices = motion.vertices.coefficients[piece]
         p, tensions = _values(vertices, x), _values(motion.tensions.coefficients[piece], x)
+        pulls = _values(motion.pulls.coefficients[piece], x)
         forces = (
-            _cable_forces(motion.team, positions, p, tensions)
+            _cable_forces(motion.team, positions, p, pulls)
             if formed
             else hanging_forces(motion.team, positions)
         )
@@ -182,12 +183,11 @@ def _values(coefficients: Array, x: Array) -> Array:
     return flat.reshape(len(x), *coefficients.shape[:-1])
 
 
-def _cable_forces(team: Team, drones: Array, vertices: Array, tensions: Array) -> Array:
+def _cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array) -> Array:
     outward = drones - vertices[..., team.layout.pulled_to, :]
     lengths = np.linalg.norm(outward, axis=-1, keepdims=True)
-    pull = np.repeat(tensions, 2, axis=-1)[..., None]
     # A leg without length has no direction: no force rather than nan (certified plans have none).
-    forces: Array = -pull * np.divide(
+    forces: Array = -pulls[..., None] * np.divide(
         outward, lengths, out=np.zeros_like(outward), where=lengths > 0.0
     )
     forces[..., 2] -= team.cable_weight

@@ -154,11 +154,4 @@ def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion
         replace(phase, start=factor * phase.start, end=factor * phase.end)
         for phase in motion.phases
     )
-    return replace(
-        motion,
-        drones=motion.drones.stretched(factor),
-        vertices=motion.vertices.stretched(factor),
-        legs=motion.legs.stretched(factor),
-        tensions=motion.tensions.stretched(factor),
-        phases=phases,
-    )
+    return motion.changed(lambda part: part.stretched(factor), phases)

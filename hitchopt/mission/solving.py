@@ -14,6 +14,7 @@ from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
 from hitchopt.mission.memory import Progress, remembered
+from hitchopt.mission.friction import against_friction
 from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem, Start
@@ -183,6 +184,8 @@ def _planned(before: Situation, group: Sequence[Step], first: int, kept: Kept) -
     else:
         shapes = [step for step in group if isinstance(step, ShapeStep)]
         planned = plan_blended(before.hitch, shapes, first, kept)
+    timed = any(getattr(step, "duration", None) is not None for step in group)
+    planned = against_friction(planned, kept, timed=timed or isinstance(step, FollowVertex))
     after = replace(before, hitch=planned.end, drones=planned.end.drones)
     return Tied(planned.motion, after, planned.certificate)
 

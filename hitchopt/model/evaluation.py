@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.hitch.layout import CLOSED, layout_of
+from hitchopt.hitch.layout import CLOSED, Layout, layout_of
 from hitchopt.model.robot import JET, clasp_function, robot_function
+from hitchopt.model.slipping import slipping_clasp_function
 
 Array = NDArray[np.float64]
 
@@ -89,6 +90,37 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
         r_leg.reshape(count, n, JET),
         residual.reshape(count, n),
     )
+
+
+def slipping_drones(
+    layout: Layout, vertices: Array, legs: Array, tensions: Array, pulls: Array
+) -> Array:
+    """Return the jets of the drones on legs that pull otherwise than their edges; linear in J·n.
+
+    Parameters
+    ----------
+    layout: of the hitch.
+    vertices: (J, points, 3, 4) [m], of a level hitch.
+    legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``.
+    tensions: (J, n, 4) [N], of the edges.
+    pulls: (J, n, 2, 4) [N], of the legs.
+
+    Returns
+    -------
+    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where no leaning of the
+    legs lets it balance.
+    """
+    count, behind, ahead = len(vertices), layout.behind, layout.ahead
+    around = [layout.starts[behind], layout.clasps, layout.ends[ahead]]
+    columns = count * len(layout.clasps)
+    at_clasp = [
+        vertices[:, np.column_stack(around)].reshape(columns, 9, JET),
+        np.stack([legs[:, behind, 1], legs[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
+        tensions[:, np.column_stack([behind, ahead])].reshape(columns, 2, JET),
+        np.stack([pulls[:, behind, 1], pulls[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
+    ]
+    both = np.stack(_mapped(slipping_clasp_function(), at_clasp), axis=1)
+    return both.reshape(count, len(layout.clasps), 2, 3, JET)
 
 
 def clasp_residuals(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -56,6 +57,8 @@ class Motion:
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
     assignment: which robots fly which roles, where that was chosen.
+    leg_tensions: of shape (n, 2) [N], what the legs ``d_k``, ``e_k`` pull with where cables slide
+        against friction; None where every leg pulls with its cable's tension.
 
     Raises
     ------
@@ -73,13 +76,22 @@ class Motion:
     tensions: PiecewisePolynomial
     phases: tuple[Phase, ...]
     assignment: Assignment | None = None
+    leg_tensions: PiecewisePolynomial | None = None
 
     def __post_init__(self) -> None:
         n = self.team.robots
         points = self.team.layout.points
-        shapes = {"drones": (2 * n, 3), "vertices": (points, 3), "legs": (n, 2), "tensions": (n,)}
+        shapes = {
+            "drones": (2 * n, 3),
+            "vertices": (points, 3),
+            "legs": (n, 2),
+            "tensions": (n,),
+            "leg_tensions": (n, 2),
+        }
         for name, shape in shapes.items():
-            part: PiecewisePolynomial = getattr(self, name)
+            part: PiecewisePolynomial | None = getattr(self, name)
+            if part is None:
+                continue
             if part.shape != shape:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if not np.array_equal(part.breaks, self.drones.breaks):
@@ -101,6 +113,16 @@ class Motion:
     def duration(self) -> float:
         """Of all phases together [s]."""
         return self.drones.duration
+
+    @cached_property
+    def pulls(self) -> PiecewisePolynomial:
+        """Of shape (2n,) [N]: what the cable pulls each drone with, q0, r0, q1, …."""
+        if self.leg_tensions is None:
+            each = np.repeat(self.tensions.coefficients, 2, axis=1)
+        else:
+            each = self.leg_tensions.coefficients
+            each = each.reshape(len(each), -1, each.shape[-1])
+        return PiecewisePolynomial(self.drones.breaks, each)
 
     @property
     def formed(self) -> NDArray[np.bool_]:
@@ -133,13 +155,25 @@ class Motion:
             for phase in self.phases
             if phase.end > breaks[0] + JOINT and phase.start < breaks[-1] - JOINT
         )
+        return self.taken(pieces, overlapping)
+
+    def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
+        """Return the motion on a run of pieces, at the same times, and its phases."""
+        return self.changed(lambda part: part.taken(pieces), phases)
+
+    def changed(
+        self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
+    ) -> Motion:
+        """Return the motion with all of its polynomials changed alike, and other phases."""
+        legs = self.leg_tensions
         return replace(
             self,
-            drones=self.drones.taken(pieces),
-            vertices=self.vertices.taken(pieces),
-            legs=self.legs.taken(pieces),
-            tensions=self.tensions.taken(pieces),
-            phases=overlapping,
+            drones=change(self.drones),
+            vertices=change(self.vertices),
+            legs=change(self.legs),
+            tensions=change(self.tensions),
+            leg_tensions=None if legs is None else change(legs),
+            phases=tuple(phases),
         )
 
 
@@ -201,4 +235,13 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         joined([m.tensions for m in motions]),
         tuple(phases),
         first.assignment,
+        _joined_leg_tensions(motions),
     )
+
+
+def _joined_leg_tensions(motions: Sequence[Motion]) -> PiecewisePolynomial | None:
+    if all(motion.leg_tensions is None for motion in motions):
+        return None
+    both = joined([motion.pulls for motion in motions])
+    c = both.coefficients
+    return PiecewisePolynomial(both.breaks, c.reshape(len(c), -1, 2, c.shape[-1]))

@@ -58,7 +58,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     length, mass, weight = ca.SX.sym("L"), ca.SX.sym("m"), ca.SX.sym("w")
     flat = ca.vertcat(vertices, q_leg, tensions)
     before, here, there, after = ca.vertsplit(vertices[:, 0], 3)
-    u_before, u, u_after = _unit(here - before), _unit(there - here), _unit(after - there)
+    u_before, u, u_after = unit(here - before), unit(there - here), unit(after - there)
     T_before, T, T_after = ca.vertsplit(tensions[:, 0])
     if equal_tensions:
         q_direction, r_direction = u_before, -u_after
@@ -67,8 +67,8 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         r_direction = -_reflected(u, T * u - T_after * u_after)
     edge = ca.norm_2(there - here)
     r_leg = length - edge - q_leg[0]
-    q = _jet(here + q_leg[0] * q_direction, flat)
-    r = _jet(there + r_leg * r_direction, flat)
+    q = jet_of(here + q_leg[0] * q_direction, flat)
+    r = jet_of(there + r_leg * r_direction, flat)
     lift = ca.DM([0.0, 0.0, GRAVITY])
     down = ca.vertcat(0.0, 0.0, -weight)
     q_force, r_force = down - T * q_direction, down - T * r_direction
@@ -80,7 +80,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         "r_force": r_force,
         "q_thrust": mass * (q[:, 2] + lift) - q_force,
         "r_thrust": mass * (r[:, 2] + lift) - r_force,
-        "r_leg": _jet(r_leg, flat),
+        "r_leg": jet_of(r_leg, flat),
         "cable_residual": residual,
     }
     return ca.Function(
@@ -106,8 +106,8 @@ def clasp_function() -> ca.Function:
     vertices, q, r = ca.SX.sym("p", 9), ca.SX.sym("q", 3), ca.SX.sym("r", 3)
     tensions, load = ca.SX.sym("T", 2), ca.SX.sym("w", 3)
     before, here, there = ca.vertsplit(vertices, 3)
-    ahead = tensions[1] * (_unit(q - here) + _unit(there - here))
-    behind = tensions[0] * (_unit(r - here) - _unit(here - before))
+    ahead = tensions[1] * (unit(q - here) + unit(there - here))
+    behind = tensions[0] * (unit(r - here) - unit(here - before))
     return ca.Function(
         "clasp",
         [vertices, q, r, tensions, load],
@@ -117,7 +117,8 @@ def clasp_function() -> ca.Function:
     )
 
 
-def _unit(vector: ca.SX) -> ca.SX:
+def unit(vector: ca.SX) -> ca.SX:
+    """Return the direction of a vector."""
     return vector / ca.norm_2(vector)
 
 
@@ -126,7 +127,7 @@ def _reflected(u: ca.SX, V: ca.SX) -> ca.SX:
     return u - 2.0 * ca.dot(u, V) / ca.dot(V, V) * V
 
 
-def _jet(value: ca.SX, flat: ca.SX) -> ca.SX:
+def jet_of(value: ca.SX, flat: ca.SX) -> ca.SX:
     """Return the value and its derivatives by the parameter, given the flat outputs' jets."""
     columns = [value]
     known = ca.vec(flat[:, :ORDER])

@@ -55,6 +55,12 @@ class Flight:
         """From rest to rest [s]."""
         return self.drones.duration
 
+    @property
+    def pulls(self) -> PiecewisePolynomial:
+        """Of shape (2n,) [N]: every leg pulls with its cable's tension."""
+        both = np.repeat(self.tensions.coefficients, 2, axis=1)
+        return PiecewisePolynomial(self.tensions.breaks, both)
+
     def stretched(self, factor: float) -> Flight:
         """Return the same flight ``factor`` times as slow."""
         return self._each(lambda part: part.stretched(factor))
@@ -112,7 +118,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
         if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    flight = flight.stretched(needed_stretch(path, limits, flight))
+    flight = flight.stretched(needed_stretch(path.team, limits, flight))
     if duration is None:
         return flight
     if duration < flight.duration:

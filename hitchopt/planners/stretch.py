@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Limits
+from hitchopt.hitch import Limits, Team
 from hitchopt.planners.demands import Demands, loads_at_rest
-from hitchopt.planners.path import Path
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -31,7 +30,7 @@ CHUNK = 60_000
 
 
 class Timed(Protocol):
-    """Drones, vertices and tensions on common breaks."""
+    """Drones, vertices and pulls on common breaks; as a Motion."""
 
     @property
     def drones(self) -> PiecewisePolynomial:
@@ -42,11 +41,11 @@ class Timed(Protocol):
         """Of shape (n, 3) [m]."""
 
     @property
-    def tensions(self) -> PiecewisePolynomial:
-        """Of shape (n,) [N]."""
+    def pulls(self) -> PiecewisePolynomial:
+        """Of shape (2n,) [N], of the cables on the drones."""
 
 
-def needed_stretch(path: Path, limits: Limits, flight: Timed) -> float:
+def needed_stretch(team: Team, limits: Limits, flight: Timed) -> float:
     """Return how many times slower the flight must be to keep its limits.
 
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
@@ -54,7 +53,7 @@ def needed_stretch(path: Path, limits: Limits, flight: Timed) -> float:
     """
     breaks, h = flight.drones.breaks, flight.drones.durations
     inner = np.linspace(0.0, 1.0, SPANS * ENCLOSING)
-    size = max(1, CHUNK // (len(inner) * len(path.team.mass)))
+    size = max(1, CHUNK // (len(inner) * len(team.mass)))
     factors = []
     for first in range(0, len(h), size):  # a thousand robots fill the memory
         span = slice(first, first + size)
@@ -62,9 +61,9 @@ def needed_stretch(path: Path, limits: Limits, flight: Timed) -> float:
         demands = Demands(
             np.stack([_rates(flight.drones, span, order) for order in range(4)], axis=-1),
             np.max(length(_rates(flight.vertices, span, 1)), axis=1),
-            _loads(path, flight, at.ravel()),
-            path.team.mass,
-            path.team.max_thrust,
+            _loads(team, flight, at.ravel()),
+            team.mass,
+            team.max_thrust,
             limits,
             FINAL_SHARE,
         )
@@ -96,11 +95,11 @@ def _spans(order: int) -> Array:
     return spans
 
 
-def _loads(path: Path, flight: Timed, t: Array) -> Array:
+def _loads(team: Team, flight: Timed, t: Array) -> Array:
     """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
     p, drones = flight.vertices.at(t), flight.drones.at(t)
-    outward = drones - p[:, path.team.layout.pulled_to]
+    outward = drones - p[:, team.layout.pulled_to]
     directions = outward / length(outward)[..., None]
-    forces = -np.repeat(flight.tensions.at(t), 2, axis=1)[..., None] * directions
-    forces[..., 2] -= path.team.cable_weight
-    return loads_at_rest(path.team, forces)
+    forces = -flight.pulls.at(t)[..., None] * directions
+    forces[..., 2] -= team.cable_weight
+    return loads_at_rest(team, forces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,11 @@ from hitchopt.simulate.drones import make_drones
 from hitchopt.simulate.linking import linking_matrix
 from hitchopt.simulate.recorder import Recorder
 from hitchopt.simulate.records import Flight
-from hitchopt.simulate.ropes import Ropes, ropes_of, thickness_allowance
+from hitchopt.simulate.ropes import Ropes, ropes_of
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.shapes import clasped, hanging
 from hitchopt.simulate.tables import Setpoints, VertexTable
+from hitchopt.simulate.thickness import thickness_allowance, thickness_offsets
 from hitchopt.simulate.watch import check_valid
 from hitchopt.simulate.world import World, build_world, imported_mujoco
 
@@ -68,7 +70,8 @@ def fly(
     team: who flies.
     setpoints: what they are told.
     vertices: where the plan's hitch is: the cables' shape at the start, and how much longer they
-        must be for being simulated so thick. Drones never learn of it.
+        must be, and how far aside their ends, for being simulated so thick. Drones never learn of
+        it otherwise.
     settings: of the simulation.
     progress: called now and then with what is being done.
 
@@ -79,7 +82,10 @@ def fly(
     UnsupportedError: mujoco is not installed.
     """
     chance = Disturbances(settings.perturbations, team.robots, settings.seed)
-    allowance = thickness_allowance(team, vertices, settings.preset.diameter)
+    diameter = settings.preset.diameter
+    allowance = thickness_allowance(team, vertices, diameter)
+    aside = thickness_offsets(team, setpoints, vertices, diameter)
+    setpoints = replace(setpoints, positions=setpoints.positions + aside)
     lengths = team.cable_length * chance.cable_scale + allowance
     ropes = ropes_of(team, settings.preset, settings.density, settings.friction, lengths)
     ground = _ground(setpoints) if settings.ground is None else settings.ground

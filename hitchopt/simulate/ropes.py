@@ -15,7 +15,6 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.values import not_negative, positive
 from hitchopt.simulate.settings import DENSITY, Preset
-from hitchopt.simulate.tables import VertexTable
 
 Array = NDArray[np.float64]
 
@@ -86,34 +85,6 @@ class Ropes:
 
 ROUNDING = 1e-9
 """In segments: 2.4 m are 96 of 0.025 m, whatever the last digit says."""
-
-
-def thickness_allowance(team: Team, vertices: VertexTable, diameter: float) -> Array:
-    """Return (n,) [m]: by how much cables must be longer to bend around each other so thick.
-
-    Where a cable turns by ``π - φ`` about another, φ the polygon's exterior angle there, its middle
-    goes around a circle of one diameter whose far side is half a diameter from the vertex. That is
-    ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. The mean over the plan's
-    time; real cables are thinner by far, so that this mends the simulation and no flight.
-
-    Parameters
-    ----------
-    team: whose cables they are.
-    vertices: the plan's.
-    diameter: of the simulated cables [m].
-    """
-    allowance = np.zeros(team.robots)
-    if not len(vertices.t):
-        return allowance
-    layout = team.layout
-    edges = layout.edges(vertices.positions)
-    u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    cosine = np.sum(u[:, layout.ahead] * u[:, layout.behind], axis=-1)
-    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
-    longer = diameter * np.mean(np.pi - turn - np.cos(0.5 * turn), axis=0)
-    np.add.at(allowance, layout.ahead, longer)
-    np.add.at(allowance, layout.behind, longer)
-    return allowance
 
 
 def ropes_of(

@@ -1,0 +1,92 @@
+"""What friction can make of a cable's tension at a clasp, as a bound for the legs' pulls."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.certificate.bodies import edge_vectors
+from hitchopt.certificate.rounding import ROUNDING, position_margin
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
+
+Array = NDArray[np.float64]
+
+
+def beyond_friction(motion: Motion, leg_tensions: PiecewisePolynomial) -> Extremum:
+    """Return by how much of the tension a leg's pull is more than friction allows, at most.
+
+    A cable that wraps an angle β about a clasp pulls on one side with between ``e^{-μ β}`` and
+    ``e^{μ β}`` times what it pulls with on the other; β is the polygon's interior angle. Negative
+    where every leg keeps to that; ``item`` is 2 (rank of the clasp), one more for ``q_k``'s leg.
+
+    Parameters
+    ----------
+    motion: the plan.
+    leg_tensions: its legs' pulls, of shape (n, 2) [N].
+    """
+    edges, layout = edge_vectors(motion), motion.team.layout
+    c = leg_tensions.coefficients
+    order = max(leg_tensions.degree, motion.tensions.degree)
+    pulls = bernstein.elevate(c, order)
+    tension = bernstein.elevate(motion.tensions.coefficients, order)
+    at_clasps = [
+        np.stack([pulls[:, layout.behind, 1], tension[:, layout.behind]], axis=2),
+        np.stack([pulls[:, layout.ahead, 0], tension[:, layout.ahead]], axis=2),
+    ]
+    both = np.stack(at_clasps, axis=2).reshape(len(c), -1, 2, order + 1)
+    meeting = np.concatenate([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
+    rows = np.repeat(meeting, 2, axis=1)
+    bound = partial(_bound, friction=motion.team.cable_friction, noise=position_margin(motion))
+    return largest(Cells.over(motion.drones.breaks, [rows, both]), bound)
+
+
+def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate:
+    rows, both = blocks
+    pull, tension = both[:, 0], both[:, 1]
+    # A quotient of polynomials lies between those of their coefficients, the divisor positive.
+    pulling = np.all(tension > 0.0, axis=-1)
+    ratios = np.divide(pull, tension, out=np.ones_like(pull), where=pull != tension)
+    held = np.exp(friction * _wrapped(rows, noise))
+    most, least = np.max(ratios, axis=-1), np.min(ratios, axis=-1)
+    bound = np.maximum(most * (1.0 + ROUNDING) - held, 1.0 / held - least * (1.0 - ROUNDING))
+    alone = np.all(pull == tension, axis=-1)  # as where the tension rises from zero
+    bound = np.where(pulling | alone, bound, np.inf)
+    middle = np.full(len(rows), 0.5)
+    a, b = np.split(bernstein.evaluate(rows, middle[:, None]), 2, axis=-1)
+    sizes = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    angle = np.pi - np.arccos(np.clip(np.sum(a * b, axis=-1) / sizes, -1.0, 1.0))
+    here, there = bernstein.evaluate(pull, middle), bernstein.evaluate(tension, middle)
+    ratio = np.divide(here, there, out=np.ones_like(here), where=here != there)
+    value = np.maximum(ratio - np.exp(friction * angle), np.exp(-friction * angle) - ratio)
+    return Estimate(bound, np.where(pulling | alone, value, np.inf), middle)
+
+
+def _wrapped(rows: Array, noise: float) -> Array:
+    """Return (cells,) [rad], which the angle between ``-a`` and ``b`` does not fall below.
+
+    Parameters
+    ----------
+    rows: (cells, 6, degree + 1), the edges a and b.
+    noise: of their ends [m].
+    """
+    a, b = rows[:, :3], rows[:, 3:]
+    along = np.sum(bernstein.multiply(a, b), axis=1)
+    (least_a, most_a), (least_b, most_b) = _lengths(a, noise), _lengths(b, noise)
+    lowest = np.min(along, axis=-1) - 2.0 * noise * (most_a + most_b)
+    sizes = np.where(lowest >= 0.0, most_a * most_b, least_a * least_b)
+    cosine = np.divide(lowest, sizes, out=np.full_like(lowest, -1.0), where=sizes > 0.0)
+    angle: Array = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
+    return angle
+
+
+def _lengths(vectors: Array, noise: float) -> tuple[Array, Array]:
+    """Return the least and the largest length (cells,) of vectors (cells, 3, degree + 1)."""
+    sizes = np.linalg.norm(vectors, axis=1)
+    middle = np.mean(vectors, axis=-1, keepdims=True)
+    spread = np.max(np.linalg.norm(vectors - middle, axis=1), axis=-1)
+    shortest = np.linalg.norm(middle[..., 0], axis=-1) - spread - 2.0 * noise
+    return np.maximum(shortest, 0.0), np.max(sizes, axis=-1) + 2.0 * noise

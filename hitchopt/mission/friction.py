@@ -1,0 +1,51 @@
+"""Steps whose cables slide against friction: the planned way again, with legs that lean."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from hitchopt.mission.motions import Kept, certified
+from hitchopt.mission.planning import Planned
+from hitchopt.planners.leaning import Leaning, leaning
+
+SHARES = (1.0, 0.5, 0.25)
+"""Of the friction that is counted on: the largest at which every limit is kept."""
+
+
+def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
+    """Return the plan with legs that lean against friction as far as limits allow.
+
+    It is the given one where the team's cables have no friction or none of them slides, and where
+    no limit leaves room for leaning. The way may then take longer, unless its time is given.
+
+    Parameters
+    ----------
+    planned: from rest to rest, of a hitch.
+    kept: what every step has to keep.
+    timed: whether the step's own time is given.
+    """
+    motion = planned.motion
+    if motion.team.cable_friction == 0.0:
+        return planned
+    slower = not timed and kept.limits.duration is None
+    for share in SHARES:
+        found = leaning(motion, kept.limits, share, slower=slower)
+        if found is None:
+            continue
+        judged = certified(_remarked(found, share).motion)
+        if judged.certificate.certified:
+            return replace(planned, motion=judged.motion, certificate=judged.certificate)
+    return planned
+
+
+def _remarked(found: Leaning, share: float) -> Leaning:
+    """Return the same, its phases telling how far legs lean."""
+    remark = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
+    if share < 1.0:
+        remark += f" ({share:.0%} of it: limits leave room for no more)"
+    phases = tuple(
+        replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
+        for phase in found.motion.phases
+    )
+    return replace(found, motion=replace(found.motion, phases=phases))

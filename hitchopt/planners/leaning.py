@@ -1,0 +1,272 @@
+"""Legs that lean against friction, so that vertices stay where they are planned.
+
+A cable that slides through a clasp pulls harder on the side that it is drawn to. With legs where
+they hold without friction the vertex is dragged along until the clasp balances again. Planned for,
+the same balance is found by the legs: they pull with what friction makes of the tension, and lean
+as the force triangle at the clasp asks (``model.slipping``).
+
+How hard friction pulls is known only roughly: by ``e^{μ β}`` if one cable slides about the other
+(β the interior angle), by less where both do, since then they slide past each other less. Counted
+on is ``ln(P/T) = μ β v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of it for
+one cable, half for two at the same speed, which is what rope simulations show (README).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Limits, Separation
+from hitchopt.hitch.layout import Layout
+from hitchopt.model.evaluation import slipping_drones
+from hitchopt.model.motion import Motion
+from hitchopt.model.robot import JET
+from hitchopt.planners import jets
+from hitchopt.planners.stretch import needed_stretch
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.splitting import on_breaks
+
+Array = NDArray[np.float64]
+
+DEGREE = 5
+"""Of the splines that say how friction grows and fades: smooth up to the snap."""
+
+SPACING = 0.4
+"""[s] Of their knots; friction then turns about within a second."""
+
+FEWEST = 8
+"""Knot intervals of a short motion: more would have legs lean faster than drones fly."""
+
+AT_REST = 3
+"""Coefficients at both ends that are zero: legs begin and end at rest, where they hold alone."""
+
+SLOW = 0.1
+"""Of the largest speed of a leg: legs much slower than that count on little friction."""
+
+STILL = 1e-5
+"""[m/s] Where no leg changes faster, nothing slides."""
+
+FARTHEST = math.radians(12.0)
+"""A leg leans no farther: toward what friction would ask for where it locks a sharp vertex, the
+two legs close in on each other."""
+
+ROOM = 1.02
+"""Of their limits, what the two drones of a clasp keep from each other and from their legs."""
+
+HALVINGS = 20
+"""Of the share of the friction at which a leg leans as far as it may."""
+
+FINER = 2
+"""Pieces of the drones' polynomials for one of the splines."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaning:
+    """A motion whose legs lean against friction.
+
+    Attributes
+    ----------
+    motion: with ``leg_tensions``, its phases slowed with it.
+    turned: the largest angle by which a leg leans [rad].
+    """
+
+    motion: Motion
+    turned: float
+
+
+def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Leaning | None:
+    """Return the same motion with legs that lean against friction; None where there is none.
+
+    Vertices, legs' lengths and edges' tensions stay as they are, but for the pace.
+
+    Parameters
+    ----------
+    motion: of a level hitch, from rest to rest, formed all of the time.
+    limits: that the leaning drones keep, by going slower.
+    share: of the friction that is counted on, in (0, 1].
+    slower: whether it may last longer; else None is returned where it would have to.
+    """
+    slip = _slip(motion, share)
+    if slip is None:
+        return None
+    found = _leaned(motion, slip)
+    if found is None:
+        return None
+    factor = needed_stretch(motion.team, limits, found.motion)
+    if factor <= 1.0:
+        return found
+    if not slower:
+        return None
+    phases = [
+        replace(phase, start=factor * phase.start, end=factor * phase.end)
+        for phase in motion.phases
+    ]
+    slowed = found.motion.changed(lambda part: part.stretched(factor), phases)
+    return replace(found, motion=slowed)
+
+
+def _slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
+    """Return ln(P/T) of the legs over time, of shape (clasps, 2): r_{k-1}'s and q_k's at each."""
+    duration, layout = motion.duration, motion.team.layout
+    start = float(motion.drones.breaks[0])
+    count = max(FEWEST, math.ceil(duration / SPACING))
+    inner = np.linspace(0.0, duration, count + 1)
+    knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
+    middles = np.array([np.mean(knots[i + 1 : i + 1 + DEGREE]) for i in range(count + DEGREE)])
+    t = start + middles
+    rates = _at_clasps(layout, motion.legs.at(t, 1))
+    fastest = float(np.max(np.abs(rates)))
+    if fastest <= STILL:
+        return None
+    both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW * fastest
+    clasps = _Clasps.of(motion, t)
+    friction = share * motion.team.cable_friction
+    wanted = friction * clasps.wrapped[..., None] * rates / both
+    wanted *= clasps.bearable(wanted)[..., None]
+    wanted[:AT_REST] = wanted[-AT_REST:] = 0.0
+    spline = BSpline(knots, wanted, DEGREE)
+    x = inner[:-1, None] + np.diff(inner)[:, None] * bernstein.nodes(DEGREE)
+    coefficients = bernstein.interpolate(np.moveaxis(spline(x), 1, -1))
+    return PiecewisePolynomial(start + inner, coefficients)
+
+
+def _at_clasps(layout: Layout, legs: Array) -> Array:
+    """Return (J, clasps, 2) of (J, n, 2): of r_{k-1} and of q_k, the two at every clasp."""
+    return np.stack([legs[..., layout.behind, 1], legs[..., layout.ahead, 0]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clasps:
+    """The force triangles of all clasps at some times.
+
+    Attributes
+    ----------
+    wrapped: (J, clasps) [rad], the angle that both cables wrap.
+    pull: (J, clasps), size of V, what the edges pull with [N].
+    tensions: (J, clasps, 2) [N], of the cables behind and ahead.
+    legs: (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``.
+    separation: that their drones keep.
+    """
+
+    wrapped: Array
+    pull: Array
+    tensions: Array
+    legs: Array
+    separation: Separation
+
+    @classmethod
+    def of(cls, motion: Motion, t: Array) -> _Clasps:
+        layout = motion.team.layout
+        edges = layout.edges(motion.vertices.at(t))
+        u = edges / length(edges)[..., None]
+        behind, ahead = u[:, layout.behind], u[:, layout.ahead]
+        T = motion.tensions.at(t)
+        tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
+        V = tensions[..., :1] * behind - tensions[..., 1:] * ahead
+        turned = np.arccos(np.clip(np.sum(behind * ahead, axis=-1), -1.0, 1.0))
+        legs = _at_clasps(layout, motion.legs.at(t))
+        return cls(np.pi - turned, length(V), tensions, legs, motion.separation)
+
+    def bearable(self, slip: Array) -> Array:
+        """Return (J, clasps): the largest share of ``slip`` (J, clasps, 2) that legs may lean to.
+
+        None leans FARTHEST, and no drone comes too close to the other one or to its leg.
+        """
+        upright = self._angles(np.zeros_like(slip))
+        before = self._gaps(upright)
+        lower, upper = np.zeros(slip.shape[:-1]), np.ones(slip.shape[:-1])
+        trial = upper
+        for _ in range(HALVINGS):
+            angles = self._angles(trial[..., None] * slip)
+            leans = np.abs(angles - upright) <= FARTHEST
+            gaps = self._gaps(angles)
+            apart = (gaps >= ROOM) | (gaps >= before)
+            borne = np.all(leans, axis=-1) & np.all(apart, axis=-1)
+            lower, upper = np.where(borne, trial, lower), np.where(borne, upper, trial)
+            trial = 0.5 * (lower + upper)
+        return lower
+
+    def _angles(self, slip: Array) -> Array:
+        """Return (J, clasps, 2) [rad] between the legs and V; nan where there is no triangle."""
+        pulls = self.tensions * np.exp(slip)
+        others, pull = pulls[..., ::-1], self.pull[..., None]
+        sides = (pull**2 + pulls**2 - others**2) / (2.0 * pull * pulls)
+        return np.arccos(np.where(np.abs(sides) < 1.0, sides, np.nan))
+
+    def _gaps(self, angles: Array) -> Array:
+        """Return (J, clasps, 3): distances over their limits, of the drones and to both legs."""
+        between = np.sum(angles, axis=-1, keepdims=True)
+        e, d = self.legs[..., :1], self.legs[..., 1:]
+        drones = np.sqrt(np.maximum(e**2 + d**2 - 2.0 * e * d * np.cos(between), 0.0))
+        aside = np.where(between < 0.5 * np.pi, self.legs * np.sin(between), self.legs)
+        limits = self.separation
+        return np.concatenate([drones / (2.0 * limits.radius), aside / limits.cable], axis=-1)
+
+
+def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
+    """Return the motion with pulls ``T e^slip``; None where a clasp cannot balance so."""
+    layout = motion.team.layout
+    breaks = _refined(motion.drones.breaks, motion.duration / (FINER * slip.pieces))
+    drones, vertices, legs, tensions = (
+        on_breaks(part, breaks)
+        for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
+    )
+    # From both sides of every break: jerks jump where timed points begin to be followed.
+    at = [_end_jets(part) for part in (drones, vertices, legs, tensions)]
+    d, p, lengths, T = (np.concatenate(pair) for pair in at)
+    logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
+    grown = jets.chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
+    pulls = np.repeat(T[:, :, None], 2, axis=2)
+    pulls[:, layout.behind, 1] = jets.product(grown[:, :, 0], T[:, layout.behind])
+    pulls[:, layout.ahead, 0] = jets.product(grown[:, :, 1], T[:, layout.ahead])
+    found = slipping_drones(layout, p, lengths, T, pulls)
+    if not np.all(np.isfinite(found)):
+        return None
+    ways = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
+    clasps = p[:, layout.clasps][..., 0][:, :, None]
+    turned = _angles_between(ways - clasps, found[..., 0] - clasps)
+    d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
+    leaned = replace(
+        motion,
+        drones=_hermite(breaks, d),
+        vertices=vertices,
+        legs=legs,
+        tensions=tensions,
+        leg_tensions=_hermite(breaks, pulls),
+    )
+    return Leaning(leaned, float(np.max(turned)))
+
+
+def _refined(breaks: Array, longest: float) -> Array:
+    """Return the breaks with every piece cut evenly into parts no longer than ``longest`` [s]."""
+    parts = np.maximum(1, np.ceil(np.diff(breaks) / longest - 1e-9).astype(np.intp))
+    first = np.repeat(np.cumsum(parts) - parts, parts)
+    within = (np.arange(len(first)) - first) / np.repeat(parts, parts)
+    starts = np.repeat(breaks[:-1], parts) + within * np.repeat(np.diff(breaks), parts)
+    return np.append(starts, breaks[-1])
+
+
+def _end_jets(part: PiecewisePolynomial) -> tuple[Array, Array]:
+    """Return the jets (pieces, *shape, 4) at both ends of every piece."""
+    ends = [part.ends(order) for order in range(JET)]
+    left, right = zip(*ends, strict=True)
+    return np.stack(left, axis=-1), np.stack(right, axis=-1)
+
+
+def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
+    """Return the polynomials with given jets (2 pieces, *shape, 4): first all left ends."""
+    left, right = np.split(np.moveaxis(both, -1, 0), 2, axis=1)
+    return PiecewisePolynomial.hermite(breaks, left, right)
+
+
+def _angles_between(a: Array, b: Array) -> Array:
+    """Return the angles (…) [rad] between vectors (…, 3); 0 where one has no length."""
+    sizes = length(a) * length(b)
+    cosine = np.divide(np.sum(a * b, axis=-1), sizes, out=np.ones_like(sizes), where=sizes > 0.0)
+    angles: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return angles
