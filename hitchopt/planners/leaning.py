@@ -39,8 +39,11 @@ DEGREE = 5
 SPACING = 0.4
 """[s] Of their knots; friction then turns about within a second."""
 
-FEWEST = 8
-"""Knot intervals of a short motion: more would have legs lean faster than drones fly."""
+FEWEST = 4
+"""Knot intervals of a short motion: with more, legs would have to lean faster than drones fly."""
+
+SMALLEST = math.radians(0.5)
+"""Legs that would lean less than this stay as they are."""
 
 AT_REST = 3
 """Coefficients at both ends that are zero: legs begin and end at rest, where they hold alone."""
@@ -80,7 +83,7 @@ class Leaning:
 
 
 def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Leaning | None:
-    """Return the same motion with legs that lean against friction; None where there is none.
+    """Return the same motion with legs that lean against friction; None where none would.
 
     Vertices, legs' lengths and edges' tensions stay as they are, but for the pace.
 
@@ -95,7 +98,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     if slip is None:
         return None
     found = _leaned(motion, slip)
-    if found is None:
+    if found is None or found.turned < SMALLEST:
         return None
     factor = needed_stretch(motion.team, limits, found.motion)
     if factor <= 1.0:
@@ -114,7 +117,7 @@ def _slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     """Return ln(P/T) of the legs over time, of shape (clasps, 2): r_{k-1}'s and q_k's at each."""
     duration, layout = motion.duration, motion.team.layout
     start = float(motion.drones.breaks[0])
-    count = max(FEWEST, math.ceil(duration / SPACING))
+    count = max(FEWEST, round(duration / SPACING))
     inner = np.linspace(0.0, duration, count + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
     middles = np.array([np.mean(knots[i + 1 : i + 1 + DEGREE]) for i in range(count + DEGREE)])
