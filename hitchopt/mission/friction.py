@@ -12,12 +12,16 @@ from hitchopt.planners.leaning import Leaning, leaning
 SHARES = (1.0, 0.5, 0.25)
 """Of the friction that is counted on: the largest at which every limit is kept."""
 
+LONGER = 1.5
+"""Times as long as without friction, and no longer, may a step last for legs to lean so far."""
+
 
 def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
     """Return the plan with legs that lean against friction as far as limits allow.
 
     It is the given one where the team's cables have no friction or none of them slides, and where
-    no limit leaves room for leaning. The way may then take longer, unless its time is given.
+    no limit leaves room for leaning. The way may take up to LONGER times as long for it, unless its
+    time is given or the whole plan's is limited.
 
     Parameters
     ----------
@@ -31,7 +35,7 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
     slower = not timed and kept.limits.duration is None
     for share in SHARES:
         found = leaning(motion, kept.limits, share, slower=slower)
-        if found is None:
+        if found is None or found.motion.duration > LONGER * motion.duration:
             continue
         judged = certified(_remarked(found, share).motion)
         if judged.certificate.certified:
@@ -43,7 +47,7 @@ def _remarked(found: Leaning, share: float) -> Leaning:
     """Return the same, its phases telling how far legs lean."""
     remark = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
     if share < 1.0:
-        remark += f" ({share:.0%} of it: limits leave room for no more)"
+        remark += f" ({share:.0%} of what would do: limits leave room for no more)"
     phases = tuple(
         replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
         for phase in found.motion.phases

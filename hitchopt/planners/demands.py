@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,15 +103,18 @@ class Demands:
     def stretch(self) -> float:
         """Return how many times slower a flight must be to keep its limits, the parameter its time.
 
-        Below 1 where it could be faster. Slowed by κ, velocities fall with κ, accelerations with
-        κ² and jerks with κ³.
+        Below 1 where it could be faster, infinite where not even the forces at rest are within the
+        limits. Slowed by κ, velocities fall with κ, accelerations with κ² and jerks with κ³.
         """
         still = np.zeros((len(self.drones), 1))
         jerk = np.max(length(self.drones[..., 3]))
+        reach = float(np.min(self.reach(still, still + 1.0)))
+        if not reach > 0.0:
+            return math.inf
         return float(
             max(
                 1.0 / np.sqrt(np.min(self.speed_bound)),
-                1.0 / np.sqrt(np.min(self.reach(still, still + 1.0))),
+                1.0 / math.sqrt(reach),
                 np.cbrt(jerk / (self.share * self.limits.jerk)),
             )
         )

@@ -92,7 +92,8 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     motion: of a level hitch, from rest to rest, formed all of the time.
     limits: that the leaning drones keep, by going slower.
     share: of the friction that is counted on, in (0, 1].
-    slower: whether it may last longer; else None is returned where it would have to.
+    slower: whether it may last longer; else None is returned where it would have to. So it is where
+        legs at rest pull their drones beyond a limit.
     """
     slip = _slip(motion, share)
     if slip is None:
@@ -103,7 +104,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     factor = needed_stretch(motion.team, limits, found.motion)
     if factor <= 1.0:
         return found
-    if not slower:
+    if not slower or not math.isfinite(factor):
         return None
     phases = [
         replace(phase, start=factor * phase.start, end=factor * phase.end)

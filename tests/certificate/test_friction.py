@@ -1,0 +1,135 @@
+"""What friction may do to legs' pulls, held against samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from hitchopt.certificate import certify
+from hitchopt.certificate.equilibrium import check
+from hitchopt.hitch import Team
+from hitchopt.model.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+FRICTION = 0.2
+POLYGON = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
+
+
+def team(friction: float) -> Team:
+    tension = [0.5, 0.45, 0.55, 0.5]
+    return Team(4, [2.9, 2.8, 2.7, 3.0], tension=tension, cable_friction=friction)
+
+
+@pytest.fixture(scope="module")
+def leaned() -> Motion:
+    start = ho.Hitch.spread(team(FRICTION), POLYGON, altitude=1.2)
+    motion = ho.move_vertex(start, 0, by=[0.25, 0.1], duration=4.0).motion
+    assert isinstance(motion, Motion)
+    assert motion.leg_tensions is not None
+    return motion
+
+
+def residuals(motion: Motion, t: Array) -> Array:
+    """(times, clasps): unbalanced forces over the weaker tension, by hand."""
+    p, x = motion.vertices.at(t), motion.drones.at(t)
+    T, P = motion.tensions.at(t), motion.pulls.at(t)
+    n = motion.team.robots
+    found = np.empty((len(t), n))
+    for k in range(n):
+        i = (k - 1) % n
+        force = np.zeros((len(t), 3))
+        for pull, way in (
+            (P[:, 2 * k], x[:, 2 * k] - p[:, k]),
+            (T[:, k], p[:, (k + 1) % n] - p[:, k]),
+            (P[:, 2 * i + 1], x[:, 2 * i + 1] - p[:, k]),
+            (T[:, i], p[:, i] - p[:, k]),
+        ):
+            force += pull[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+        found[:, k] = np.linalg.norm(force, axis=1) / np.minimum(T[:, k], T[:, i])
+    return found
+
+
+def ratios(motion: Motion, t: Array) -> Array:
+    """(times, n, 2, 2): pull over tension, and what friction makes of it at most."""
+    p, T = motion.vertices.at(t), motion.tensions.at(t)
+    P = motion.pulls.at(t).reshape(len(t), -1, 2)
+    n = motion.team.robots
+    found = np.empty((len(t), n, 2, 2))
+    for k in range(n):
+        for end, (a, b, c) in enumerate(((k - 1, k, k + 1), (k, k + 1, k + 2))):
+            back, on = p[:, a % n] - p[:, b % n], p[:, c % n] - p[:, b % n]
+            cosine = np.sum(back * on, axis=1)
+            cosine /= np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
+            found[:, k, end, 0] = P[:, k, end] / T[:, k]
+            found[:, k, end, 1] = np.exp(motion.team.cable_friction * np.arccos(cosine))
+    return found
+
+
+def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
+    t = np.linspace(0.0, leaned.duration, 20_001)
+    found = check(leaned)
+    assert found.holds
+    assert np.max(residuals(leaned, t)) <= found.worst
+    ratio, most = np.moveaxis(ratios(leaned, t), -1, 0)
+    assert np.all((ratio <= most) & (ratio >= 1.0 / most))
+    assert np.ptp(ratio) > 0.05  # there is something to hold against it
+
+
+def test_legs_at_their_cables_tension_are_judged_as_those_that_say_nothing(leaned: Motion) -> None:
+    """Also where friction is none: then nothing else is allowed."""
+    start = ho.Hitch.spread(team(0.0), POLYGON, altitude=1.2)
+    plain = ho.move_vertex(start, 0, by=[0.25, 0.1], duration=4.0).motion
+    assert isinstance(plain, Motion)
+    assert plain.leg_tensions is None
+    c = np.repeat(plain.tensions.coefficients[:, :, None], 2, axis=2)
+    told = replace(plain, leg_tensions=PiecewisePolynomial(plain.drones.breaks, c))
+    assert check(told).worst == pytest.approx(check(plain).worst, rel=2e-4)
+    thrusts = [certify(motion)["thrust"].worst for motion in (plain, told)]
+    assert thrusts[0] == pytest.approx(thrusts[1], rel=2e-4)
+    assert not check(replace(leaned, team=team(0.0))).holds
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.02, 0.05])
+def test_more_than_friction_gives_is_unbalanced_by_as_much(leaned: Motion, friction: float) -> None:
+    motion = replace(leaned, team=team(friction))
+    t = np.linspace(0.0, motion.duration, 20_001)
+    ratio, most = np.moveaxis(ratios(motion, t), -1, 0)
+    beyond = np.maximum(ratio - most, 1.0 / most - ratio)
+    found = check(motion)
+    assert not found.holds
+    worst = float(np.max(beyond))
+    assert worst <= found.worst <= worst * 1.001 + 1e-6
+    when, cable, end = np.unravel_index(np.argmax(beyond), beyond.shape)
+    assert found.where == (f"p{(cable + end) % 4}",)
+    assert found.time == pytest.approx(t[when], abs=0.05)
+
+
+def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
+    assert leaned.leg_tensions is not None
+    c = leaned.leg_tensions.coefficients.copy()
+    c[:, 2, 1] *= 1.02
+    tampered = replace(leaned, leg_tensions=PiecewisePolynomial(leaned.drones.breaks, c))
+    found = check(tampered)
+    t = np.linspace(0.0, leaned.duration, 4_001)
+    assert not found.holds
+    assert np.max(residuals(tampered, t)) <= found.worst
+    assert found.worst == pytest.approx(0.02, rel=0.3)
+    assert found.where == ("p3",)
+
+
+def test_thrust_and_setpoints_take_the_legs_pull(leaned: Motion) -> None:
+    t = np.linspace(0.0, leaned.duration, 2_001)
+    states = ho.Plan(leaned, certify(leaned)).at(t)
+    p, x = leaned.vertices.at(t), leaned.drones.at(t)
+    legs = x - p[:, leaned.team.layout.anchors]
+    pulls = np.linalg.norm(states.cable_forces, axis=-1)
+    np.testing.assert_allclose(pulls, leaned.pulls.at(t), rtol=1e-12)
+    along = np.sum(states.cable_forces * legs, axis=-1) / np.linalg.norm(legs, axis=-1)
+    np.testing.assert_allclose(along, -pulls, rtol=1e-12)
+    thrust = np.linalg.norm(states.thrusts(leaned.team), axis=-1)
+    found = certify(leaned)["thrust"].worst
+    assert np.max(thrust) <= found <= np.max(thrust) * 1.001

@@ -1,0 +1,152 @@
+"""Problems whose cables have friction: legs lean where cables slide, within every limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.model.motion import Motion
+
+TEAM = {"robots": 3, "cable_length": 2.4, "tension": 0.5}
+START = {"hitch": {"polygon": [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]], "altitude": 1.0}}
+MOVE = {"move_vertex": {"vertex": 0, "by": [0.1, 0.3]}}
+LEANING = "legs lean against friction, by up to"
+
+
+def solved(steps: list[dict[str, Any]], friction: float = 0.1, **keys: Any) -> ho.Plan[Motion]:
+    team = {**TEAM, "cable_friction": friction, **keys.pop("team", {})}
+    plan = ho.solve(problem_from_dict({"team": team, "start": START, "mission": steps, **keys}))
+    assert isinstance(plan.motion, Motion)
+    assert plan.certificate.certified
+    return plan
+
+
+def timed(seconds: float) -> dict[str, Any]:
+    return {"move_vertex": {**MOVE["move_vertex"], "duration": seconds}}
+
+
+def test_without_friction_nothing_is_told_of_it() -> None:
+    plan = solved([MOVE], 0.0)
+    assert plan.motion.leg_tensions is None
+    assert LEANING not in plan.phases[0].remark
+
+
+def test_only_the_steps_that_slide_lean_and_each_says_how_far() -> None:
+    steps: list[dict[str, Any]] = [
+        {"hold": {"seconds": 0.5}},
+        timed(4.0),
+        {"transport": {"to": [0.5, 0.0, 1.4], "yaw_deg": 20}},
+        {"adjust": {"legs": "balanced", "duration": 4.0}},
+    ]
+    plan = solved(steps)
+    leaning = [LEANING in phase.remark for phase in plan.phases]
+    assert leaning == [False, True, False, True]
+    assert plan.motion.leg_tensions is not None
+    still = [phase for phase in plan.phases if LEANING not in phase.remark]
+    for phase in still:
+        t = np.linspace(phase.start, phase.end, 50)
+        np.testing.assert_allclose(plan.motion.pulls.at(t), 0.5, atol=1e-9)
+    t = np.linspace(0.0, plan.duration, 2_000)
+    assert np.ptp(plan.motion.pulls.at(t)) > 0.02
+
+
+def test_vertices_go_where_and_when_they_would_without_friction() -> None:
+    plain, leaned = solved([timed(4.0)], 0.0), solved([timed(4.0)])
+    t = np.linspace(0.0, 4.0, 500)
+    assert leaned.duration == plain.duration == 4.0
+    np.testing.assert_allclose(leaned.at(t).vertices, plain.at(t).vertices, atol=1e-9)
+    away = np.linalg.norm(leaned.at(t).positions - plain.at(t).positions, axis=-1)
+    assert 0.01 < np.max(away) < 0.2
+
+
+def test_timed_points_are_met_at_their_times() -> None:
+    path = [[0.0, 0.0, 0.75], [2.0, 0.0, 0.75], [5.0, 0.1, 0.95]]
+    plan = solved([{"follow_vertex": {"vertex": 0, "path": path}}])
+    assert LEANING in plan.phases[0].remark
+    for t, x, y in path:
+        np.testing.assert_allclose(plan.at(t).vertices[0, :2], [x, y], atol=1e-6)
+    # While the vertex stands no cable slides, and legs hold alone.
+    np.testing.assert_allclose(plan.motion.pulls.at(np.linspace(0.0, 1.0, 20)), 0.5, atol=1e-6)
+
+
+def test_a_plan_with_a_limited_duration_does_not_get_longer() -> None:
+    quick = solved([MOVE], 0.0)
+    limited = solved([MOVE], limits={"duration": 1.0001 * quick.duration})
+    assert limited.duration == pytest.approx(quick.duration)
+    assert solved([MOVE]).duration > quick.duration
+
+
+def test_where_limits_leave_little_room_legs_lean_less() -> None:
+    """A limit of tilt just above what the hitch needs at rest lets no leg pull much harder."""
+    inward = {"move_vertex": {"vertex": 0, "by": [0.0, -0.25], "duration": 6.0}}
+    free, plain = solved([inward]), solved([inward], 0.0)
+    t = np.linspace(0.0, 6.0, 2_000)
+    tilts = {}
+    for name, plan in (("free", free), ("plain", plain)):
+        thrust = plan.at(t).thrusts(plan.motion.team)
+        level = np.linalg.norm(thrust[..., :2], axis=-1)
+        tilts[name] = float(np.max(np.degrees(np.arctan2(level, thrust[..., 2]))))
+    assert tilts["free"] > tilts["plain"] + 0.1
+    between = 0.5 * (tilts["free"] + tilts["plain"])
+    tight = solved([inward], limits={"tilt_deg": between})
+    assert tight.certificate["tilt"].worst <= between
+    shared = tight.phases[0].remark
+    assert "limits leave room for no more" in shared
+    ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
+    assert 0.0 < ratios[0] < ratios[1]
+
+
+def test_a_short_step_does_not_get_much_longer_for_leaning() -> None:
+    quick = {"move_vertex": {"vertex": 0, "by": [0.0, 0.08]}}
+    plain = solved([quick], 0.0)
+    for friction in (0.05, 0.2, 0.5):
+        leaned = solved([quick], friction)
+        assert plain.duration <= leaned.duration <= 1.5 * plain.duration
+
+
+def test_chains_and_blended_steps_lean_too() -> None:
+    chain = solved(
+        [{"move_vertex": {"vertex": 1, "by": [0.1, 0.15], "duration": 4.0}}],
+        team={"robots": 3, "topology": "open"},
+        start={
+            "hitch": {
+                "polygon": [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]],
+                "altitude": 1.0,
+            }
+        },
+    )
+    assert LEANING in chain.phases[0].remark
+    steps = [
+        {"move_vertex": {"vertex": 0, "by": [0.1, 0.2], "blend": True}},
+        {"move_vertex": {"vertex": 1, "by": [0.1, -0.1]}},
+    ]
+    blended = solved(steps)
+    assert all(LEANING in phase.remark for phase in blended.phases)
+    assert blended.phases[0].end == blended.phases[1].start
+    assert blended.phases[1].end == pytest.approx(blended.duration)
+
+
+def test_what_is_written_is_read_back_and_judged_alike(tmp_path: Path) -> None:
+    plan = solved([timed(4.0)])
+    plan.save(tmp_path / "out")
+    again = ho.load(tmp_path / "out")
+    assert isinstance(again.motion, Motion)
+    assert again.motion.leg_tensions is not None
+    assert plan.motion.leg_tensions is not None
+    np.testing.assert_array_equal(
+        again.motion.leg_tensions.coefficients, plan.motion.leg_tensions.coefficients
+    )
+    assert ho.certify(again.motion).to_dict() == plan.certificate.to_dict()
+    table = np.genfromtxt(
+        tmp_path / "out" / "setpoints.csv", delimiter=",", skip_header=1, usecols=range(15, 18)
+    )
+    states = plan.at(np.append(np.arange(400) / 100.0, 4.0))
+    np.testing.assert_allclose(table, states.cable_forces.reshape(-1, 3), atol=1e-9)
+    edited = replace(again.motion, leg_tensions=None)
+    assert not ho.certify(edited)["equilibrium"].holds

@@ -1,0 +1,190 @@
+"""Legs that lean against friction: what they leave as it is, how far they go, and laws."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from hitchopt.hitch import Team
+from hitchopt.model.motion import Motion
+from hitchopt.planners.leaning import FARTHEST, ROOM, Leaning, leaning
+
+Array = NDArray[np.float64]
+
+POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
+GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
+LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
+
+
+def rubbing(motion: Motion, friction: float) -> Motion:
+    team = motion.team
+    slippery = Team(
+        team.robots,
+        team.cable_length,
+        topology=team.topology,
+        tension=team.tension,
+        cable_friction=friction,
+    )
+    return replace(motion, team=slippery)
+
+
+def planned(polygon: Array = POLYGON, goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
+    """A morph of cables without friction, by fractions that stay, so that laws are exact."""
+    team = ho.Team(4, LENGTHS, tension=TENSIONS)
+    start = ho.Hitch.balanced(team, polygon, altitude=1.2)
+    motion = ho.morph(start, goal, legs="balanced", duration=seconds).motion
+    assert isinstance(motion, Motion)
+    return motion
+
+
+def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning:
+    found = leaning(rubbing(motion, friction), motion.limits, share, slower=True)
+    assert found is not None
+    return found
+
+
+def sampled(motion: Motion) -> Array:
+    return np.linspace(0.0, motion.duration, 201)
+
+
+def leans(motion: Motion, plain: Motion, share_of_time: Array) -> Array:
+    """(times, 2n) [rad] between the legs of two motions, at the same shares of their times."""
+    ways = []
+    for m in (motion, plain):
+        t = share_of_time * m.duration
+        way = m.drones.at(t) - m.vertices.at(t)[:, m.team.layout.anchors]
+        ways.append(way / np.linalg.norm(way, axis=-1, keepdims=True))
+    angles: Array = np.arccos(np.clip(np.sum(ways[0] * ways[1], axis=-1), -1.0, 1.0))
+    return angles
+
+
+def test_the_hitch_stays_as_it_is() -> None:
+    plain = planned()
+    motion = leaned(plain).motion
+    t = sampled(plain)
+    slow = motion.duration / plain.duration
+    for name in ("vertices", "legs", "tensions"):
+        np.testing.assert_allclose(
+            getattr(motion, name).at(slow * t), getattr(plain, name).at(t), atol=1e-9
+        )
+    legs = motion.drones.at(t * slow) - motion.vertices.at(t * slow)[:, motion.team.layout.anchors]
+    np.testing.assert_allclose(
+        np.linalg.norm(legs, axis=-1), plain.legs.at(t).reshape(len(t), -1), atol=1e-6
+    )
+
+
+def test_drones_begin_and_end_at_rest_where_they_did() -> None:
+    plain = planned(seconds=None)
+    motion = leaned(plain).motion
+    for derivative in range(3):
+        for end in (0, -1):
+            found, wanted = (m.drones.ends(derivative)[end][end] for m in (motion, plain))
+            np.testing.assert_allclose(found, wanted if derivative == 0 else 0.0, atol=1e-7)
+    pulls = motion.pulls.ends()
+    for end in (0, -1):
+        np.testing.assert_allclose(pulls[end][end], np.repeat(TENSIONS, 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3])
+def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: float) -> None:
+    plain = planned()
+    motion = leaned(plain, friction).motion
+    t = sampled(motion)
+    inner = t[40:-40]
+    rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
+    ratio = np.log(motion.pulls.at(inner) / np.repeat(motion.tensions.at(inner), 2, axis=1))
+    sliding = np.abs(rates) > 0.3 * np.max(np.abs(rates))
+    assert np.sum(sliding) > 100
+    assert np.all(np.sign(rates[sliding]) == np.sign(ratio[sliding]))
+    assert np.max(np.abs(ratio)) > 0.2 * friction
+    assert np.max(np.abs(ratio)) < np.pi * friction
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3, 2.0])
+def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
+    """At large friction both limits bind: a sharp vertex would lock."""
+    plain = planned()
+    found = leaned(plain, friction)
+    s = np.linspace(0.0, 1.0, 401)
+    angles = leans(found.motion, plain, s)
+    assert np.max(angles) <= FARTHEST * 1.05
+    assert found.turned == pytest.approx(np.max(angles), rel=0.02)
+    layout, limits = plain.team.layout, plain.separation
+    gaps = []
+    for m in (found.motion, plain):
+        x = m.drones.at(s * m.duration)
+        pairs = x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1]
+        gaps.append(np.linalg.norm(pairs, axis=-1) / (2.0 * limits.radius))
+    assert np.all(gaps[0] >= np.minimum(gaps[1], ROOM) - 0.01)
+
+
+def test_it_leans_as_much_as_is_counted_on() -> None:
+    plain = planned()
+    turned = [leaned(plain, 0.04, share).turned for share in (0.25, 0.5, 1.0)]
+    np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
+    np.testing.assert_allclose(leaned(plain, 0.02).turned, turned[1], rtol=1e-9)
+
+
+def test_turned_and_moved_it_leans_the_same() -> None:
+    angle, aside = 0.7, np.array([3.0, -5.0])
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    there = planned(POLYGON @ turn.T + aside, GOAL @ turn.T + aside)
+    here = leaned(planned()).motion
+    moved = leaned(there).motion
+    t = sampled(here)
+    places = here.drones.at(t)
+    places[..., :2] = places[..., :2] @ turn.T + aside
+    np.testing.assert_allclose(moved.drones.at(t), places, atol=1e-6)
+    np.testing.assert_allclose(moved.pulls.at(t), here.pulls.at(t), atol=1e-6)
+
+
+def test_renumbered_it_leans_the_same() -> None:
+    def rolled(values: list[float]) -> list[float]:
+        return [*values[1:], values[0]]
+
+    team = ho.Team(4, rolled(LENGTHS), tension=rolled(TENSIONS))
+    start = ho.Hitch.balanced(team, np.roll(POLYGON, -1, axis=0), altitude=1.2)
+    goal = np.roll(GOAL, -1, axis=0)
+    motion = ho.morph(start, goal, legs="balanced", duration=4.0).motion
+    assert isinstance(motion, Motion)
+    here, there = leaned(planned()).motion, leaned(motion).motion
+    t = sampled(here)
+    np.testing.assert_allclose(
+        there.drones.at(t), np.roll(here.drones.at(t), -2, axis=1), atol=1e-6
+    )
+
+
+def test_in_a_mirror_it_leans_the_same() -> None:
+    """Mirrored and read backwards, so that it is clockwise again: q and r change places."""
+    order = [0, 3, 2, 1]  # vertices; cable k then spans what cable -1-k did
+    flip = np.array([-1.0, 1.0])
+    team = ho.Team(4, LENGTHS[::-1], tension=TENSIONS[::-1])
+    start = ho.Hitch.balanced(team, POLYGON[order] * flip, altitude=1.2)
+    motion = ho.morph(start, GOAL[order] * flip, legs="balanced", duration=4.0).motion
+    assert isinstance(motion, Motion)
+    here, there = leaned(planned()).motion, leaned(motion).motion
+    t = sampled(here)
+    mirrored = here.drones.at(t)[:, ::-1] * np.array([-1.0, 1.0, 1.0])
+    np.testing.assert_allclose(there.drones.at(t), mirrored, atol=1e-6)
+
+
+def test_where_nothing_slides_nothing_leans() -> None:
+    plain = planned(goal=POLYGON + 1e-9)
+    assert leaning(rubbing(plain, 0.3), plain.limits, 1.0, slower=True) is None
+    assert leaning(rubbing(planned(), 1e-3), plain.limits, 1.0, slower=True) is None  # too little
+
+
+def test_a_given_time_is_kept_or_nothing_leans() -> None:
+    quick = planned(seconds=None)
+    assert leaning(rubbing(quick, 0.1), quick.limits, 1.0, slower=False) is None
+    slower = leaned(quick).motion
+    assert slower.duration > quick.duration
+    unhurried = leaning(rubbing(planned(), 0.1), quick.limits, 1.0, slower=False)
+    assert unhurried is not None
+    assert unhurried.motion.duration == 4.0
+    assert slower.phases[0].start == 0.0
+    assert slower.phases[-1].end == pytest.approx(slower.duration)
