@@ -129,16 +129,22 @@ def iterate_states(motion: Flying, times: Array, size: int) -> Iterator[States]:
     A block lies within one piece, so that its values are one matrix product per quantity.
     """
     starts = motion.drones.breaks - motion.drones.breaks[0]
-    formed = motion.formed if isinstance(motion, Motion) else np.zeros(len(starts) - 1, np.bool_)
+    formed, pulls = np.zeros(len(starts) - 1, np.bool_), np.zeros((len(starts) - 1, 0, 1))
+    if isinstance(motion, Motion):
+        formed, pulls = motion.formed, motion.pulls.coefficients
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
     for piece in np.flatnonzero(np.diff(bounds)):
         for first in range(bounds[piece], bounds[piece + 1], size):
             t = times[first : min(first + size, bounds[piece + 1])]
-            yield _states_within(motion, int(piece), t, t - starts[piece], bool(formed[piece]))
+            elapsed = t - starts[piece]
+            yield _states_within(motion, int(piece), t, elapsed, bool(formed[piece]), pulls[piece])
 
 
-def _states_within(motion: Flying, piece: int, t: Array, elapsed: Array, formed: bool) -> States:
+def _states_within(
+    motion: Flying, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array
+) -> States:
+    """Return the states at times t within a piece; ``pulls`` (2n, degree + 1) are those on it."""
     h = motion.drones.durations[piece]
     x = np.clip(elapsed / h, 0.0, 1.0)
     drones = motion.drones.coefficients[piece]
@@ -149,9 +155,8 @@ def _states_within(motion: Flying, piece: int, t: Array, elapsed: Array, formed:
     if isinstance(motion, Motion):
         vertices = motion.vertices.coefficients[piece]
         p, tensions = _values(vertices, x), _values(motion.tensions.coefficients[piece], x)
-        pulls = _values(motion.pulls.coefficients[piece], x)
         forces = (
-            _cable_forces(motion.team, positions, p, pulls)
+            _cable_forces(motion.team, positions, p, _values(pulls, x))
             if formed
             else hanging_forces(motion.team, positions)
         )

@@ -49,7 +49,7 @@ class Team:
     cable_length: one, or one per robot (n,) [m].
     topology: ``closed`` (a polygon of n points) or ``open`` (a chain along an arc of n + 1).
     cable_density: [kg/m]
-    cable_friction: coefficient at the clasps.
+    cable_friction: coefficient at the clasps, where one cable slides about the other.
     tension: one, or one per robot (n,) [N].
     quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind.
 

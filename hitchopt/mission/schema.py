@@ -132,7 +132,8 @@ class TeamKeys(Keys):
     )
     cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
     cable_friction: NotNegative = Field(
-        default=0.0, description="Coefficient of friction at the clasps"
+        default=0.0,
+        description="Friction at the clasps, a coefficient: legs lean against it as cables slide",
     )
     tension: PerRobot = Field(
         default=0.4, description="Tension of the cables [N], one for all or one per robot"

@@ -13,8 +13,8 @@ from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
-from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.friction import against_friction
+from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem, Start

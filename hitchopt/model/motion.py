@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -114,7 +113,7 @@ class Motion:
         """Of all phases together [s]."""
         return self.drones.duration
 
-    @cached_property
+    @property
     def pulls(self) -> PiecewisePolynomial:
         """Of shape (2n,) [N]: what the cable pulls each drone with, q0, r0, q1, …."""
         if self.leg_tensions is None:
