@@ -1,6 +1,6 @@
 """One solver on one morph, in a process of its own: prints what it measured as JSON.
 
-Usage: python -m benchmarks.measure SOLVER KIND ROBOTS SECONDS SAMPLES
+Usage: python -m benchmarks.measure SOLVER KIND ROBOTS SECONDS SAMPLES [GIGABYTES]
 
 With 0 samples a solver of ours ends after its first solve.
 
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 OURS = ("straight", "optimised")
 RIVALS = ("opti", "opti fine", "rockit", "toppra")
 
-MEMORY = 6e9
-"""[B] That a rival may take: the programs of large teams would take the machine down."""
+MEMORY = 6.0
+"""[GB] That a rival may take unless told otherwise: the programs of large teams would take the
+machine down."""
 
 REPEATS, FEW = 3, 100
 """Of the second solve, of which the median counts, up to that many robots."""
@@ -91,7 +92,8 @@ class Measurement:
 
 def main() -> None:
     """Measure what the command line says."""
-    solver, kind, robots, seconds, most = sys.argv[1:]
+    solver, kind, robots, seconds, most, *more = sys.argv[1:]
+    memory = float(more[0]) if more else MEMORY
     from benchmarks.tasks import make_task
 
     imports = time.process_time()
@@ -99,7 +101,7 @@ def main() -> None:
     if solver in OURS:
         found = _ours(solver, kind, task, imports, float(most))
     else:
-        found = _rival(solver, kind, task, float(seconds), float(most))
+        found = _rival(solver, kind, task, float(seconds), float(most), memory)
     print(json.dumps(asdict(found)))
 
 
@@ -170,18 +172,20 @@ def _again(plan: Callable[[], object]) -> float:
         os.environ[VARIABLE] = off
 
 
-def _rival(solver: str, kind: str, task: Task, seconds: float, most: float) -> Measurement:
+def _rival(
+    solver: str, kind: str, task: Task, seconds: float, most: float, memory: float
+) -> Measurement:
     from benchmarks.rival import RivalError
     from benchmarks.sampled import check_samples, kept_duration
 
     solve = _solver_of(solver, task, seconds)
-    resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY), int(MEMORY)))
+    resource.setrlimit(resource.RLIMIT_AS, (int(memory * 1e9), int(memory * 1e9)))
     began = time.process_time()
     try:
         found = solve()
     except MemoryError:
         took = time.process_time() - began
-        status = f"failed: over {MEMORY / 1e9:g} GB"
+        status = f"failed: over {memory:g} GB"
         return Measurement(solver, kind, task.robots, status, first=took)
     except RivalError as error:
         took = time.process_time() - began
