@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     from hitchopt.mission.repair import Change, Suggestion
     from hitchopt.mission.swarm import SwarmProblem
     from hitchopt.model.motion import Motion, Phase, SwarmMotion
-    from hitchopt.plan import Plan, closest, load, repair, separate, solve, suggestions
+    from hitchopt.plan import Plan, closest, load
+    from hitchopt.planning import repair, separate, solve, suggestions
     from hitchopt.trajectory import PiecewisePolynomial
     from hitchopt.tying import form, land, release
 
@@ -121,10 +122,10 @@ _HOMES = {
     "read_problem": "mission.loading",
     "regular_polygon": "geometry",
     "release": "tying",
-    "repair": "plan",
-    "separate": "plan",
-    "solve": "plan",
-    "suggestions": "plan",
+    "repair": "planning",
+    "separate": "planning",
+    "solve": "planning",
+    "suggestions": "planning",
     "transport": "actions",
 }
 

@@ -108,7 +108,7 @@ def _place(directory: Path | None, file: Path) -> Path:
 
 def _solve(problem: AnyProblem, place: Path, rate: float) -> None:
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.plan import solve as solved
+    from hitchopt.planning import solve as solved
 
     with LateProgress(sys.stderr, "planning") as progress:
         plan = solved(problem, progress=progress)

@@ -15,7 +15,8 @@ from hitchopt.certificate import Certificate
 from hitchopt.certificate.report import Check
 from hitchopt.cli import main
 from hitchopt.mission.yaml_file import read_yaml
-from hitchopt.plan import Plan, solve
+from hitchopt.plan import Plan
+from hitchopt.planning import solve
 
 TRIANGLE = next(path for path in GOOD if path.stem == "triangle")
 
@@ -167,7 +168,7 @@ def test_a_certificate_that_fails_ends_with_3_and_a_diagnosis(
     plan = solve(TRIANGLE)
     broken = Check.of("speed", 1.5, 1.0, "max", "m/s", 0.75, ("q1",))
     failed = Plan(plan.motion, Certificate(plan.duration, (broken,)), "Too fast")
-    monkeypatch.setattr("hitchopt.plan.solve", lambda *_, **__: failed)
+    monkeypatch.setattr("hitchopt.planning.solve", lambda *_, **__: failed)
     result = run("solve", TRIANGLE, "-o", "out")
     assert result.exit_code == 3
     assert "error: speed: 1.5 m/s is above the limit of 1 m/s at q1, t = 0.75 s" in result.stderr
@@ -180,7 +181,7 @@ def test_an_interrupt_is_quiet(place: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hitchopt.plan.solve", interrupted)
+    monkeypatch.setattr("hitchopt.planning.solve", interrupted)
     result = run("solve", TRIANGLE)
     assert result.exit_code == 130
     assert result.output == ""

@@ -1,0 +1,126 @@
+"""The user's side of whole problems: plan one, or find what would mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
+from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_solving import solve_swarm
+from hitchopt.model.motion import SwarmMotion
+from hitchopt.plan import Plan
+
+Progress = Callable[[str], None]
+
+
+def solve(problem: Problem | SwarmProblem | str | Path, progress: Progress | None = None) -> Plan:
+    """Return the certified plan of a problem, or of the problem file at a path.
+
+    Parameters
+    ----------
+    problem: what is to be flown.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import read_problem  # heavy, as of all files
+
+        problem = read_problem(problem)
+    if isinstance(problem, SwarmProblem):
+        return separate(problem, progress)
+    found = solve_problem(problem, progress)
+    return Plan(found.motion, found.certificate, problem.title)
+
+
+def separate(
+    problem: SwarmProblem | str | Path, progress: Progress | None = None
+) -> Plan[SwarmMotion]:
+    """Return the certified plan of single drones that keep out of each other's downwash.
+
+    Parameters
+    ----------
+    problem: who flies from where to where, or the path of such a problem's file.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    InfeasibleError: it cannot be met; says which drones, where and when.
+    """
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import load_swarm
+
+        problem = load_swarm(problem)
+    found = solve_swarm(problem, progress)
+    return Plan(found.motion, found.certificate, problem.title)
+
+
+def suggestions(
+    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
+) -> tuple[Suggestion, ...]:
+    """Return up to three single changes that mend a problem, the smallest first; none if it is met.
+
+    Each has been verified by planning the problem with it. None is no proof that there is none.
+
+    Parameters
+    ----------
+    problem: or the path of a problem file.
+    budget: how long to search [s]; the last plan that was begun is waited for.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: a problem that is wrong in itself.
+    """
+    task = _loaded(problem)
+    try:
+        solve_problem(task, progress)
+    except InfeasibleError as error:
+        return find_suggestions(task, error, budget, progress)
+    return ()
+
+
+def repair(
+    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
+) -> Plan:
+    """Return the certified plan of a problem, by the smallest single change that mends it.
+
+    The plan's title tells the change; without need of one the plan is that of solve.
+
+    Parameters
+    ----------
+    problem, budget, progress: as of suggestions.
+
+    Raises
+    ------
+    InfeasibleError: what binds; no single change was found that mends it.
+    InputError, FileError: a problem that is wrong in itself.
+    """
+    task = _loaded(problem)
+    try:
+        return solve(task, progress)
+    except InfeasibleError as error:
+        found = find_suggestions(task, error, budget, progress)
+        if not found:
+            note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
+            raise InfeasibleError(error.violations, note) from None
+    change = found[0].change
+    mended = solve(change.problem, progress)
+    return replace(mended, title=f"{task.title} with {change}".strip())
+
+
+def _loaded(problem: Problem | str | Path) -> Problem:
+    if isinstance(problem, Problem):
+        return problem
+    from hitchopt.mission.loading import load_problem
+
+    return load_problem(problem)
