@@ -20,7 +20,8 @@ class Record:
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
     drones: (samples, 2n, 3) [m], where they are.
-    told: (samples, 2n, 3) [m], where they were told to be.
+    told: (samples, 2n, 3) [m], where they were told to be: their setpoints, moved aside where
+        thick ropes ask for it.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
     bearing: (samples, clasps) [N], how hard they do.
     tensions: (samples, n) [N], the cables' means over their length.

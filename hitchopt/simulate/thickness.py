@@ -56,6 +56,11 @@ def thickness_offsets(
     dragged inward by centimetres, as little as holds it there. In proportion to the tension while
     a hitch is drawn tight; none at a chain's ends, and where there is no hitch.
 
+    So it is for bends that lie in the hitch's plane. Those of a flat hitch pass over and under each
+    other besides, and their straight parts some 2 mm farther aside (simulated, 12 mm thick): a
+    quarter of a degree that is left. An edge is shifted by as much at each of its ends, to the same
+    side, and turned only by what its ends differ: at most half a diameter over its length.
+
     Parameters
     ----------
     team: whose cables they are.
