@@ -41,6 +41,7 @@ class Run:
     succeeded: nothing went wrong.
     failures: all that did, by time.
     vertex_error, without_sag: over vertices and time [m].
+    moving_without_sag: over the time in which the plan moves a vertex; nan where it moves none.
     tracking: of drones [m].
     peak_tension: [N]
     saturated: share of samples at which a drone wanted more thrust than it has.
@@ -52,6 +53,7 @@ class Run:
     failures: tuple[Failure, ...]
     vertex_error: Spread
     without_sag: Spread
+    moving_without_sag: Spread
     tracking: Spread
     peak_tension: float
     saturated: float
@@ -186,16 +188,16 @@ def one_run(job: tuple[Task, Settings]) -> Run:
         raise
     except HitchoptError as error:
         failure = Failure("start", (), 0.0, str(error))
-        return Run(
-            settings.seed, False, (failure,), nothing, nothing, nothing, np.nan, np.nan, np.nan
-        )
-    record = done.flight.record
+        spreads = (nothing, nothing, nothing, nothing)
+        return Run(settings.seed, False, (failure,), *spreads, np.nan, np.nan, np.nan)
+    record, errors = done.flight.record, done.errors
     return Run(
         settings.seed,
         done.outcome.succeeded,
         done.outcome.failures,
-        Spread.of(done.errors.errors),
-        Spread.of(done.errors.without_sag),
+        Spread.of(errors.errors),
+        Spread.of(errors.without_sag),
+        Spread.of(errors.without_sag[errors.moving]),
         Spread.of(tracking_errors(done.flight)),
         float(np.max(record.peak_tensions)),
         float(np.mean(record.saturated)),
@@ -218,7 +220,7 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
 
 
 def _write_runs(path: Path, campaign: Campaign) -> None:
-    spreads = ("vertex_error", "without_sag", "tracking")
+    spreads = ("vertex_error", "without_sag", "moving_without_sag", "tracking")
     parts = ("mean", "deviation", "largest")
     names = [f"{spread}_{part}" for spread in spreads for part in parts]
     with path.open("w", encoding="utf-8", newline="") as file:

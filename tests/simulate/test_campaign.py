@@ -20,7 +20,7 @@ from hitchopt.simulate.campaign import (
     wilson_interval,
 )
 from hitchopt.simulate.settings import Perturbations, Settings
-from hitchopt.simulate.simulation import Task
+from hitchopt.simulate.simulation import Task, simulate
 
 BRIEF = Settings(
     body="point",
@@ -32,8 +32,12 @@ BRIEF = Settings(
 
 @pytest.fixture(scope="module")
 def task() -> Task:
+    """A hitch that stands, and should, by its plan, move in the end."""
     hitch = regular_hitch(3)
-    return Task(hitch.team, *standing(hitch, 0.05), "abc")
+    setpoints, vertices = standing(hitch, 0.05)
+    positions = vertices.positions.copy()
+    positions[4:, :, 0] += [[0.01], [0.02]]
+    return Task(hitch.team, setpoints, replace(vertices, positions=positions), "abc")
 
 
 @pytest.mark.parametrize(("successes", "runs"), [(0, 5), (5, 5), (95, 100), (8, 10), (1, 3)])
@@ -77,6 +81,10 @@ def test_processes_fly_what_one_would(task: Task, tmp_path: Path) -> None:
     with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["seed"] for row in rows] == ["40", "41"]
+    done = simulate(task, BRIEF).errors
+    moving = np.mean(done.without_sag[done.t > 0.035])
+    assert float(rows[0]["moving_without_sag_mean"]) == pytest.approx(moving, rel=1e-5)
+    assert moving > float(rows[0]["without_sag_mean"]) + 0.001
     assert float(rows[0]["tracking_mean"]) == pytest.approx(alone[0].tracking.mean, rel=1e-5)
 
 

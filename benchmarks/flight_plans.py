@@ -1,0 +1,110 @@
+"""The plans that benchmarks.flights flies, each made for a friction that it is told."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import hitchopt as ho
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.simulate.simulation import Task, read_task
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One of the paper's, or one of ours.
+
+    Attributes
+    ----------
+    name: of its problem file.
+    printed: what the paper says, with what speaks against it.
+    forms: whether it ties a hitch; the planner leans no legs then, whatever friction it knows of.
+    """
+
+    name: str
+    printed: str
+    forms: bool = False
+
+
+SAME = "8.2 ± 5.6, 16.8 ± 14.5, 76.2 ± 8.8 cm (the same as for experiment"
+
+EXPERIMENTS = (
+    Experiment("paper_experiment_1", "8 of 10 formed", forms=True),
+    Experiment("form_square", "formed (one picture)", forms=True),
+    Experiment("paper_experiment_2", f"{SAME} 3)"),
+    Experiment("paper_experiment_3", f"{SAME} 2)"),
+    Experiment(
+        "paper_experiment_4", "3.6 ± 3.6, 2.6 ± 8.4, 4.3 ± 98.7 cm (so printed: 0.987 beside 0.043)"
+    ),
+    Experiment("triangle", "none: ours"),
+)
+
+EDGE, LENGTH = 1.3, 2.2
+"""[m] Of the hitches that are tied, and of their cables."""
+
+MOVED, MOVED_BY, MOVED_IN = 2.4, 0.4, 8.0
+"""[m], [m], [s] Cables of the triangle whose vertex is moved outward, how far, and how long."""
+
+
+def experiment(name: str, friction: float | None = None) -> Problem:
+    """Return the problem of that name, its cables' friction replaced by another one."""
+    data = read_yaml(PROBLEMS / f"{name}.yaml")
+    if not isinstance(data, dict) or not isinstance(team := data["team"], dict):
+        raise TypeError(f"{name}: not a problem of a hitch")
+    if friction is not None:
+        team["cable_friction"] = friction
+    return problem_from_dict(data)
+
+
+def tied(n: int) -> Problem:
+    """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
+    row, column = np.divmod(np.arange(n), 2)
+    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
+    r = q + [1.0, 0.0, 0.0]
+    step = {"form": {"polygon": _polygon(n), "altitude": 1.6, "legs": "balanced"}}
+    start = {"drones": {"q": q.tolist(), "r": r.tolist()}}
+    return problem_from_dict({"team": _team(n, LENGTH, 0.1), "start": start, "mission": [step]})
+
+
+def moved(friction: float) -> Problem:
+    """Return the problem of a regular triangle, one of its vertices moved outward."""
+    hitch = {"polygon": _polygon(3), "altitude": 1.0, "legs": "balanced"}
+    step = {"vertex": 0, "by": [0.0, MOVED_BY], "duration": MOVED_IN}
+    data = {
+        "team": _team(3, MOVED, friction),
+        "start": {"hitch": hitch},
+        "mission": [{"move_vertex": step}],
+    }
+    return problem_from_dict(data)
+
+
+def planned(problem: Problem) -> Task:
+    """Return the problem's plan, read back from files as any other simulation does."""
+    with tempfile.TemporaryDirectory() as place:
+        ho.solve(problem).save(place)
+        return read_task(Path(place))
+
+
+def _team(n: int, length: float, friction: float) -> dict[str, object]:
+    return {
+        "robots": n,
+        "cable_length": length,
+        "cable_density": 0.01,
+        "cable_friction": friction,
+        "tension": 0.5,
+    }
+
+
+def _polygon(n: int) -> list[list[float]]:
+    """Return a regular polygon's points [m], clockwise from the one farthest up."""
+    angle = 0.5 * np.pi - 2.0 * np.pi * np.arange(n) / n
+    radius = EDGE / (2.0 * np.sin(np.pi / n))
+    points: list[list[float]] = (radius * np.column_stack([np.cos(angle), np.sin(angle)])).tolist()
+    return points
