@@ -78,8 +78,9 @@ def simulate(
     """Fly the setpoints in DIR through a simulation of ropes (needs mujoco).
 
     Of the plan it reads its team, and vertices.csv for the cables' shape at the start and to
-    compare with; drones get setpoints.csv and nothing else. One flight ends with 3 if anything
-    fails: drones touch, a vertex does not hold, the simulation leaves the range in which it means
+    compare with, and for where cables simulated so thick need their ends, less than their 12 mm
+    aside. Drones get setpoints.csv and nothing else. One flight ends with 3 if anything fails:
+    drones touch, a vertex does not hold, the simulation leaves the range in which it means
     anything. A campaign (--runs) ends with 0 and says how often.
     """
     from hitchopt.simulate.simulation import read_task
