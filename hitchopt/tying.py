@@ -45,7 +45,8 @@ def form(
     q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
     polygon: the hitch's outline, (n, 2) [m], clockwise.
     altitude: of the hitch [m].
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with room at the cables
+        where drones stand close to them.
     assign: ``auto``: which robot takes which edge is chosen, and which of its drones is q;
         ``fixed``: robot k takes edge k as it is.
     swap: how the drones turn about each other.

@@ -23,7 +23,7 @@ class Form:
     ----------
     polygon: the hitch's outline.
     altitude: of its plane [m].
-    legs: the sharing; None for spread.
+    legs: the sharing; None for spread, with room at the cables where drones stand close to them.
     assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
     swap: how the drones turn about each other.
     duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.limits import floor_of
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Release
 from hitchopt.mission.free_flight import LEVEL, check_part, lasting, staged
-from hitchopt.mission.motions import Kept, check_at_rest, flying
+from hitchopt.mission.motions import Kept, certificate_at_rest, check_at_rest, flying
 from hitchopt.mission.situation import Situation, Tied
 from hitchopt.model.motion import Motion, Phase, joined_motions
 from hitchopt.planners.flown import fly_unhurried
@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 
 TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the way from the pre-hitch to the hitch, where the cables' heights are looked at."""
+
+
+ROOM = (1.5, 1.25)
+"""Times ``separation.cable`` that drones of a formed hitch keep from cables if they can."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +56,7 @@ def plan_form(before: Situation, step: Form, i: int, kept: Kept) -> Tied:
     InfeasibleError: the hitch or the start breaks a limit at rest, or no approach was found.
     HitchoptError: a planner failed.
     """
-    legs = "spread" if step.legs is None else step.legs
-    wanted = shared_hitch(before.team, step.polygon, step.altitude, legs, kept)
+    wanted = _wanted(before.team, step, kept)
     check_at_rest(wanted, kept, f"at the end of step {i} (form)")
     site = _site(wanted, step.swap, None, kept)
     tying = staged(tied(site.pre, site.hitch, kept.limits, step.swap), site.hitch, i, kept)
@@ -65,6 +68,30 @@ def plan_form(before: Situation, step: Form, i: int, kept: Kept) -> Tied:
     senses = np.sign(site.pre.turns.rise)
     after = Situation(before.team, wanted.drones, wanted, senses, step.swap)
     return Tied(lasting(joined_motions(parts), step.duration, i, step.name), after)
+
+
+def _wanted(team: Team, step: Form, kept: Kept) -> Hitch:
+    """Return the hitch to be formed; without ``legs`` one that is spread, with room at its cables.
+
+    Where spreading leaves drones less than the first of ROOM times ``separation.cable`` from a
+    cable, they get the most of ROOM that keeps every limit, and are spread beyond that. Drones that
+    stand close lose little of a distance that has downwash in it; the one to cables has nothing to
+    spare for a gust as a hitch is drawn tight.
+    """
+    legs = "spread" if step.legs is None else step.legs
+    spread = shared_hitch(team, step.polygon, step.altitude, legs, kept)
+    if step.legs is not None:
+        return spread
+    cable = kept.separation.cable
+    beside = certificate_at_rest(spread, kept)["cable_clearance"].worst
+    for room in ROOM:
+        if beside >= room * cable:
+            break
+        roomy = replace(kept, separation=replace(kept.separation, cable=room * cable))
+        hitch = shared_hitch(team, step.polygon, step.altitude, legs, roomy)
+        if certificate_at_rest(hitch, roomy).certified:
+            return hitch
+    return spread
 
 
 def plan_release(before: Situation, step: Release, i: int, kept: Kept) -> Tied:

@@ -304,3 +304,56 @@ def test_what_cannot_be_formed_is_told_with_what_would_mend_it(stem: str) -> Non
     found = ho.suggestions(problem, budget=300.0)  # seconds, were the machine not busy
     assert found
     assert ho.solve(found[0].change.problem).certificate.certified
+
+
+def formed_legs(plan: ho.Plan[Motion]) -> Array:
+    """(n, 2) [m]: of the hitch at the end of the plan."""
+    legs: Array = plan.at(plan.duration).legs
+    return legs
+
+
+def test_where_drones_stand_close_to_cables_a_formed_hitch_gives_them_room() -> None:
+    problem = load_problem(PROBLEMS / "paper_experiment_1.yaml")
+    form = problem.mission[0]
+    assert isinstance(form, ho.Form)
+    start = problem.start
+    assert isinstance(start, ho.DronesStart)
+    q, r = start.drones[0::2], start.drones[1::2]
+    spread = ho.Hitch.spread(problem.team, form.polygon, altitude=1.0)
+    found = {
+        legs: ho.form(problem.team, q, r, form.polygon, 1.0, legs=legs) for legs in (None, "spread")
+    }
+    beside = {legs: plan.certificate["cable_clearance"].worst for legs, plan in found.items()}
+    assert beside["spread"] < 0.13
+    assert beside[None] >= 0.15 * (1.0 - 1e-6)
+    assert all(plan.certificate.certified for plan in found.values())
+    np.testing.assert_allclose(
+        np.sort(formed_legs(found["spread"]), axis=None), np.sort(spread.legs, axis=None), atol=1e-6
+    )
+
+
+def test_where_there_is_room_anyway_a_formed_hitch_is_spread() -> None:
+    plan = forming(LINES, LINES + [1.2, 0.0, 0.0])
+    spread = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, altitude=1.5)
+    np.testing.assert_allclose(
+        np.sort(formed_legs(plan), axis=None), np.sort(spread.legs, axis=None), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(("cable", "room"), [(0.115, 1.25), (0.125, 1.0)])
+def test_where_there_is_little_room_a_formed_hitch_has_what_there_is(
+    cable: float, room: float
+) -> None:
+    """Experiment 1's drones can stand 0.15 m from cables, not 0.155 m."""
+    problem = load_problem(PROBLEMS / "paper_experiment_1.yaml")
+    form, start = problem.mission[0], problem.start
+    assert isinstance(form, ho.Form)
+    assert isinstance(start, ho.DronesStart)
+    q, r = start.drones[0::2], start.drones[1::2]
+    plan = ho.form(problem.team, q, r, form.polygon, 1.0, separation=ho.Separation(cable=cable))
+    wanted = ho.Separation(cable=room * cable)
+    spread = ho.Hitch.spread(problem.team, form.polygon, altitude=1.0, separation=wanted)
+    np.testing.assert_allclose(
+        np.sort(formed_legs(plan), axis=None), np.sort(spread.legs, axis=None), atol=1e-6
+    )
+    assert plan.certificate["cable_clearance"].worst >= max(room * cable * (1.0 - 1e-6), 0.125)
