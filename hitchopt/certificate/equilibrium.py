@@ -30,8 +30,9 @@ def check(motion: Motion) -> Check:
 
     The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1}``; ``where`` names the
     vertex. Legs pull with their cable's tension, ``P = T``, or with what friction makes of it. What
-    friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ β}``
-    times the tension, or short of ``e^{-μ β}`` times.
+    friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ θ}``
+    times the tension, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a
+    chain's ends it wraps none.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
@@ -45,12 +46,12 @@ def check(motion: Motion) -> Check:
     rows = vectors.reshape(*vectors.shape[:2], 12, -1)
     bound = partial(_bound, noise=position_margin(motion))
     found = largest(Cells.over(motion.drones.breaks, [rows, _pulls(motion)]), bound)
-    worst, time, clasp = found.worst, found.time, found.item
+    worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion, motion.leg_tensions)
         if beyond.worst > worst:
-            worst, time, clasp = beyond.worst, beyond.time, beyond.item // 2
-    where = (f"p{layout.clasps[clasp]}",)
+            worst, time, point = beyond.worst, beyond.time, layout.anchors[beyond.item]
+    where = (f"p{point}",)
     return Check.of("equilibrium", worst, LIMIT, "max", "1", time, where)
 
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.bodies import edge_vectors
+from hitchopt.certificate.bodies import edge_vectors, pull_vectors
 from hitchopt.certificate.rounding import ROUNDING, position_margin
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -17,29 +17,25 @@ Array = NDArray[np.float64]
 
 
 def beyond_friction(motion: Motion, leg_tensions: PiecewisePolynomial) -> Extremum:
-    """Return by how much of the tension a leg's pull is more than friction allows, at most.
+    """Return by how much of the tension a drone's pull is more than friction allows, at most.
 
-    A cable that wraps an angle β about a clasp pulls on one side with between ``e^{-μ β}`` and
-    ``e^{μ β}`` times what it pulls with on the other; β is the polygon's interior angle. Negative
-    where every leg keeps to that; ``item`` is 2 (rank of the clasp), one more for ``q_k``'s leg.
+    A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
+    ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
+    to its edge. At a chain's ends it turns about nothing. Negative where every pull keeps to that;
+    ``item`` is the drone.
 
     Parameters
     ----------
     motion: the plan.
     leg_tensions: its legs' pulls, of shape (n, 2) [N].
     """
-    edges, layout = edge_vectors(motion), motion.team.layout
-    c = leg_tensions.coefficients
+    edges, pieces = edge_vectors(motion), motion.drones.pieces
+    away = np.stack([edges, -edges], axis=2).reshape(pieces, -1, *edges.shape[2:])
+    rows = np.concatenate([pull_vectors(motion), away], axis=2)
     order = max(leg_tensions.degree, motion.tensions.degree)
-    pulls = bernstein.elevate(c, order)
-    tension = bernstein.elevate(motion.tensions.coefficients, order)
-    at_clasps = [
-        np.stack([pulls[:, layout.behind, 1], tension[:, layout.behind]], axis=2),
-        np.stack([pulls[:, layout.ahead, 0], tension[:, layout.ahead]], axis=2),
-    ]
-    both = np.stack(at_clasps, axis=2).reshape(len(c), -1, 2, order + 1)
-    meeting = np.concatenate([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
-    rows = np.repeat(meeting, 2, axis=1)
+    pulls = bernstein.elevate(leg_tensions.coefficients, order).reshape(pieces, -1, order + 1)
+    tension = np.repeat(bernstein.elevate(motion.tensions.coefficients, order), 2, axis=1)
+    both = np.stack([pulls, tension], axis=2)
     bound = partial(_bound, friction=motion.team.cable_friction, noise=position_margin(motion))
     return largest(Cells.over(motion.drones.breaks, [rows, both]), bound)
 
@@ -70,7 +66,7 @@ def _wrapped(rows: Array, noise: float) -> Array:
 
     Parameters
     ----------
-    rows: (cells, 6, degree + 1), the edges a and b.
+    rows: (cells, 6, degree + 1), a and b: to the drone, and along the edge.
     noise: of their ends [m].
     """
     a, b = rows[:, :3], rows[:, 3:]

@@ -54,16 +54,20 @@ def residuals(motion: Motion, t: Array) -> Array:
 
 
 def ratios(motion: Motion, t: Array) -> Array:
-    """(times, n, 2, 2): pull over tension, and what friction makes of it at most."""
-    p, T = motion.vertices.at(t), motion.tensions.at(t)
+    """(times, n, 2, 2): pull over tension, and what friction makes of it at most.
+
+    A cable wraps by how much it turns on its way from the drone along its edge.
+    """
+    p, x, T = motion.vertices.at(t), motion.drones.at(t), motion.tensions.at(t)
     P = motion.pulls.at(t).reshape(len(t), -1, 2)
     n = motion.team.robots
     found = np.empty((len(t), n, 2, 2))
     for k in range(n):
-        for end, (a, b, c) in enumerate(((k - 1, k, k + 1), (k, k + 1, k + 2))):
-            back, on = p[:, a % n] - p[:, b % n], p[:, c % n] - p[:, b % n]
-            cosine = np.sum(back * on, axis=1)
-            cosine /= np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
+        ends = p[:, k], p[:, (k + 1) % n]
+        for end in range(2):
+            arriving, leaving = ends[end] - x[:, 2 * k + end], ends[1 - end] - ends[end]
+            cosine = np.sum(arriving * leaving, axis=1)
+            cosine /= np.linalg.norm(arriving, axis=1) * np.linalg.norm(leaving, axis=1)
             found[:, k, end, 0] = P[:, k, end] / T[:, k]
             found[:, k, end, 1] = np.exp(motion.team.cable_friction * np.arccos(cosine))
     return found
@@ -119,6 +123,27 @@ def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
     assert np.max(residuals(tampered, t)) <= found.worst
     assert found.worst == pytest.approx(0.02, rel=0.3)
     assert found.where == ("p3",)
+
+
+@pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])
+def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
+    cable: int, end: int, point: int
+) -> None:
+    chain = Team(3, 2.4, topology="open", tension=0.5, cable_friction=0.1)
+    points = [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]]
+    start = ho.Hitch.spread(chain, points, altitude=1.0)
+    motion = ho.move_vertex(start, 1, by=[0.1, 0.15], duration=4.0).motion
+    assert isinstance(motion, Motion)
+    assert motion.leg_tensions is not None
+    assert check(motion).holds
+    for factor in (0.0, 0.98, 1.02):
+        c = motion.leg_tensions.coefficients.copy()
+        c[:, cable, end] *= factor
+        tampered = replace(motion, leg_tensions=PiecewisePolynomial(motion.drones.breaks, c))
+        found = check(tampered)
+        assert not found.holds
+        assert found.worst == pytest.approx(abs(1.0 - factor), rel=1e-3)
+        assert found.where == (f"p{point}",)
 
 
 def test_thrust_and_setpoints_take_the_legs_pull(leaned: Motion) -> None:
