@@ -42,7 +42,9 @@ def thrust_cells(motion: Flying, unit: Array) -> Cells:
     if isinstance(motion, Motion):
         free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
         legs = pull_vectors(motion)
-        tension = lowered(motion.pulls.coefficients / unit[:, None])
+        # Without a hitch there is no leg, whatever the plan says that it pulls with.
+        pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+        tension = lowered(pulls / unit[:, None])
     else:  # no cable, no pull, whichever way it points
         legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
         tension = np.zeros((*free.shape[:2], 1))

@@ -117,6 +117,21 @@ def test_thrust_and_tilt_take_the_cables_pull_along(seed: int) -> None:
         assert certificate[name].worst <= sampled * 1.002
 
 
+@pytest.mark.parametrize("told", [-0.3, 0.2, 5.0])
+def test_no_leg_pulls_where_there_is_none(told: float) -> None:
+    """Whatever a plan says that cables are under while they hang free."""
+    motion = free_motion(*random_flight(0))
+    true = certify(motion)
+    constant, breaks = PiecewisePolynomial.constant, motion.drones.breaks
+    for said in (
+        replace(motion, tensions=constant(breaks, np.full(4, told))),
+        replace(motion, leg_tensions=constant(breaks, np.full((4, 2), told))),
+    ):
+        found = certify(said)
+        for name in ("thrust", "tilt"):
+            assert found[name].worst == true[name].worst
+
+
 def test_moving_turning_and_mirroring_change_nothing() -> None:
     team, drones = random_flight(7)
     motion = free_motion(team, drones)
