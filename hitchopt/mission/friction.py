@@ -7,10 +7,13 @@ from dataclasses import replace
 
 from hitchopt.mission.motions import Kept, certified
 from hitchopt.mission.planning import Planned
-from hitchopt.planners.leaning import Leaning, leaning
+from hitchopt.model.motion import Motion
+from hitchopt.planners.leaning import leaning, worth_leaning
 
 SHARES = (1.0, 0.5, 0.25)
 """Of the friction that is counted on: the largest at which every limit is kept."""
+
+NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
 LONGER = 1.5
 """Times as long as without friction, and no longer, may a step last for legs to lean so far."""
@@ -20,8 +23,8 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
     """Return the plan with legs that lean against friction as far as limits allow.
 
     It is the given one where the team's cables have no friction or none of them slides, and where
-    no limit leaves room for leaning. The way may take up to LONGER times as long for it, unless its
-    time is given or the whole plan's is limited.
+    limits leave no room for leaning, which its remarks then say. The way may take up to LONGER
+    times as long for it, unless its time is given or the whole plan's is limited.
 
     Parameters
     ----------
@@ -37,19 +40,21 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
         found = leaning(motion, kept.limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
-        judged = certified(_remarked(found, share).motion)
+        words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
+        if share < 1.0:
+            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+        judged = certified(_remarked(found.motion, words))
         if judged.certificate.certified:
             return replace(planned, motion=judged.motion, certificate=judged.certificate)
-    return planned
+    if not worth_leaning(motion):
+        return planned
+    return replace(planned, motion=_remarked(motion, NO_ROOM))
 
 
-def _remarked(found: Leaning, share: float) -> Leaning:
-    """Return the same, its phases telling how far legs lean."""
-    remark = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
-    if share < 1.0:
-        remark += f" ({share:.0%} of what would do: limits leave room for no more)"
+def _remarked(motion: Motion, words: str) -> Motion:
+    """Return the same, the remarks of its phases with these words at their end."""
     phases = tuple(
-        replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
-        for phase in found.motion.phases
+        replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
+        for phase in motion.phases
     )
-    return replace(found, motion=replace(found.motion, phases=phases))
+    return replace(motion, phases=phases)

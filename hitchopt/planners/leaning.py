@@ -5,18 +5,20 @@ they hold without friction the vertex is dragged along until the clasp balances 
 the same balance is found by the legs: they pull with what friction makes of the tension, and lean
 as the force triangle at the clasp asks (``model.slipping``).
 
-How hard friction pulls is known only roughly: by ``e^{μ β}`` if one cable slides about the other
-(β the interior angle), by less where both do, since then they slide past each other less. Counted
-on is ``ln(P/T) = μ β v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of it for
-one cable, half for two at the same speed, which is what rope simulations show (README).
+How hard friction pulls is known only roughly: by ``e^{μ θ}`` if one cable slides about the other
+(θ the angle that it wraps), by less where both do, since then they slide past each other less.
+Counted on is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of
+it for one cable, half for two at the same speed, which is what rope simulations show (README).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
@@ -39,8 +41,9 @@ DEGREE = 5
 SPACING = 0.4
 """[s] Of their knots; friction then turns about within a second."""
 
-FEWEST = 4
-"""Knot intervals of a short motion: with more, legs would have to lean faster than drones fly."""
+FEWEST, MOST = 4, 200
+"""Knot intervals of a short motion: with more, legs would have to lean faster than drones fly; and
+of a long one, which would have ten thousands of pieces else."""
 
 SMALLEST = math.radians(0.5)
 """Legs that would lean less than this stay as they are."""
@@ -60,6 +63,13 @@ two legs close in on each other."""
 
 ROOM = 1.02
 """Of their limits, what the two drones of a clasp keep from each other and from their legs."""
+
+ROUGHEST = 5.0
+"""Coefficient of friction beyond which no more is counted on: legs lean as far as they may by far
+less, and the exponential of more is no number."""
+
+TOUCHING = 1e-3
+"""[m] That far drones keep from the other leg of their clasp where they have no limit."""
 
 HALVINGS = 20
 """Of the share of the friction at which a leg leans as far as it may."""
@@ -114,24 +124,34 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     return replace(found, motion=slowed)
 
 
+def worth_leaning(motion: Motion) -> bool:
+    """Return whether legs would lean by more than the least, if only there were room for it."""
+    slip = _slip(motion, 1.0)
+    if slip is None:
+        return False
+    found = _leaned(motion, slip)
+    return found is None or found.turned >= SMALLEST
+
+
 def _slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     """Return ln(P/T) of the legs over time, of shape (clasps, 2): r_{k-1}'s and q_k's at each."""
-    duration, layout = motion.duration, motion.team.layout
-    start = float(motion.drones.breaks[0])
-    count = max(FEWEST, round(duration / SPACING))
+    layout = motion.team.layout
+    if np.max(np.abs(motion.legs.differentiated().coefficients)) <= STILL:
+        return None
+    start, duration = float(motion.drones.breaks[0]), motion.duration
+    count = min(max(FEWEST, round(duration / SPACING)), MOST)
     inner = np.linspace(0.0, duration, count + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
-    middles = np.array([np.mean(knots[i + 1 : i + 1 + DEGREE]) for i in range(count + DEGREE)])
-    t = start + middles
+    t = start + np.mean(sliding_window_view(knots[1:-1], DEGREE), axis=-1)
     rates = _at_clasps(layout, motion.legs.at(t, 1))
     fastest = float(np.max(np.abs(rates)))
     if fastest <= STILL:
         return None
     both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW * fastest
     clasps = _Clasps.of(motion, t)
-    friction = share * motion.team.cable_friction
-    wanted = friction * clasps.wrapped[..., None] * rates / both
-    wanted *= clasps.bearable(wanted)[..., None]
+    friction = min(motion.team.cable_friction, ROUGHEST)
+    wanted = friction * clasps.wrapped * rates / both
+    wanted *= share * clasps.bearable(wanted)[..., None]
     wanted[:AT_REST] = wanted[-AT_REST:] = 0.0
     spline = BSpline(knots, wanted, DEGREE)
     x = inner[:-1, None] + np.diff(inner)[:, None] * bernstein.nodes(DEGREE)
@@ -150,14 +170,12 @@ class _Clasps:
 
     Attributes
     ----------
-    wrapped: (J, clasps) [rad], the angle that both cables wrap.
     pull: (J, clasps), size of V, what the edges pull with [N].
     tensions: (J, clasps, 2) [N], of the cables behind and ahead.
     legs: (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``.
     separation: that their drones keep.
     """
 
-    wrapped: Array
     pull: Array
     tensions: Array
     legs: Array
@@ -172,22 +190,33 @@ class _Clasps:
         T = motion.tensions.at(t)
         tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
         V = tensions[..., :1] * behind - tensions[..., 1:] * ahead
-        turned = np.arccos(np.clip(np.sum(behind * ahead, axis=-1), -1.0, 1.0))
         legs = _at_clasps(layout, motion.legs.at(t))
-        return cls(np.pi - turned, length(V), tensions, legs, motion.separation)
+        return cls(length(V), tensions, legs, motion.separation)
+
+    @cached_property
+    def upright(self) -> Array:
+        """(J, clasps, 2) [rad]: between the legs and V, without friction."""
+        return self._angles(np.zeros_like(self.tensions))
+
+    @property
+    def wrapped(self) -> Array:
+        """(J, clasps, 2) [rad], the angles that both cables wrap: V halves them.
+
+        0 where the cables run on straight, and no leg can lean.
+        """
+        return np.nan_to_num(2.0 * self.upright)
 
     def bearable(self, slip: Array) -> Array:
         """Return (J, clasps): the largest share of ``slip`` (J, clasps, 2) that legs may lean to.
 
         None leans FARTHEST, and no drone comes too close to the other one or to its leg.
         """
-        upright = self._angles(np.zeros_like(slip))
-        before = self._gaps(upright)
+        before = self._gaps(self.upright)
         lower, upper = np.zeros(slip.shape[:-1]), np.ones(slip.shape[:-1])
         trial = upper
         for _ in range(HALVINGS):
             angles = self._angles(trial[..., None] * slip)
-            leans = np.abs(angles - upright) <= FARTHEST
+            leans = np.abs(angles - self.upright) <= FARTHEST
             gaps = self._gaps(angles)
             apart = (gaps >= ROOM) | (gaps >= before)
             borne = np.all(leans, axis=-1) & np.all(apart, axis=-1)
@@ -199,7 +228,9 @@ class _Clasps:
         """Return (J, clasps, 2) [rad] between the legs and V; nan where there is no triangle."""
         pulls = self.tensions * np.exp(slip)
         others, pull = pulls[..., ::-1], self.pull[..., None]
-        sides = (pull**2 + pulls**2 - others**2) / (2.0 * pull * pulls)
+        squares, products = pull**2 + pulls**2 - others**2, 2.0 * pull * pulls
+        none = np.full_like(squares, np.inf)
+        sides = np.divide(squares, products, out=none, where=products > 0.0)
         return np.arccos(np.where(np.abs(sides) < 1.0, sides, np.nan))
 
     def _gaps(self, angles: Array) -> Array:
@@ -209,7 +240,8 @@ class _Clasps:
         drones = np.sqrt(np.maximum(e**2 + d**2 - 2.0 * e * d * np.cos(between), 0.0))
         aside = np.where(between < 0.5 * np.pi, self.legs * np.sin(between), self.legs)
         limits = self.separation
-        return np.concatenate([drones / (2.0 * limits.radius), aside / limits.cable], axis=-1)
+        cable = max(limits.cable, TOUCHING)
+        return np.concatenate([drones / (2.0 * limits.radius), aside / cable], axis=-1)
 
 
 def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:

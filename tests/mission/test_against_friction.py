@@ -102,6 +102,43 @@ def test_where_limits_leave_little_room_legs_lean_less() -> None:
     assert 0.0 < ratios[0] < ratios[1]
 
 
+def test_where_limits_leave_no_room_the_remark_says_so() -> None:
+    """Timed as tightly as can be, no leg can lean in time, at whatever share."""
+    quick = solved([MOVE], 0.0)
+    plan = solved([{"move_vertex": {**MOVE["move_vertex"], "duration": 1.0001 * quick.duration}}])
+    assert plan.motion.leg_tensions is None
+    assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
+
+
+def test_where_friction_asks_for_more_than_legs_may_lean_they_lean_by_a_part_of_that() -> None:
+    steps = [{"move_vertex": {"vertex": 0, "by": [0.0, -0.25], "duration": 6.0}}]
+    free, plain = (solved(steps, mu).certificate["tilt"].worst for mu in (2.0, 0.0))
+    tight = solved(steps, 2.0, limits={"tilt_deg": 0.7 * free + 0.3 * plain})
+    assert f"{LEANING} 3.5° (25%" in tight.phases[0].remark
+
+
+@pytest.mark.parametrize("friction", [1e3, 1e9])
+def test_friction_as_large_as_may_be_given_is_planned_for(friction: float) -> None:
+    """Nothing overflows; legs lean as far as they may, which is all that they can do."""
+    plan, rough = solved([timed(6.0)], friction), solved([timed(6.0)], 10.0)
+    t = np.linspace(0.0, 6.0, 200)
+    np.testing.assert_allclose(plan.at(t).positions, rough.at(t).positions, atol=1e-9)
+
+
+def test_drones_without_a_distance_to_cables_lean_too() -> None:
+    plan = solved([timed(4.0)], separation={"cable": 0.0})
+    assert LEANING in plan.phases[0].remark
+
+
+def test_long_plans_do_not_grow_without_end() -> None:
+    """Also where nothing slides for a week before."""
+    counts = [
+        solved([{"hold": {"seconds": rest}}, timed(seconds)]).motion.drones.pieces
+        for rest, seconds in ((1.0, 300.0), (6e5, 3000.0))
+    ]
+    assert counts[1] < 1.5 * counts[0]
+
+
 def test_a_short_step_does_not_get_much_longer_for_leaning() -> None:
     quick = {"move_vertex": {"vertex": 0, "by": [0.0, 0.08]}}
     plain = solved([quick], 0.0)

@@ -103,6 +103,25 @@ def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: f
     assert np.max(np.abs(ratio)) < np.pi * friction
 
 
+def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
+    """Of unequal tensions the weaker cable turns by more than the other one, by half of V each."""
+    team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
+    start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
+    legs = start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0]
+    plain = ho.adjust(start, legs, duration=6.0).motion
+    assert isinstance(plain, Motion)
+    found = plain.leg_tensions
+    assert found is not None
+    ratio = np.log(found.at(3.0) / plain.tensions.at(3.0)[:, None])
+    p, x = plain.vertices.at(3.0), start.drones
+    for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in
+        arriving, leaving = p[1 + end] - x[2 + end], p[2 - end] - p[1 + end]
+        cosine = arriving @ leaving / np.linalg.norm(arriving) / np.linalg.norm(leaving)
+        alone = 0.03 * np.arccos(cosine) / 1.1  # a tenth of the largest speed counts as still
+        assert ratio[1, end] == pytest.approx(sign * alone, rel=0.03)
+    assert np.max(np.abs(ratio[[0, 2, 3]])) < 1e-9
+
+
 @pytest.mark.parametrize("friction", [0.05, 0.3, 2.0])
 def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
     """At large friction both limits bind: a sharp vertex would lock."""
