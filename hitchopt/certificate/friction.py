@@ -46,7 +46,7 @@ def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate
     # A quotient of polynomials lies between those of their coefficients, the divisor positive.
     pulling = np.all(tension > 0.0, axis=-1)
     ratios = np.divide(pull, tension, out=np.ones_like(pull), where=pull != tension)
-    held = np.exp(friction * _wrapped(rows, noise))
+    held = np.exp(friction * wrapped(rows, noise))
     most, least = np.max(ratios, axis=-1), np.min(ratios, axis=-1)
     bound = np.maximum(most * (1.0 + ROUNDING) - held, 1.0 / held - least * (1.0 - ROUNDING))
     alone = np.all(pull == tension, axis=-1)  # as where the tension rises from zero
@@ -61,7 +61,7 @@ def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate
     return Estimate(bound, np.where(pulling | alone, value, np.inf), middle)
 
 
-def _wrapped(rows: Array, noise: float) -> Array:
+def wrapped(rows: Array, noise: float) -> Array:
     """Return (cells,) [rad], which the angle between ``-a`` and ``b`` does not fall below.
 
     Parameters

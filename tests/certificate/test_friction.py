@@ -1,5 +1,6 @@
 """What friction may do to legs' pulls, held against samples."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.certificate import certify
 from hitchopt.certificate.equilibrium import check
+from hitchopt.certificate.friction import beyond_friction, wrapped
 from hitchopt.hitch import Team
 from hitchopt.model.motion import Motion
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
 
@@ -123,6 +125,61 @@ def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
     assert np.max(residuals(tampered, t)) <= found.worst
     assert found.worst == pytest.approx(0.02, rel=0.3)
     assert found.where == ("p3",)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed: int) -> None:
+    """Pulls that no leg would have, larger or smaller, swinging between all breaks."""
+    assert leaned.leg_tensions is not None
+    rng = np.random.default_rng(seed)
+    lower, upper = ((0.9, 1.4), (0.6, 1.05), (0.5, 1.5))[seed % 3]
+
+    def swinging(part: PiecewisePolynomial, least: float, most: float) -> PiecewisePolynomial:
+        c = part.elevated(7).coefficients
+        swing = rng.uniform(least, most, c.shape)
+        swing[..., [0, -1]] = 1.0  # pieces still join
+        return PiecewisePolynomial(part.breaks, c * swing)
+
+    motion = replace(
+        leaned,
+        team=team(0.04),
+        leg_tensions=swinging(leaned.leg_tensions, lower, upper),
+        tensions=swinging(leaned.tensions, 0.97, 1.03),
+    )
+    assert motion.leg_tensions is not None
+    found = beyond_friction(motion, motion.leg_tensions)
+    ratio, most = np.moveaxis(ratios(motion, np.linspace(0.0, motion.duration, 40_001)), -1, 0)
+    worst = float(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
+    assert worst <= found.worst <= worst * 1.001 + 1e-6
+
+
+def test_before_it_is_halved_a_bound_holds_as_well() -> None:
+    """Of the angles that cables wrap, from the coefficients of edges and legs that turn far."""
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(500, 6, 1)) + 0.5 * rng.normal(size=(500, 6, 4))
+    angles = wrapped(rows, 1e-9)
+    a, b = np.split(bernstein.evaluate(rows[:, None], np.linspace(0.0, 1.0, 101)[:, None]), 2, -1)
+    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    sampled = np.min(np.pi - np.arccos(cosine), axis=1)
+    assert np.all(angles <= sampled)
+    assert np.sum(angles > 0.0) > 100
+
+
+def test_tensions_that_rise_from_zero_are_the_legs_own_or_hold_nothing(leaned: Motion) -> None:
+    breaks = leaned.drones.breaks
+    rising = np.linspace(0.0, 0.5, len(breaks))
+    c = np.stack([rising[:-1], rising[1:]], axis=-1)
+    tensions = np.repeat(c[:, None], 4, axis=1)
+    for factor, beyond in ((1.0, 0.0), (1.01, math.inf)):
+        pulls = factor * np.repeat(tensions[:, :, None], 2, axis=2)
+        motion = replace(
+            leaned,
+            tensions=PiecewisePolynomial(breaks, tensions),
+            leg_tensions=PiecewisePolynomial(breaks, pulls),
+        )
+        assert motion.leg_tensions is not None
+        found = beyond_friction(motion, motion.leg_tensions).worst
+        assert found == beyond if beyond else found < 1e-9
 
 
 @pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])

@@ -130,6 +130,39 @@ def test_drones_without_a_distance_to_cables_lean_too() -> None:
     assert LEANING in plan.phases[0].remark
 
 
+def test_what_leaning_would_break_is_flown_without_it() -> None:
+    """Within walls that the drones just reach; a plan without friction stays one with it."""
+    steps = [{"move_vertex": {"vertex": 0, "by": [0.2, 0.0], "duration": 4.0}}]
+    plain = solved(steps, 0.0)
+    t = np.linspace(0.0, 4.0, 4_001)
+    places = plain.at(t).positions.reshape(-1, 3)
+    walls = {
+        "lower": (np.min(places, axis=0) - 1e-4).tolist(),
+        "upper": (np.max(places, axis=0) + 1e-4).tolist(),
+    }
+    plan = solved(steps, arena=walls)
+    assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
+    np.testing.assert_array_equal(plan.at(t).positions, plain.at(t).positions)
+
+
+def test_too_little_to_lean_for_is_not_told_of() -> None:
+    assert "lean" not in solved([timed(4.0)], 1e-3).phases[0].remark
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.5])
+def test_drones_of_a_sharp_vertex_keep_apart_at_the_whole_share(friction: float) -> None:
+    steps = [{"move_vertex": {"vertex": 0, "by": [0.0, 0.4], "duration": 8.0}}]
+    plan = solved(steps, friction)
+    assert LEANING in plan.phases[0].remark
+    assert "no more" not in plan.phases[0].remark
+
+
+def test_timed_points_are_not_put_off_for_leaning() -> None:
+    path = [[0.0, 0.0, 0.75], [1.0, 0.0, 0.85]]
+    plan = solved([{"follow_vertex": {"vertex": 0, "path": path}}], 0.3)
+    assert plan.duration == 1.0
+
+
 def test_long_plans_do_not_grow_without_end() -> None:
     """Also where nothing slides for a week before."""
     counts = [
