@@ -2,10 +2,10 @@
 
 Friction lets the tension step where a cable goes around a clasp: a leg that grows, cable sliding
 into it, pulls harder than its edge, one that grows shorter less, by up to ``e^{μ θ}`` for the angle
-θ that the cable wraps (the polygon's interior angle where tensions are equal). The clasp still balances where it is planned if its two legs
-lean accordingly: ``P_q q̂_k + P_r r̂_{k-1} = V``, a triangle with the sides ``P_q``, ``P_r`` and the
-known ``V = T_{k-1} u_{k-1} - T_k u_k``. With ``P_q = T_k`` and ``P_r = T_{k-1}`` it is the clasp
-without friction.
+θ that the cable wraps (the polygon's interior angle where tensions are equal). The clasp still
+balances where it is planned if its two legs lean accordingly: ``P_q q̂_k + P_r r̂_{k-1} = V``, a
+triangle with the sides ``P_q``, ``P_r`` and the known ``V = T_{k-1} u_{k-1} - T_k u_k``. With
+``P_q = T_k`` and ``P_r = T_{k-1}`` it is the clasp without friction.
 """
 
 from __future__ import annotations

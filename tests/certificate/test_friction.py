@@ -153,6 +153,23 @@ def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed:
     assert worst <= found.worst <= worst * 1.001 + 1e-6
 
 
+def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
+    """Not the legs' pulls, which may be larger: of a cable that hardly pulls along its edge."""
+    assert leaned.leg_tensions is not None
+    c = leaned.tensions.coefficients.copy()
+    c[:, 1] *= 0.1
+    weak = replace(leaned, tensions=PiecewisePolynomial(leaned.tensions.breaks, c))
+    sampled = np.max(residuals(weak, np.linspace(0.0, leaned.duration, 20_001)))
+    assert sampled <= check(weak).worst <= 1.001 * sampled
+
+
+def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:
+    assert leaned.leg_tensions is not None
+    wrong = PiecewisePolynomial(leaned.drones.breaks, leaned.leg_tensions.coefficients[:, :3])
+    with pytest.raises(ho.InputError, match="leg_tensions"):
+        replace(leaned, leg_tensions=wrong)
+
+
 def test_before_it_is_halved_a_bound_holds_as_well() -> None:
     """Of the angles that cables wrap, from the coefficients of edges and legs that turn far."""
     rng = np.random.default_rng(5)

@@ -157,10 +157,11 @@ def test_drones_of_a_sharp_vertex_keep_apart_at_the_whole_share(friction: float)
     assert "no more" not in plan.phases[0].remark
 
 
-def test_timed_points_are_not_put_off_for_leaning() -> None:
-    path = [[0.0, 0.0, 0.75], [1.0, 0.0, 0.85]]
+@pytest.mark.parametrize("seconds", [1.0, 1.4, 1.8])
+def test_timed_points_are_not_put_off_for_leaning(seconds: float) -> None:
+    path = [[0.0, 0.0, 0.75], [seconds, 0.0, 0.85]]
     plan = solved([{"follow_vertex": {"vertex": 0, "path": path}}], 0.3)
-    assert plan.duration == 1.0
+    assert plan.duration == seconds
 
 
 def test_long_plans_do_not_grow_without_end() -> None:
