@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.hitch import Team
 from hitchopt.model.motion import Motion
-from hitchopt.planners.leaning import FARTHEST, ROOM, Leaning, leaning
+from hitchopt.planners.friction import FARTHEST, ROOM
+from hitchopt.planners.leaning import Leaning, leaning
 
 Array = NDArray[np.float64]
 
