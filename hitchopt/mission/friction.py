@@ -10,8 +10,11 @@ from hitchopt.mission.planning import Planned
 from hitchopt.model.motion import Motion
 from hitchopt.planners.leaning import leaning, worth_leaning
 
-SHARES = (1.0, 0.5, 0.25)
+SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Of the friction that is counted on: the largest at which every limit is kept."""
+
+REFUSED = 0.5
+"""Of a share with which a limit is broken, what is tried next: certificates take time."""
 
 NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
@@ -36,7 +39,10 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
     if motion.team.cable_friction == 0.0:
         return planned
     slower = not timed and kept.limits.duration is None
+    most = 1.0
     for share in SHARES:
+        if share > most:
+            continue
         found = leaning(motion, kept.limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
@@ -46,6 +52,7 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
         judged = certified(_remarked(found.motion, words))
         if judged.certificate.certified:
             return replace(planned, motion=judged.motion, certificate=judged.certificate)
+        most = REFUSED * share
     if not worth_leaning(motion):
         return planned
     return replace(planned, motion=_remarked(motion, NO_ROOM))
