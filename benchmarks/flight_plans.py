@@ -85,6 +85,28 @@ def moved(friction: float) -> Problem:
     return problem_from_dict(data)
 
 
+def irregular(seed: int, friction: float) -> Task:
+    """Return the plan of a random triangle, a random vertex of which is moved by 0.3 m in 6 s.
+
+    The first one of the seed's that can be planned without friction.
+    """
+    rng = np.random.default_rng(seed)
+    while True:
+        polygon = ho.regular_polygon(3, 1.2).vertices + rng.uniform(-0.2, 0.2, (3, 2))
+        vertex, angle = int(rng.integers(3)), rng.uniform(0.0, 2.0 * np.pi)
+        by = [0.3 * float(np.cos(angle)), 0.3 * float(np.sin(angle))]
+        data = {
+            "team": _team(3, MOVED, 0.0),
+            "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0}},
+            "mission": [{"move_vertex": {"vertex": vertex, "by": by, "duration": 6.0}}],
+        }
+        try:
+            ho.solve(problem_from_dict(data))
+        except ho.HitchoptError:
+            continue
+        return planned(problem_from_dict({**data, "team": _team(3, MOVED, friction)}))
+
+
 def planned(problem: Problem) -> Task:
     """Return the problem's plan, read back from files as any other simulation does."""
     with tempfile.TemporaryDirectory() as place:

@@ -1,6 +1,6 @@
 """Plans flown through the rope simulation: the paper's experiments, hitches formed, friction.
 
-Usage: python -m benchmarks.flights [capstan] [experiments] [moved] [perturbed] [formed]
+Usage: python -m benchmarks.flights [capstan] [experiments] [moved] [irregular] [perturbed] [formed]
                                     [--runs N] [--seed S] [--processes P] [--only WORD]
 
 Without names: all of them. Minutes; results are printed as they come, as the lines of tables.
@@ -9,6 +9,7 @@ capstan: tension ratio of a right-angled clasp, per preset and friction.
 experiments: the paper's that move a hitch, at low and at high friction: calm flights with the
     accurate preset, of plans made for that friction, and of plans that know of none as a control.
 moved: the same of a regular triangle, one vertex moved outward; without friction too.
+irregular: the same of ten random triangles, a random vertex moved somewhere.
 perturbed: N flights each of all of the paper's with the fast preset; plans know the friction.
 formed: regular hitches tied from the ground, N perturbed flights each with the fast preset.
 """
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.environment import busy, print_environment
-from benchmarks.flight_plans import EXPERIMENTS, experiment, moved, planned, tied
+from benchmarks.flight_plans import EXPERIMENTS, experiment, irregular, moved, planned, tied
 from hitchopt.simulate.campaign import run_campaign
 from hitchopt.simulate.capstan import capstan_test
 from hitchopt.simulate.measures import Spread
@@ -40,10 +41,13 @@ LIMITATIONS = (
 FRICTIONS = {0.1: "low (leather)", 0.3: "high (nylon)"}
 """The paper names its ropes and no coefficients; these are ours."""
 
+RANDOM, LOW = 10, 0.1
+"""Random triangles, and the friction that they are flown at."""
+
 FORMED = (3, 4, 6, 8, 12)
 """Robots of the regular hitches that are tied."""
 
-PARTS = ("capstan", "experiments", "moved", "perturbed", "formed")
+PARTS = ("capstan", "experiments", "moved", "irregular", "perturbed", "formed")
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         experiments(given.only)
     if "moved" in parts:
         triangles()
+    if "irregular" in parts:
+        random_triangles()
     if "perturbed" in parts:
         perturbed(campaigns)
     if "formed" in parts:
@@ -132,6 +138,14 @@ def triangles() -> None:
     headed(*CALM)
     for friction, known in ((0.0, 0.0), (0.1, 0.1), (0.1, 0.0), (0.3, 0.3), (0.3, 0.0)):
         told("regular triangle", f"{friction}", *calm(planned(moved(known)), friction, known))
+
+
+def random_triangles() -> None:
+    """Print calm flights of random triangles, a random vertex of each moved somewhere."""
+    headed(*CALM)
+    for seed in range(RANDOM):
+        for known in (LOW, 0.0):
+            told(f"triangle {seed}", f"{LOW}", *calm(irregular(seed, known), LOW, known))
 
 
 def calm(task: Task, friction: float, known: float) -> tuple[str, ...]:
