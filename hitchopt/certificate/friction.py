@@ -21,8 +21,8 @@ def beyond_friction(motion: Motion, leg_tensions: PiecewisePolynomial) -> Extrem
 
     A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
     ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
-    to its edge. At a chain's ends it turns about nothing. Negative where every pull keeps to that;
-    ``item`` is the drone.
+    to its edge. At a chain's ends it turns about nothing. Not positive, but for rounding, where
+    every pull keeps to that; ``item`` is the drone.
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ def _planned(before: Situation, group: Sequence[Step], first: int, kept: Kept) -
         shapes = [step for step in group if isinstance(step, ShapeStep)]
         planned = plan_blended(before.hitch, shapes, first, kept)
     timed = any(getattr(step, "duration", None) is not None for step in group)
-    planned = against_friction(planned, kept, timed=timed or isinstance(step, FollowVertex))
+    planned = against_friction(planned, kept, timed=timed)
     after = replace(before, hitch=planned.end, drones=planned.end.drones)
     return Tied(planned.motion, after, planned.certificate)
 

@@ -3,7 +3,8 @@
 How hard friction pulls is known only roughly: by ``e^{μ θ}`` if one cable slides about the other
 (θ the angle that it wraps), by less where both do, since then they slide past each other less.
 Counted on is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of
-it for one cable, half for two at the same speed, which is what rope simulations show (README).
+it for one cable, half for two at the same speed. That law is no theory but what brings simulated
+ropes closest to their plans (``python -m benchmarks.flights``).
 """
 
 from __future__ import annotations

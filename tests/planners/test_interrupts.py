@@ -147,3 +147,14 @@ def test_osqp_that_was_interrupted_ends_the_plan() -> None:
     found._osqp = Interrupted(found._osqp)
     with pytest.raises(KeyboardInterrupt):
         found.solve(program, one, 0)
+
+
+def test_a_signal_is_answered_also_where_the_work_fails(heard: list[int]) -> None:
+    def interrupted() -> None:
+        with answered_later():
+            signal.raise_signal(signal.SIGUSR1)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        interrupted()
+    assert heard == [signal.SIGUSR1]

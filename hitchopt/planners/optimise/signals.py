@@ -39,7 +39,7 @@ def answered_later() -> Iterator[None]:
     finally:
         for number in changed:
             signal.signal(number, handlers[number])
-    for number, frame in waiting:
-        handler = handlers[number]
-        if callable(handler):
-            handler(number, frame)
+        for number, frame in waiting:  # also where the work has failed
+            handler = handlers[number]
+            if callable(handler):
+                handler(number, frame)
