@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.export.formats.format import Candidate, Task, Whole
+from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
-    FEED_FORWARD,
     FLOWN,
     Rows,
+    Table,
     blocks_of,
     first_names,
     grouped,
     recording_of_rows,
 )
 from hitchopt.export.recording import Recording
-from hitchopt.export.room import AXES
 from hitchopt.export.setpoints import NUMBER
 
 HEADER = ",".join(("t", "drone", *COLUMNS))
@@ -33,15 +32,11 @@ READ = 20_000
 """Rows that are parsed at once."""
 
 
-class CsvTable(Whole):
+class CsvTable(Table):
     """Text that everything reads."""
 
     name = "csv"
     summary = "one table of text, a row per sample and drone"
-    frames = tuple(AXES)
-    rate = 100.0
-    accuracy = 1e-3
-    feed_forward = FEED_FORWARD
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one table there is."""

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.export.formats.format import Candidate, Task, Whole
+from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
-    FEED_FORWARD,
     Block,
+    Table,
     blocks_of,
     recording_of_rows,
 )
@@ -39,15 +39,11 @@ MAX_LINE = 50_000_000
 """[characters] A sample of 20,000 drones takes 6 million."""
 
 
-class JsonTable(Whole):
+class JsonTable(Table):
     """Text for whatever knows no table."""
 
     name = "json"
     summary = "one document, a line per sample"
-    frames = tuple(AXES)
-    rate = 100.0
-    accuracy = 1e-3
-    feed_forward = FEED_FORWARD
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one document there is."""

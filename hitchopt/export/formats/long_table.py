@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.export.formats.format import Task, pull_of
+from hitchopt.export.formats.format import Task, Whole, pull_of
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
+from hitchopt.export.room import AXES
 from hitchopt.export.sampling import iterate_states, sample_times
 
 Array = NDArray[np.float64]
@@ -44,6 +45,16 @@ FEED_FORWARD = (
     "ff_* = a - F/m, the cable's force F and the drone's mass m: for controllers that add gravity "
     "themselves; cable_* = F for those that take forces; a alone for those that know the cable"
 )
+
+
+class Table(Whole):
+    """What formats that sample a plan for scripts have in common."""
+
+    frames = tuple(AXES)
+    rate = 100.0
+    accuracy = 1e-3
+    feed_forward = FEED_FORWARD
+
 
 ROWS = 100_000
 """Rows that are held at a time: 16 MB of numbers."""

@@ -19,8 +19,15 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.export.archive import MAX_HEADER, read_arrays
-from hitchopt.export.formats.format import Candidate, Task, Whole
-from hitchopt.export.formats.long_table import FEED_FORWARD, ROWS, SMOOTH, blocks_of, sample_count
+from hitchopt.export.formats.format import Candidate, Task
+from hitchopt.export.formats.long_table import (
+    FEED_FORWARD,
+    ROWS,
+    SMOOTH,
+    Table,
+    blocks_of,
+    sample_count,
+)
 from hitchopt.export.plan_file import BROKEN
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
 from hitchopt.export.room import AXES
@@ -43,14 +50,11 @@ GROUPS = {
 FLOWN = ("positions", "velocities", "accelerations")
 
 
-class NpzTable(Whole):
+class NpzTable(Table):
     """Arrays for numpy."""
 
     name = "npz"
     summary = "arrays over samples and drones for numpy"
-    frames = tuple(AXES)
-    rate = 100.0
-    accuracy = 1e-3
     feed_forward = FEED_FORWARD.replace("ff_*", "feed_forward").replace("cable_*", "cable_forces")
 
     def candidates(self, task: Task) -> Iterator[Candidate]:

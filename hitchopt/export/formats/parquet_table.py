@@ -10,12 +10,12 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.export.formats.extras import needed
-from hitchopt.export.formats.format import Candidate, Task, Whole
+from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
-    FEED_FORWARD,
     FLOWN,
     Rows,
+    Table,
     blocks_of,
     first_names,
     grouped,
@@ -30,15 +30,11 @@ FRAME = b"hitchopt.frame"
 """Key of the schema's metadata."""
 
 
-class ParquetTable(Whole):
+class ParquetTable(Table):
     """Columns for data frames; a row group holds whole samples."""
 
     name = "parquet"
     summary = "one table of columns, a row per sample and drone"
-    frames = tuple(AXES)
-    rate = 100.0
-    accuracy = 1e-3
-    feed_forward = FEED_FORWARD
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one table there is."""
