@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from benchmarks.environment import print_environment
-from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.form_records import Assign
 from hitchopt.mission.free_flight import staged
-from hitchopt.mission.motions import Kept
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.tying import tied
+from hitchopt.requirements import Limits, Requirements, Separation
 
 Array = NDArray[np.float64]
 
@@ -50,10 +50,10 @@ def tying_row(n: int) -> tuple[float, str]:
     """Return the processor seconds of one n, and the row of the table."""
     hitch = regular_hitch(n)
     separation = Separation(cable=min(0.1, 0.9 * 0.5 * math.sin(2.0 * math.pi / n)))
-    kept = Kept(Limits(), separation, None)
+    requirements = Requirements(Limits(), separation, None)
     start = time.process_time()
     pre = find_prehitch(hitch, separation, SWAP)
-    motion = staged(tied(pre, hitch, kept.limits, SWAP), hitch, 0, kept)
+    motion = staged(tied(pre, hitch, requirements.limits, SWAP), hitch, 0, requirements)
     planned = time.process_time()
     certificate = ho.certify(motion)
     done = time.process_time()

@@ -13,8 +13,8 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.path import ShapePath
+from hitchopt.requirements import Requirements
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,16 +24,16 @@ class Case:
     name: str
     start: ho.Hitch
     end: ho.Hitch
-    kept: KeptDistances
+    requirements: Requirements
 
     def judge(self, path: ShapePath) -> Flight | None:
         """Return the flight along a path if its certificate holds."""
-        flight = fly(path, self.kept.limits)
+        flight = fly(path, self.requirements.limits)
         motion = Motion(
             self.start.team,
-            self.kept.limits,
-            self.kept.separation,
-            self.kept.arena,
+            Requirements(
+                self.requirements.limits, self.requirements.separation, self.requirements.arena
+            ),
             flight.drones,
             flight.vertices,
             flight.legs,
@@ -44,11 +44,15 @@ class Case:
 
     def rests(self) -> bool:
         """Return whether both ends keep all limits at rest."""
-        kept = self.kept
+        requirements = self.requirements
         try:
             for hitch in (self.start, self.end):
                 ho.hold(
-                    hitch, 1.0, limits=kept.limits, separation=kept.separation, arena=kept.arena
+                    hitch,
+                    1.0,
+                    limits=requirements.limits,
+                    separation=requirements.separation,
+                    arena=requirements.arena,
                 )
         except ho.InfeasibleError:
             return False
@@ -66,30 +70,36 @@ def random_case(n: int, seed: int) -> Case | None:
     (step,) = problem.mission
     if not isinstance(step, ho.Morph) or not isinstance(problem.start, ho.HitchStart):
         raise TypeError("a random morph is one morph")
-    kept = KeptDistances(problem.limits, problem.separation, problem.arena)
-    case = make_case(random_name(n, seed), problem.team, problem.start.polygon, step.polygon, kept)
+    requirements = problem.requirements
+    case = make_case(
+        random_name(n, seed), problem.team, problem.start.polygon, step.polygon, requirements
+    )
     return case if case.rests() else None
 
 
-def make_case(name: str, team: ho.Team, first: Outline, last: Outline, kept: KeptDistances) -> Case:
+def make_case(
+    name: str, team: ho.Team, first: Outline, last: Outline, requirements: Requirements
+) -> Case:
     """Return the morph from a spread hitch to the sharing nearest to it."""
-    start = ho.Hitch.spread(team, first, limits=kept.limits, separation=kept.separation)
+    start = ho.Hitch.spread(
+        team, first, limits=requirements.limits, separation=requirements.separation
+    )
     end = ho.Hitch.nearest(
         team,
         last,
         1.0,
         start.fractions,
-        limits=kept.limits,
-        separation=kept.separation,
-        arena=kept.arena,
+        limits=requirements.limits,
+        separation=requirements.separation,
+        arena=requirements.arena,
     )
-    return Case(name, start, end, kept)
+    return Case(name, start, end, requirements)
 
 
 def named_cases() -> list[Case]:
     """Return the hard morphs that every version must plan."""
-    free = KeptDistances(ho.Limits(), ho.Separation(), None)
-    narrow = KeptDistances(
+    free = Requirements(ho.Limits(), ho.Separation(), None)
+    narrow = Requirements(
         ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0.0], [1.55, 1.55, 3.0])
     )
     square = ho.regular_polygon(4, 1.2, np.pi / 4)

@@ -69,7 +69,7 @@ class Outcome:
 def outcome(case: Case, robots: int, count: int) -> Outcome:
     """Return what becomes of a morph; restarts for named ones and where none is found."""
     began = time.process_time()
-    found = candidates(case.start, case.end, case.kept, case.judge)
+    found = candidates(case.start, case.end, case.requirements, case.judge)
     seconds = time.process_time() - began
     if found and robots:
         first = found[0]

@@ -82,8 +82,8 @@ def restarted(case: Case, rng: np.random.Generator) -> list[Candidate]:
     way = Way.through("restart", case.start, case.end, polygons)
     if np.min(way.slack) <= 0.0:
         return []
-    margins = (end_margin(case.start, case.kept), end_margin(case.end, case.kept))
-    return searched([way], Search(case.kept, case.judge, None, margins))
+    margins = (end_margin(case.start, case.requirements), end_margin(case.end, case.requirements))
+    return searched([way], Search(case.requirements, case.judge, None, margins))
 
 
 @contextmanager

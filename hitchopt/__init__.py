@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hitchopt.export.lint.linting import lint
     from hitchopt.export.sampling import States
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
-    from hitchopt.hitch import Arena, Hitch, Limits, Prism, Quadrotor, Separation, Swarm, Team
+    from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
     from hitchopt.hitch.assignment import Assignment
     from hitchopt.mission.loading import load_problem, load_swarm, read_problem
     from hitchopt.mission.memory import forget
@@ -53,15 +53,16 @@ if TYPE_CHECKING:
     )
     from hitchopt.mission.repair import Change, Suggestion
     from hitchopt.mission.swarm import SwarmProblem
-    from hitchopt.model.motion import Motion, Phase, SwarmMotion
+    from hitchopt.model.motion import Motion, Phase
     from hitchopt.plan import Plan, closest, load
     from hitchopt.planning import repair, separate, solve, suggestions
+    from hitchopt.requirements import Arena, Limits, Prism, Separation
     from hitchopt.trajectory import PiecewisePolynomial
     from hitchopt.tying import form, land, release
 
 _HOMES = {
     "Adjust": "mission.problem",
-    "Arena": "hitch",
+    "Arena": "requirements",
     "Assignment": "hitch.assignment",
     "Certificate": "certificate",
     "CertificateError": "certificate",
@@ -81,7 +82,7 @@ _HOMES = {
     "InfeasibleError": "errors",
     "InputError": "errors",
     "Land": "mission.problem",
-    "Limits": "hitch",
+    "Limits": "requirements",
     "Morph": "mission.problem",
     "Motion": "model.motion",
     "MoveEdge": "mission.problem",
@@ -89,16 +90,15 @@ _HOMES = {
     "Phase": "model.motion",
     "PiecewisePolynomial": "trajectory",
     "Plan": "plan",
-    "Prism": "hitch",
+    "Prism": "requirements",
     "Problem": "mission.problem",
     "Quadrotor": "hitch",
     "Release": "mission.problem",
-    "Separation": "hitch",
+    "Separation": "requirements",
     "States": "export.sampling",
     "Suggestion": "mission.repair",
     "SwapSettings": "mission.problem",
     "Swarm": "hitch",
-    "SwarmMotion": "model.motion",
     "SwarmProblem": "mission.swarm",
     "Team": "hitch",
     "Transport": "mission.problem",
@@ -168,7 +168,6 @@ __all__ = [
     "Suggestion",
     "SwapSettings",
     "Swarm",
-    "SwarmMotion",
     "SwarmProblem",
     "Team",
     "Transport",

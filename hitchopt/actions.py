@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Arena, Hitch, Limits, Separation
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.problem import (
@@ -28,9 +28,9 @@ from hitchopt.mission.problem import (
     Transport,
     leg_sharing,
 )
-from hitchopt.mission.solving import Kept, solve_steps
-from hitchopt.model.motion import Motion
+from hitchopt.mission.solving import solve_steps
 from hitchopt.plan import Plan
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 
 Legs = str | Sequence[float] | ArrayLike
 
@@ -46,7 +46,7 @@ def morph(
     duration: float | None = None,
     optimize: bool = False,
     tension: tuple[float, float] | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan from one hitch to another.
 
     Vertices go straight where that keeps all limits; where it does not, an optimised way is
@@ -84,7 +84,7 @@ def move_vertex(
     arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which one vertex goes elsewhere.
 
     Only the four drones move that the paper names, unless a limit binds; the phase's remark then
@@ -117,7 +117,7 @@ def move_edge(
     arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which both ends of an edge go elsewhere.
 
     Four drones move where the ends slide along their neighbours' lines, else six, unless a limit
@@ -146,7 +146,7 @@ def adjust(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which cables slide through their clasps and vertices stay.
 
     Parameters
@@ -172,7 +172,7 @@ def follow_vertex(
     separation: Separation | None = None,
     arena: Arena | None = None,
     legs: Legs | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which one vertex meets timed points at their times.
 
     Parameters
@@ -200,7 +200,7 @@ def transport(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which the whole hitch is carried and turned, rigidly.
 
     Parameters
@@ -225,7 +225,7 @@ def hold(
     limits: Limits | None = None,
     separation: Separation | None = None,
     arena: Arena | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
 
     Raises
@@ -249,8 +249,8 @@ def _planned(
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,
-) -> Plan[Motion]:
+) -> Plan:
     outline_after(start.team, start.polygon, step)  # what is wrong in itself is told first
-    kept = Kept(limits or Limits(), separation or Separation(), arena)
-    found = solve_steps(start, (step,), kept)
+    requirements = Requirements(limits or Limits(), separation or Separation(), arena)
+    found = solve_steps(start, (step,), requirements)
     return Plan(found.motion, found.certificate)

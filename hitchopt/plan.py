@@ -6,10 +6,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any
 
 from numpy.typing import ArrayLike
-from typing_extensions import TypeVar
 
 from hitchopt.certificate import Certificate, certify
 from hitchopt.certificate.closeness import SPANS, Closeness, closeness
@@ -19,16 +18,13 @@ from hitchopt.export.directory import PLAN, SUMMARY, save_plan
 from hitchopt.export.exporting import Export
 from hitchopt.export.plan_file import read_plan, read_title
 from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Flying, Phase
+from hitchopt.model.motion import Motion, Phase
 
 Progress = Callable[[str], None]
 
-M = TypeVar("M", bound=Flying, default=Any)
-"""What flies: a hitch's Motion or a SwarmMotion; left open where a file decides."""
-
 
 @dataclass(frozen=True, eq=False)
-class Plan(Generic[M]):
+class Plan:
     """A certified motion of a hitch, or of a swarm without cables.
 
     Attributes
@@ -38,7 +34,7 @@ class Plan(Generic[M]):
     title: what the problem is called.
     """
 
-    motion: M
+    motion: Motion
     certificate: Certificate
     title: str = ""
 

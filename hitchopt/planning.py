@@ -12,7 +12,6 @@ from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggesti
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
-from hitchopt.model.motion import SwarmMotion
 from hitchopt.plan import Plan
 
 Progress = Callable[[str], None]
@@ -41,9 +40,7 @@ def solve(problem: Problem | SwarmProblem | str | Path, progress: Progress | Non
     return Plan(found.motion, found.certificate, problem.title)
 
 
-def separate(
-    problem: SwarmProblem | str | Path, progress: Progress | None = None
-) -> Plan[SwarmMotion]:
+def separate(problem: SwarmProblem | str | Path, progress: Progress | None = None) -> Plan:
     """Return the certified plan of single drones that keep out of each other's downwash.
 
     Parameters

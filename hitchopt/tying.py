@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Arena, Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.form_records import Assign, Form, Land, Release
 from hitchopt.mission.leg_sharing import leg_sharing
-from hitchopt.mission.motions import Kept
 from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
 from hitchopt.mission.solving import solve_problem, solve_steps
-from hitchopt.model.motion import Motion
 from hitchopt.plan import Plan
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 
 
 def form(
@@ -36,7 +35,7 @@ def form(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan that ties a hitch of drones on free cables.
 
     Parameters
@@ -71,7 +70,7 @@ def release(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan that unties a hitch, until its cables hang free.
 
     The way back of ``form``, every q having gone up first.
@@ -85,8 +84,8 @@ def release(
     ------
     InputError, InfeasibleError: as form.
     """
-    kept = Kept(limits or Limits(), separation or Separation(), arena)
-    found = solve_steps(start, (Release(duration),), kept)
+    requirements = Requirements(limits or Limits(), separation or Separation(), arena)
+    found = solve_steps(start, (Release(duration),), requirements)
     return Plan(found.motion, found.certificate)
 
 
@@ -99,7 +98,7 @@ def land(
     separation: Separation | None = None,
     arena: Arena | None = None,
     duration: float | None = None,
-) -> Plan[Motion]:
+) -> Plan:
     """Return the certified plan in which drones on free cables go straight down to the ground.
 
     The ground is the arena's floor, or z = 0 where there is none.
@@ -123,7 +122,7 @@ def _from_drones(
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,
-) -> Plan[Motion]:
+) -> Plan:
     start = DronesStart(np.asarray(q, dtype=np.float64), np.asarray(r, dtype=np.float64))
     problem = Problem(team, start, (step,), limits or Limits(), separation or Separation(), arena)
     found = solve_problem(problem)

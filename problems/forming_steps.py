@@ -6,14 +6,13 @@ import sys
 from pathlib import Path
 
 import hitchopt as ho
-from hitchopt.model.motion import Motion
 from hitchopt.view.forming_steps import save_forming_steps
 
 
 def main(file: str, picture: str) -> None:
     """Plan the problem in ``file`` and draw its steps of forming."""
     motion = ho.solve(file).motion
-    if not isinstance(motion, Motion):
+    if not motion.team.has_cables:
         raise SystemExit(f"{file}: forms no hitch")
     save_forming_steps(Path(picture), motion)
 

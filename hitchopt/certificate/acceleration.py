@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from hitchopt.certificate.rates import largest_rate
 from hitchopt.certificate.report import Check
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 
-def check(motion: Flying) -> Check:
+def check(motion: Motion) -> Check:
     """Return the largest acceleration of any drone, which ``where`` names."""
     found = largest_rate(motion.drones, 2)
     where = (motion.team.drone_names[found.item],)
-    limit = motion.limits.acceleration
+    limit = motion.requirements.limits.acceleration
     return Check.of("acceleration", found.worst, limit, "max", "m/s²", found.time, where)

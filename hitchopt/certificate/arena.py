@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING, position_margin
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 
 Array = NDArray[np.float64]
 
 
-def check(motion: Flying) -> Check | None:
+def check(motion: Motion) -> Check | None:
     """Return the smallest distance of any drone to a wall, negative outside; None without arena."""
-    arena = motion.arena
+    arena = motion.requirements.arena
     if arena is None:
         return None
     x = motion.drones.coefficients

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hitchopt.certificate.proximity import Bodies
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -51,9 +51,9 @@ def edge_vectors(motion: Motion) -> Array:
     return motion.team.layout.edges(vertices, axis=1)
 
 
-def drone_points(motion: Flying) -> Bodies:
+def drone_points(motion: Motion) -> Bodies:
     """Return the drones as points, in the degree of the cable parts where there are any."""
-    drones = positions(motion)[0] if isinstance(motion, Motion) else motion.drones.coefficients
+    drones = positions(motion)[0]
     return Bodies(drones[:, :, None])
 
 

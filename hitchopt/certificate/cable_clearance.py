@@ -31,5 +31,5 @@ def check(motion: Motion) -> Check:
     )
     drone, body = divmod(found.item, len(parts))
     where = (motion.team.drone_names[drone], f"cable {layout.parts[body] // 3}")
-    limit = motion.separation.cable
+    limit = motion.requirements.separation.cable
     return Check.of("cable_clearance", found.worst, limit, "min", "m", found.time, where)

@@ -31,9 +31,9 @@ from hitchopt.certificate import (
     vertex_speed,
 )
 from hitchopt.certificate.report import Certificate, Check, most_pressing
-from hitchopt.model.motion import Flying, Motion, SwarmMotion
+from hitchopt.model.motion import Motion
 
-DRONES: dict[str, Callable[[Flying], Check | None]] = {
+DRONES: dict[str, Callable[[Motion], Check | None]] = {
     "separation": separation.check,
     "speed": speed.check,
     "acceleration": acceleration.check,
@@ -41,13 +41,11 @@ DRONES: dict[str, Callable[[Flying], Check | None]] = {
     "thrust": thrust.check,
     "tilt": tilt.check,
     "arena": arena.check,
+    "keep_out": keep_out.check,
     "continuity": continuity.check,
     "duration": duration.check,
 }
 """Checks of whatever flies, for all of its time."""
-
-SWARM: dict[str, Callable[[SwarmMotion], Check | None]] = {"keep_out": keep_out.check}
-"""Checks of single drones."""
 
 HITCH: dict[str, Callable[[Motion], Check | None]] = {
     "cable_clearance": cable_clearance.check,
@@ -95,7 +93,7 @@ CHECKS = (
 """In the order of the certificate."""
 
 
-def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Certificate:
+def certify(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
     """Check what flies for all of its time.
 
     Every ``worst`` is a bound from Bernstein coefficients with subdivision: the quantity does not
@@ -124,23 +122,19 @@ def certify(motion: Flying, progress: Callable[[str], None] | None = None) -> Ce
     return Certificate(motion.duration, tuple(checks))
 
 
-def _applying(motion: Flying) -> Iterator[str]:
+def _applying(motion: Motion) -> Iterator[str]:
     """Yield the names of the checks that the motion has something for."""
     here = set(DRONES)
-    if isinstance(motion, Motion):
+    if motion.team.has_cables:
         formed = motion.formed
         here |= set(HITCH) if np.any(formed) else set()
         here |= set() if np.all(formed) else {*FREE, *WHOLE}
-    else:
-        here |= set(SWARM)
     yield from (name for name in CHECKS if name in here)
 
 
-def _result(name: str, motion: Flying) -> Check | None:
+def _result(name: str, motion: Motion) -> Check | None:
     if name in DRONES:
         return DRONES[name](motion)
-    if isinstance(motion, SwarmMotion):
-        return SWARM[name](motion)
     if name in WHOLE:
         return WHOLE[name](motion)
     results = []

@@ -12,7 +12,7 @@ from hitchopt.certificate.bodies import drone_points
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.errors import InputError
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
@@ -92,7 +92,7 @@ class Closeness:
         return "\n".join(lines)
 
 
-def closeness(motion: Flying, spans: int = SPANS) -> Closeness:
+def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
     """Return who is closest to whom, for all of the time.
 
     Every bound holds on all of its span, rounding included, and comes within 1e-4 of an attained
@@ -112,7 +112,7 @@ def closeness(motion: Flying, spans: int = SPANS) -> Closeness:
         raise InputError("drones", len(names), "at least 2", "one drone has no neighbour")
     if spans < 1:
         raise InputError("spans", spans, "at least 1", "48 are usual")
-    scale = motion.separation.scale
+    scale = motion.requirements.separation.scale
     points = drone_points(motion).corners[:, :, 0] * scale[:, None]  # (pieces, drones, 3, N+1)
     margin = position_margin(motion) * float(np.max(scale))
     breaks = motion.drones.breaks
@@ -143,7 +143,7 @@ def _restricted(breaks: Array, points: Array, start: float, end: float) -> tuple
 
 
 def _pairs(
-    motion: Flying, points: Array, spans: list[ClosestSpan], margin: float
+    motion: Motion, points: Array, spans: list[ClosestSpan], margin: float
 ) -> tuple[ClosestPair, ...]:
     names = motion.team.drone_names
     index = {name: i for i, name in enumerate(names)}

@@ -7,14 +7,14 @@ import numpy as np
 from hitchopt.certificate.bodies import PART_NAMES
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import derivative_margin, position_margin
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 LIMIT = 1e-6
 """[m], [m/s], [m/s²]: below anything that a drone could tell from none."""
 
 
-def check(motion: Flying) -> Check:
+def check(motion: Motion) -> Check:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
     Of drones, and of vertices and legs while the hitch exists; the unit is given as m, whichever of
@@ -22,7 +22,7 @@ def check(motion: Flying) -> Check:
     vertex or the leg.
     """
     parts = [(motion.drones, motion.team.drone_names)]
-    for span in motion.spans(formed=True) if isinstance(motion, Motion) else ():
+    for span in motion.spans(formed=True):
         legs = span.legs
         each = legs.coefficients.reshape(legs.pieces, -1, 1, legs.degree + 1)
         cables = range(span.team.robots)

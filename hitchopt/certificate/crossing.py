@@ -32,5 +32,5 @@ def check(motion: Motion) -> Check:
     found = smallest_distance(motion.drones.breaks, parts, None, apart, position_margin(motion))
     pair = sorted(divmod(found.item, len(parts))) if found.item >= 0 else []
     where = tuple(part_name(int(layout.parts[i])) for i in pair)
-    limit = motion.separation.crossing
+    limit = motion.requirements.separation.crossing
     return Check.of("crossing", found.worst, limit, "min", "m", found.time, where)

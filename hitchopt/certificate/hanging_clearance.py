@@ -25,7 +25,6 @@ from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.hitch.limits import floor_of
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
@@ -70,7 +69,7 @@ def _of_phase(part: FreePhase) -> list[Check]:
 
 
 def _told(motion: Motion, found: Extremum) -> Check:
-    n, limit = motion.team.robots, motion.separation.cable
+    n, limit = motion.team.robots, motion.requirements.separation.cable
     who, cable = divmod(found.item, n)
     name = GROUND if who == 2 * n else motion.team.drone_names[who]
     worst = max(found.worst, 0.0) if who < 2 * n else found.worst
@@ -110,7 +109,7 @@ def _to_ground(motion: Motion, drones: PiecewisePolynomial) -> Extremum:
     """Return the smallest height of a cable over the ground, negative below it."""
     n = motion.team.robots
     c = drones.coefficients.copy()
-    c[:, :, 2] -= floor_of(motion.arena)
+    c[:, :, 2] -= motion.requirements.floor
     rows = np.concatenate([c[:, 0::2], c[:, 1::2]], axis=2)
     lengths = np.broadcast_to(motion.team.cable_length[:, None, None], (*rows.shape[:2], 1, 1))
     search = Search(_height, relative=TOLERANCE, absolute=TOLERANCE)

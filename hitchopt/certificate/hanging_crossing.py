@@ -51,5 +51,5 @@ def _of_phase(part: FreePhase) -> Check:
     )
     pair = sorted(divmod(found.item, n)) if found.item >= 0 else []
     where = tuple(f"cable {k}" for k in pair)
-    limit = motion.separation.crossing
+    limit = motion.requirements.separation.crossing
     return Check.of("crossing", found.worst, limit, "min", "m", found.time, where)

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import ROUNDING
-from hitchopt.hitch.keep_out import Prism
-from hitchopt.model.motion import SwarmMotion
+from hitchopt.model.motion import Motion
+from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
 
 Array = NDArray[np.float64]
 
 
-def check(motion: SwarmMotion) -> Check | None:
+def check(motion: Motion) -> Check | None:
     """Return the smallest distance of any drone to a prism, zero within; None without prisms."""
-    if not motion.keep_out:
+    if not motion.requirements.keep_out:
         return None
-    found = smallest_clearance(motion.drones, motion.keep_out)
+    found = smallest_clearance(motion.drones, motion.requirements.keep_out)
     where = (motion.team.drone_names[found.item],)
-    limit = motion.separation.radius
+    limit = motion.requirements.separation.radius
     return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where)
 
 

@@ -20,4 +20,4 @@ def check(motion: Motion) -> Check:
     cable, end = divmod(int(drones[found.item]), 2)
     where = (f"{PART_NAMES[2 * end]} {cable}",)
     worst = max(found.worst, 0.0)
-    return Check.of("legs", worst, motion.limits.leg, "min", "m", found.time, where)
+    return Check.of("legs", worst, motion.requirements.limits.leg, "min", "m", found.time, where)

@@ -19,7 +19,7 @@ from hitchopt.certificate.hanging import steepness_range
 from hitchopt.certificate.rounding import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
 
@@ -29,7 +29,7 @@ NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
 
 
-def thrust_cells(motion: Flying, unit: Array) -> Cells:
+def thrust_cells(motion: Motion, unit: Array) -> Cells:
     """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
 
     Parameters
@@ -39,7 +39,7 @@ def thrust_cells(motion: Flying, unit: Array) -> Cells:
     mass = (motion.team.mass / unit)[:, None]
     free = motion.drones.differentiated(2).coefficients * mass[..., None]
     free[:, :, 2] += mass * GRAVITY
-    if isinstance(motion, Motion):
+    if motion.team.has_cables:
         free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
         legs = pull_vectors(motion)
         # Without a hitch there is no leg, whatever the plan says that it pulls with.
@@ -52,7 +52,7 @@ def thrust_cells(motion: Flying, unit: Array) -> Cells:
     slop = derivative_margin(motion.drones, 2) * mass[:, 0]
     slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
     blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
-    if isinstance(motion, Motion) and motion.team.cable_density > 0.0:
+    if motion.team.has_cables and motion.team.cable_density > 0.0:
         blocks += _hanging_blocks(motion, unit)
     return Cells.over(motion.drones.breaks, blocks)
 

@@ -12,7 +12,7 @@ from math import perm
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -24,13 +24,13 @@ LAST_PLACE = 2.0**-50
 """What a difference of two numbers errs by at most, relative to it, with room to spare."""
 
 
-def magnitude(motion: Flying) -> float:
+def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of the plan [m]."""
-    parts = [motion.drones, motion.vertices] if isinstance(motion, Motion) else [motion.drones]
-    return float(max(np.max(np.abs(part.coefficients)) for part in parts))
+    parts = (motion.drones, motion.vertices)
+    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
 
 
-def position_margin(motion: Flying) -> float:
+def position_margin(motion: Motion) -> float:
     """Return the margin of distances and lengths [m]."""
     return ROUNDING * magnitude(motion)
 

@@ -8,10 +8,10 @@ from hitchopt.certificate.bodies import drone_points
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import position_margin
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 
-def check(motion: Flying) -> Check | None:
+def check(motion: Motion) -> Check | None:
     """Return the smallest ratio over all pairs of drones; ``where`` names the two.
 
     Where every axis is scaled by ``Separation.scale`` the ratio is a distance. None for one drone.
@@ -19,7 +19,7 @@ def check(motion: Flying) -> Check | None:
     names = motion.team.drone_names
     if len(names) < 2:
         return None
-    scale = motion.separation.scale
+    scale = motion.requirements.separation.scale
     drones = Bodies(drone_points(motion).corners * scale[:, None])
     margin = position_margin(motion) * float(np.max(scale))
     found = smallest_distance(

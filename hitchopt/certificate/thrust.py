@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from hitchopt.certificate.pull import thrust_at, thrust_cells, thrust_enclosure
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import position_margin
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
 
 Array = NDArray[np.float64]
 
 
-def check(motion: Flying) -> Check:
+def check(motion: Motion) -> Check:
     """Return the largest thrust of the drone that is nearest to its own ``max_thrust``.
 
     ``worst`` and ``limit`` are that drone's; the check holds if all drones keep theirs.

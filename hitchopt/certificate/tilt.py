@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.certificate.pull import thrust_at, thrust_cells, thrust_enclosure
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.rounding import position_margin
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
 
@@ -21,11 +21,11 @@ UPSIDE_DOWN = 180.0
 """[deg] The largest angle there is; also that of a thrust of no direction."""
 
 
-def check(motion: Flying) -> Check:
+def check(motion: Motion) -> Check:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
     cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
     found = largest(cells, partial(_bound, noise=position_margin(motion)))
-    limit = math.degrees(motion.limits.tilt)
+    limit = math.degrees(motion.requirements.limits.tilt)
     where = (motion.team.drone_names[found.item],)
     worst = min(found.worst, UPSIDE_DOWN)
     return Check.of("tilt", worst, limit, "max", "deg", found.time, where)

@@ -10,6 +10,6 @@ from hitchopt.model.motion import Motion
 def check(motion: Motion) -> Check:
     """Return the largest speed of any vertex, which ``where`` names (such as ``p1``)."""
     found = largest_rate(motion.vertices, 1)
-    limit = motion.limits.vertex_speed
+    limit = motion.requirements.limits.vertex_speed
     where = (motion.team.point_names[found.item],)
     return Check.of("vertex_speed", found.worst, limit, "max", "m/s", found.time, where)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
-    from hitchopt.model.motion import Flying
+    from hitchopt.model.motion import Motion
     from hitchopt.plan import Plan
 
 MAX_RATE = 10_000.0
@@ -185,7 +185,7 @@ def init(name: str) -> None:
     say(f"wrote {path}; try: hitchopt solve {path}")
 
 
-def _show(title: str, motion: Flying, certificate: Certificate) -> None:
+def _show(title: str, motion: Motion, certificate: Certificate) -> None:
     from hitchopt.cli.tables import certificate_table, phase_table
 
     if title:

@@ -154,8 +154,8 @@ def lint(path: Path, speed: float, acceleration: float, radius: float, height: f
     from hitchopt.cli.lint_report import say_report
     from hitchopt.export.lint.linting import lint as linted
     from hitchopt.export.lint.together import Rules
-    from hitchopt.hitch import Separation
-    from hitchopt.hitch.values import positive
+    from hitchopt.requirements import Separation
+    from hitchopt.values import positive
 
     rules = Rules(
         positive("--speed", speed),

@@ -16,7 +16,7 @@ from hitchopt.export.formats.format import Format, Task
 from hitchopt.export.formats.registry import format_of
 from hitchopt.export.room import Room
 from hitchopt.export.single_file import ENDINGS, export_file
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 MAX_RATE = 10_000.0
 """[Hz] Nothing takes setpoints faster."""
@@ -52,7 +52,7 @@ class Wish:
 
 
 def export_motion(
-    motion: Flying,
+    motion: Motion,
     title: str,
     wish: Wish,
     folder: Path | str,

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.model.motion import JOINT, Flying, Motion
+from hitchopt.model.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 REST = 1e-6
 """[m/s], [m/s²] What moves less than this rests."""
 
-Change = Callable[[PiecewisePolynomial], PiecewisePolynomial]
 
-
-def rests(motion: Flying) -> NDArray[np.intp]:
+def rests(motion: Motion) -> NDArray[np.intp]:
     """Return the breaks, first and last included, at which no drone moves or accelerates."""
     still = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
     for order in (1, 2):
@@ -28,7 +25,7 @@ def rests(motion: Flying) -> NDArray[np.intp]:
     return np.concatenate([[0], 1 + np.flatnonzero(still), [motion.drones.pieces]])
 
 
-def cut(motion: Flying, first: int, last: int) -> Flying:
+def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
     start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
 
@@ -41,10 +38,10 @@ def cut(motion: Flying, first: int, last: int) -> Flying:
         for phase in motion.phases
         if phase.end > start + JOINT and phase.start < end - JOINT
     )
-    return replace(changed(motion, part), phases=phases)
+    return motion.changed(part, phases)
 
 
-def stretched(motion: Flying, factor: float) -> Flying:
+def stretched(motion: Motion, factor: float) -> Motion:
     """Return the same curves flown ``factor`` times as slowly, the plan's own duration let go.
 
     Raises
@@ -59,12 +56,4 @@ def stretched(motion: Flying, factor: float) -> Flying:
         replace(phase, start=factor * phase.start, end=factor * phase.end)
         for phase in motion.phases
     )
-    slower = changed(motion, lambda part: part.stretched(factor))
-    return replace(slower, phases=phases, limits=replace(motion.limits, duration=None))
-
-
-def changed(motion: Flying, change: Change) -> Flying:
-    """Return the motion with all its polynomials changed alike; phases are left to the caller."""
-    if not isinstance(motion, Motion):
-        return replace(motion, drones=change(motion.drones))
-    return motion.changed(change, ())  # phases of the old times would not fit
+    return motion.untimed.changed(lambda part: part.stretched(factor), phases)

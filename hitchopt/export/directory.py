@@ -13,7 +13,7 @@ from hitchopt.export.setpoints import Progress, write_setpoints
 from hitchopt.export.strict_json import write_strict_json
 from hitchopt.export.vertices import write_vertices
 from hitchopt.mission.repair import Suggestion
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 
 PLAN = "plan.npz"
 SETPOINTS = "setpoints.csv"
@@ -30,7 +30,7 @@ DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"
 
 def save_plan(
     directory: Path | str,
-    motion: Flying,
+    motion: Motion,
     certificate: Certificate,
     title: str = "",
     rate: float = 100.0,
@@ -57,7 +57,7 @@ def save_plan(
     """
     certificate.raise_if_violated()
     content = certificate.to_dict()
-    if isinstance(motion, Motion) and motion.assignment is not None:
+    if motion.assignment is not None:
         content["assignment"] = motion.assignment.to_dict()
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, motion, title),
@@ -65,7 +65,7 @@ def save_plan(
         **(pictures or {}),
         CERTIFICATE: lambda path: write_strict_json(path, content),
     }
-    if isinstance(motion, Motion):
+    if motion.team.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
 

@@ -31,7 +31,7 @@ from hitchopt.certificate.rounding import ROUNDING
 from hitchopt.errors import FileError
 from hitchopt.export.recording import Recording, lasted
 from hitchopt.export.room import Room
-from hitchopt.model.motion import JOINT, Flying, Motion
+from hitchopt.model.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Extremum, largest
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
@@ -44,12 +44,13 @@ CABLE_LENGTH = 1e-3
 FLOOR = 1e-4
 """[m] By which exported curves may pass a wall, as those of a drone at rest on it do."""
 
-DRONES: dict[str, Callable[[Flying], Check | None]] = {
+DRONES: dict[str, Callable[[Motion], Check | None]] = {
     "separation": separation.check,
     "speed": speed.check,
     "thrust": thrust.check,
     "tilt": tilt.check,
     "arena": arena.check,
+    "keep_out": keep_out.check,
 }
 
 HITCH: dict[str, Callable[[Motion], Check | None]] = {
@@ -131,7 +132,7 @@ class Verdict:
         return tuple(check for check in self.checks if not check.holds)
 
 
-def judge(motion: Flying, recording: Recording, room: Room, names: Sequence[str]) -> Verdict:
+def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]) -> Verdict:
     """Return errors and checks of a recording that stands for the plan ``motion``.
 
     Parameters
@@ -176,7 +177,7 @@ def judge(motion: Flying, recording: Recording, room: Room, names: Sequence[str]
     )
 
 
-def flown_checks(motion: Flying) -> dict[str, Check]:
+def flown_checks(motion: Motion) -> dict[str, Check]:
     """Return the checks of ORDER of the plan itself, by name."""
     found = {name: most_pressing(_checked(name, motion)) for name in ORDER}
     return {name: check for name, check in found.items() if check is not None}
@@ -191,7 +192,7 @@ def _order(recording: Recording, names: Sequence[str]) -> NDArray[np.intp]:
     return np.array([where[name] for name in names], dtype=np.intp)
 
 
-def _planned(motion: Flying, breaks: Array) -> Flying:
+def _planned(motion: Motion, breaks: Array) -> Motion:
     """Return the plan over the span of ``breaks``, split there too; at rest after its end."""
     start, end = float(breaks[0]), float(breaks[-1])
     inner = motion.drones.breaks
@@ -203,9 +204,7 @@ def _planned(motion: Flying, breaks: Array) -> Flying:
     last = motion.phases[-1:]
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
-    if isinstance(motion, Motion):
-        return motion.changed(span, here)
-    return replace(motion, phases=here, drones=span(motion.drones))
+    return motion.changed(span, here)
 
 
 def _deviations(
@@ -225,15 +224,12 @@ def _deviations(
     return named(position), named(velocity)
 
 
-def _checked(name: str, motion: Flying) -> list[Check]:
+def _checked(name: str, motion: Motion) -> list[Check]:
     if name in DRONES:
         check = DRONES[name](motion)
         if check is None:
             return []
         return [_grounded(check)] if name == "arena" else [check]
-    if not isinstance(motion, Motion):
-        check = keep_out.check(motion) if name == "keep_out" else None
-        return [] if check is None else [check]
     found = [
         checks[name](run)
         for checks, formed in ((HITCH, True), (FREE, False))

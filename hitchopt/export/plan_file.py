@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.export.archive import read_arrays
-from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm, Team
+from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.hitch.keep_out import Prism
-from hitchopt.hitch.values import finite
-from hitchopt.model.motion import JOINT, Flying, Motion, Phase, SwarmMotion
+from hitchopt.model.motion import JOINT, Motion, Phase
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import finite
 
 Array = NDArray[np.float64]
 
@@ -57,20 +57,20 @@ LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
 
-def write_plan(path: Path, motion: Flying, title: str = "") -> None:
+def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     """Write the plan; the same plan gives the same bytes.
 
     Raises
     ------
     OSError: the file cannot be written.
     """
-    team, arena = motion.team, motion.arena
+    team, arena = motion.team, motion.requirements.arena
     arrays: dict[str, NDArray[Any]] = {
-        "mass": np.array([kind.mass for kind in team.quadrotors]),
-        "max_thrust": np.array([kind.max_thrust for kind in team.quadrotors]),
+        "mass": np.array([kind.mass for kind in team.quadrotor]),
+        "max_thrust": np.array([kind.max_thrust for kind in team.quadrotor]),
         "breaks": motion.drones.breaks,
     }
-    if isinstance(team, Team):
+    if team.has_cables:
         who: dict[str, Any] = {
             "robots": team.robots,
             "topology": team.topology,
@@ -80,28 +80,28 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
         arrays |= {"cable_length": team.cable_length, "tension": team.tension}
     else:
         who = {"drones": team.drones}
-    for name in POLYNOMIALS if isinstance(motion, Motion) else SWARM_POLYNOMIALS:
+    for name in POLYNOMIALS if team.has_cables else SWARM_POLYNOMIALS:
         arrays[name] = getattr(motion, name).coefficients
-    if isinstance(motion, Motion) and motion.leg_tensions is not None:
+    if motion.leg_tensions is not None:
         arrays[LEG_TENSIONS] = motion.leg_tensions.coefficients
     settings: dict[str, Any] = {
         "title": title,
         "team": who,
-        "limits": vars(motion.limits),
-        "separation": vars(motion.separation),
+        "limits": vars(motion.requirements.limits),
+        "separation": vars(motion.requirements.separation),
         "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
         "phases": [vars(phase) for phase in motion.phases],
     }
-    if isinstance(motion, SwarmMotion):
+    if not team.has_cables or motion.requirements.keep_out:
         settings["keep_out"] = [
             {
                 "polygon": prism.polygon.vertices.tolist(),
                 "lower": prism.lower,
                 "upper": prism.upper,
             }
-            for prism in motion.keep_out
+            for prism in motion.requirements.keep_out
         ]
-    if isinstance(motion, Motion) and motion.assignment is not None:
+    if motion.assignment is not None:
         settings["assignment"] = motion.assignment.to_dict()
     if LEG_TENSIONS in arrays:
         settings[LEG_TENSIONS] = True
@@ -113,7 +113,7 @@ def write_plan(path: Path, motion: Flying, title: str = "") -> None:
         np.savez(file, allow_pickle=False, **head, **arrays)
 
 
-def read_plan(path: Path) -> Flying:
+def read_plan(path: Path) -> Motion:
     """Return the plan of a file that hitchopt wrote.
 
     Raises
@@ -157,7 +157,7 @@ def _contents(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return settings, arrays
 
 
-def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying:
+def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion:
     given = dict(settings["team"])
     kinds = [
         Quadrotor(float(mass), float(max_thrust))
@@ -170,8 +170,9 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
     parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in names}
     limits, separation = Limits(**settings["limits"]), Separation(**settings["separation"])
     arena = None if settings["arena"] is None else Arena(**settings["arena"])
+    prisms = tuple(Prism(**entry) for entry in settings.get("keep_out", ()))
+    requirements = Requirements(limits, separation, arena, prisms)
     phases = tuple(_phase(**entry) for entry in settings["phases"])
-    motion: Flying
     if "vertices" in parts:
         robots = given.pop("robots")
         lengths, tensions = arrays["cable_length"], arrays["tension"]
@@ -179,9 +180,7 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         given_to = settings.get("assignment")
         motion = Motion(
             team,
-            limits,
-            separation,
-            arena,
+            requirements,
             parts["drones"],
             parts["vertices"],
             parts["legs"],
@@ -192,8 +191,7 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
         )
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)
-        prisms = tuple(Prism(**entry) for entry in settings["keep_out"])
-        motion = SwarmMotion(swarm, limits, separation, arena, parts["drones"], phases, prisms)
+        motion = Motion.single(swarm, requirements, parts["drones"], phases)
     _check_phases(motion)
     return motion
 
@@ -205,7 +203,7 @@ def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
     return Assignment(tuple(robots), tuple(flipped))
 
 
-def _check_phases(motion: Flying) -> None:
+def _check_phases(motion: Motion) -> None:
     """Raise InputError unless the phases cover the plan's time, from 0 on, one after the other."""
     ends = [0.0, *(phase.end for phase in motion.phases)]
     starts = [*(phase.start for phase in motion.phases), motion.duration]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.values import finite
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import finite
 
 Array = NDArray[np.float64]
 

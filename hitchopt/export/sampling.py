@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.hanging import hanging_forces
-from hitchopt.hitch.values import not_negative, positive
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.values import not_negative, positive
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def sample_times(duration: float, rate: float) -> Array:
     return times
 
 
-def states_at(motion: Flying, t: ArrayLike) -> States:
+def states_at(motion: Motion, t: ArrayLike) -> States:
     """Return the states at times t (…) [s], at least one, counted from the plan's start.
 
     After its end a plan stays at rest where it ended.
@@ -123,15 +123,13 @@ def states_at(motion: Flying, t: ArrayLike) -> States:
     return States(**{**states, "t": asked})
 
 
-def iterate_states(motion: Flying, times: Array, size: int) -> Iterator[States]:
+def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``.
 
     A block lies within one piece, so that its values are one matrix product per quantity.
     """
     starts = motion.drones.breaks - motion.drones.breaks[0]
-    formed, pulls = np.zeros(len(starts) - 1, np.bool_), np.zeros((len(starts) - 1, 0, 1))
-    if isinstance(motion, Motion):
-        formed, pulls = motion.formed, motion.pulls.coefficients
+    formed, pulls = motion.formed, motion.pulls.coefficients
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
     for piece in np.flatnonzero(np.diff(bounds)):
@@ -142,7 +140,7 @@ def iterate_states(motion: Flying, times: Array, size: int) -> Iterator[States]:
 
 
 def _states_within(
-    motion: Flying, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array
+    motion: Motion, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array
 ) -> States:
     """Return the states at times t within a piece; ``pulls`` (2n, degree + 1) are those on it."""
     h = motion.drones.durations[piece]
@@ -152,20 +150,12 @@ def _states_within(
     accelerations = bernstein.differentiate(velocities) / h
     jerks = bernstein.differentiate(accelerations) / h
     positions = _values(drones, x)
-    if isinstance(motion, Motion):
-        vertices = motion.vertices.coefficients[piece]
-        p, tensions = _values(vertices, x), _values(motion.tensions.coefficients[piece], x)
-        forces = (
-            _cable_forces(motion.team, positions, p, _values(pulls, x))
-            if formed
-            else hanging_forces(motion.team, positions)
-        )
-        vertex_velocities = _values(bernstein.differentiate(vertices) / h, x)
-        legs = _values(motion.legs.coefficients[piece], x)
-    else:
-        forces = np.zeros_like(positions)
-        p = vertex_velocities = np.zeros((len(t), 0, 3))
-        legs, tensions = np.zeros((len(t), 0, 2)), np.zeros((len(t), 0))
+    p = _values(motion.vertices.coefficients[piece], x)
+    forces = (
+        _cable_forces(motion.team, positions, p, _values(pulls, x))
+        if formed
+        else hanging_forces(motion.team, positions)
+    )
     return States(
         t,
         np.full(len(t), formed),
@@ -175,9 +165,9 @@ def _states_within(
         _values(jerks, x),
         forces,
         p,
-        vertex_velocities,
-        legs,
-        tensions,
+        _values(bernstein.differentiate(motion.vertices.coefficients[piece]) / h, x),
+        _values(motion.legs.coefficients[piece], x),
+        _values(motion.tensions.coefficients[piece], x),
     )
 
 

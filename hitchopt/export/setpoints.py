@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.export.sampling import iterate_states, sample_times
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 HEADER = "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
 
@@ -23,7 +23,7 @@ Progress = Callable[[float], None]
 
 
 def write_setpoints(
-    path: Path, motion: Flying, rate: float, progress: Progress | None = None
+    path: Path, motion: Motion, rate: float, progress: Progress | None = None
 ) -> None:
     """Write one row per sample and drone, by time, then drone; yaw is 0.
 

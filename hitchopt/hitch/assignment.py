@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +51,11 @@ class Assignment:
     def team(self, team: Team) -> Team:
         """Return the team in the order of its roles."""
         order = list(self.robots)
-        return Team(
-            team.robots,
-            team.cable_length[order],
-            topology=team.topology,
-            cable_density=team.cable_density,
-            cable_friction=team.cable_friction,
+        return replace(
+            team,
+            cable_length=team.cable_length[order],
             tension=team.tension[order],
-            quadrotor=[team.quadrotors[i] for i in order],
+            quadrotor=tuple(team.quadrotor[i] for i in order),
         )
 
     def drones(self, drones: Array) -> Array:

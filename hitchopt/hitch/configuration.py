@@ -11,11 +11,11 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.equilibrium import leg_directions
 from hitchopt.hitch.fitting import balanced_legs, cable_slack, checked_legs, fitting_polygon
-from hitchopt.hitch.limits import Arena, Limits, Separation
 from hitchopt.hitch.sharing import share
 from hitchopt.hitch.sharing_task import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask
 from hitchopt.hitch.team import Team
-from hitchopt.hitch.values import finite
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.values import finite
 
 Array = NDArray[np.float64]
 
@@ -102,9 +102,7 @@ class Hitch:
             outline,
             balanced_legs(team, outline),
             SPREAD_MARGIN,
-            limits or Limits(),
-            separation or Separation(),
-            None,
+            Requirements(limits or Limits(), separation or Separation()),
         )
         return cls(team, outline, altitude, d)
 
@@ -132,7 +130,9 @@ class Hitch:
         slack = cable_slack(team, outline)
         wanted = np.asarray(fractions, dtype=np.float64) * slack
         wanted = team.layout.q_legs_of(wanted, slack)
-        d = _nearest_legs(team, outline, wanted, LIMIT_MARGIN, limits, separation, arena)
+        d = _nearest_legs(
+            team, outline, wanted, LIMIT_MARGIN, Requirements(limits, separation, arena)
+        )
         return cls(team, outline, altitude, d)
 
     @property
@@ -189,17 +189,14 @@ def _nearest_legs(
     polygon: Outline,
     reference: Array,
     margin: float,
-    limits: Limits,
-    separation: Separation,
-    arena: Arena | None,
+    requirements: Requirements,
 ) -> Array:
     task = SharingTask(
         team,
-        separation,
-        arena,
+        requirements,
         polygon.vertices[None],
         reference[None],
-        limits.leg * LIMIT_MARGIN,
+        requirements.limits.leg * LIMIT_MARGIN,
         margin,
     )
     q_legs: Array = share(task).q_legs[0]

@@ -41,7 +41,7 @@ def share(task: SharingTask) -> Sharing:
     if task.roughness == 0.0 and np.array_equal(start, task.reference):
         # To the last bit, where a solver would come within its tolerance.
         margin = bodies.margin(task, start)
-        if margin >= task.wanted and bodies.inside(task.arena, start):
+        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
             return Sharing(start, margin, 0.0)
     best = _refined(task, bodies, start)
     single = len(task.reference) == 1

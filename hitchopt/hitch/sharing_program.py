@@ -15,9 +15,9 @@ from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.hitch.equilibrium import leg_directions
-from hitchopt.hitch.limits import Arena
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from hitchopt.hitch.sharing_task import SharingTask
+from hitchopt.requirements import Arena
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -52,7 +52,7 @@ class SharingBodies:
         self.count = layout.points + 2 * n
         drones = layout.points + np.arange(2 * n)
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
-        keep = task.separation
+        keep = task.requirements.separation
         self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
         self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
 
@@ -154,8 +154,8 @@ def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> Quadr
     least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
     rows = sparse.csc_matrix((entries, (np.tile(row, 3), columns)), shape=(len(row), size))
 
-    if task.arena is not None:
-        walls, wall_least = _wall_rows(bodies, task.arena, size)
+    if task.requirements.arena is not None:
+        walls, wall_least = _wall_rows(bodies, task.requirements.arena, size)
         rows, least = sparse.vstack([rows, walls], format="csc"), np.append(least, wall_least)
     hessian = sparse.eye(J * n, format="csc") + _roughness(task)
     full = sparse.csc_matrix(sparse.block_diag([hessian, sparse.csc_matrix((2, 2))]))

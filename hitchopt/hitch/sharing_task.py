@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch.limits import Arena, Separation
 from hitchopt.hitch.team import Team
+from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,8 @@ class SharingTask:
 
     Attributes
     ----------
-    team, separation, arena: whose cables, and which distances to keep.
+    team: whose cables.
+    requirements: distances that are kept, and the arena.
     polygons: (J, points, 2) [m]
     reference: (J, n) [m], the ``d`` to stay near to.
     shortest_leg: [m], for both legs of every cable.
@@ -38,8 +39,7 @@ class SharingTask:
     """
 
     team: Team
-    separation: Separation
-    arena: Arena | None
+    requirements: Requirements
     polygons: Array
     reference: Array
     shortest_leg: float

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.team import MAX_ROBOTS, Quadrotor
+from hitchopt.hitch.layout import CLOSED
+from hitchopt.hitch.team import MAX_ROBOTS, Quadrotor, Team
 
 MAX_DRONES = 2 * MAX_ROBOTS
 """More are refused before any memory is spent on them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Swarm:
-    """N single quadrotors.
+class Swarm(Team):
+    """N single quadrotors: a team without cables, so that every array over robots is empty.
 
     Parameters
     ----------
@@ -28,9 +29,6 @@ class Swarm:
     ------
     InputError: a count that is wrong in itself.
     """
-
-    drones: int
-    quadrotors: tuple[Quadrotor, ...] = field(repr=False)
 
     def __init__(
         self, drones: int, *, quadrotor: Quadrotor | Sequence[Quadrotor] | None = None
@@ -46,18 +44,34 @@ class Swarm:
             raise InputError(
                 "quadrotor", len(kinds), f"one kind, or a list of {n}", "give one per drone"
             )
-        object.__setattr__(self, "drones", n)
-        object.__setattr__(self, "quadrotors", kinds)
+        none = np.zeros(0)
+        none.setflags(write=False)
+        values: dict[str, object] = {
+            "robots": 0,
+            "cable_length": none,
+            "topology": CLOSED,
+            "cable_density": 0.0,
+            "cable_friction": 0.0,
+            "tension": none,
+            "quadrotor": kinds,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def drones(self) -> int:
+        """Number N of drones."""
+        return len(self.quadrotor)
 
     @property
     def mass(self) -> NDArray[np.float64]:
-        """(N,) [kg]."""
-        return np.array([kind.mass for kind in self.quadrotors])
+        """(N,) [kg]: mass of each drone."""
+        return np.array([kind.mass for kind in self.quadrotor])
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
-        """(N,) [N]."""
-        return np.array([kind.max_thrust for kind in self.quadrotors])
+        """(N,) [N]: largest thrust of each drone."""
+        return np.array([kind.max_thrust for kind in self.quadrotor])
 
     @property
     def drone_names(self) -> tuple[str, ...]:

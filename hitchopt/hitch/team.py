@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.layout import CLOSED, OPEN, Layout, layout_of
-from hitchopt.hitch.values import not_negative, per_robot, positive
+from hitchopt.values import not_negative, per_robot, positive
 
 GRAVITY = 9.81
 """[m/s²] Downward."""
@@ -51,7 +51,8 @@ class Team:
     cable_density: [kg/m]
     cable_friction: coefficient at the clasps, where one cable slides about the other.
     tension: one, or one per robot (n,) [N].
-    quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind.
+    quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
+        one per robot.
 
     Raises
     ------
@@ -64,7 +65,7 @@ class Team:
     cable_density: float
     cable_friction: float
     tension: NDArray[np.float64]
-    quadrotors: tuple[Quadrotor, ...] = field(repr=False)
+    quadrotor: tuple[Quadrotor, ...] = field(repr=False)
 
     def __init__(
         self,
@@ -105,10 +106,20 @@ class Team:
             "cable_density": not_negative("cable_density", cable_density),
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
-            "quadrotors": kinds,
+            "quadrotor": kinds,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def drones(self) -> int:
+        """Number of drones."""
+        return 2 * self.robots
+
+    @property
+    def has_cables(self) -> bool:
+        """Whether there are cables, which a team of single drones has none of."""
+        return self.robots > 0
 
     @property
     def layout(self) -> Layout:
@@ -118,12 +129,12 @@ class Team:
     @property
     def mass(self) -> NDArray[np.float64]:
         """(2n,) [kg]: of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.mass for kind in self.quadrotors], 2)
+        return np.repeat([kind.mass for kind in self.quadrotor], 2)
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.max_thrust for kind in self.quadrotors], 2)
+        return np.repeat([kind.max_thrust for kind in self.quadrotor], 2)
 
     @property
     def point_names(self) -> tuple[str, ...]:

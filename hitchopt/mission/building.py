@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
-from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.form_records import Form, Land, Release
@@ -44,6 +44,7 @@ from hitchopt.mission.steps import (
     TransportKeys,
 )
 from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.requirements import Arena, Limits, Separation
 
 StepOfKeys = (
     MorphKeys

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hitchopt.certificate import Certificate, Check
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.hitch import Separation
 from hitchopt.model.motion import Phase
+from hitchopt.requirements import Separation
 
 REMEDIES = {
     "separation": "give the drones longer legs (a longer cable or a smaller polygon), "

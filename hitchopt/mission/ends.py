@@ -12,10 +12,11 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.fitting import cable_slack
 from hitchopt.mission.leg_sharing import LegSharing
-from hitchopt.mission.motions import Kept, certificate_at_rest
+from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
 from hitchopt.planners.path import ShapePath, legs_along
+from hitchopt.requirements import Requirements
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,49 +38,57 @@ def shared_hitch(
     polygon: Outline | ArrayLike,
     altitude: float,
     legs: LegSharing,
-    kept: Kept,
+    requirements: Requirements,
 ) -> Hitch:
     """Return the hitch with its legs shared as asked."""
     if isinstance(legs, np.ndarray):
         return Hitch(team, polygon, altitude, legs)
     if legs == "balanced":
         return Hitch.balanced(team, polygon, altitude)
-    return Hitch.spread(team, polygon, altitude, limits=kept.limits, separation=kept.separation)
+    return Hitch.spread(
+        team, polygon, altitude, limits=requirements.limits, separation=requirements.separation
+    )
 
 
-def end_of_morph(start: Hitch, polygon: Outline, legs: LegSharing | None, kept: Kept) -> End:
+def end_of_morph(
+    start: Hitch, polygon: Outline, legs: LegSharing | None, requirements: Requirements
+) -> End:
     """Return the hitch on ``polygon``; without ``legs`` shared nearest to the fractions before."""
     if legs is not None:
-        return End(shared_hitch(start.team, polygon, start.altitude, legs, kept))
-    return End(_nearest(start, polygon, start.fractions, kept))
+        return End(shared_hitch(start.team, polygon, start.altitude, legs, requirements))
+    return End(_nearest(start, polygon, start.fractions, requirements))
 
 
-def end_of_action(action: Action, legs: LegSharing | None, kept: Kept) -> End:
+def end_of_action(action: Action, legs: LegSharing | None, requirements: Requirements) -> End:
     """Return the hitch after an action; without ``legs`` the nearest to those that its law keeps.
 
     Those themselves where they keep every limit.
     """
     start, polygon = action.start, action.polygon
     if legs is not None:
-        return End(shared_hitch(start.team, polygon, start.altitude, legs, kept))
+        return End(shared_hitch(start.team, polygon, start.altitude, legs, requirements))
     wanted = action.kept_legs
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted)
     except InfeasibleError as error:
         worst = error.violations[0]
-        reason = _words(worst.constraint, worst.value, kept.limits.leg, "min", "m", worst.where)
+        reason = _words(
+            worst.constraint, worst.value, requirements.limits.leg, "min", "m", worst.where
+        )
     else:
-        reason = broken_at_rest(hitch, kept)
+        reason = broken_at_rest(hitch, requirements)
         if not reason:
             return End(hitch)
-    nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), kept)
+    nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
     same = np.abs(nearest.q_legs - wanted) < SLIDES
     q_legs = np.where(same, wanted, nearest.q_legs)
     return End(Hitch(start.team, polygon, start.altitude, q_legs), f"{reason} at the end")
 
 
-def broken_on_the_way(path: ShapePath, s: float, altitude: float, kept: Kept) -> str:
+def broken_on_the_way(
+    path: ShapePath, s: float, altitude: float, requirements: Requirements
+) -> str:
     """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
     given = legs_along(path, np.array([s]))[0]
     legs = np.where(path.team.layout.has_leg, given, np.inf)
@@ -87,16 +96,16 @@ def broken_on_the_way(path: ShapePath, s: float, altitude: float, kept: Kept) ->
     if np.min(legs) <= 0.0:
         k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         name = f"{'qr'[end]}{k}"
-        words = _words("legs", float(legs[k, end]), kept.limits.leg, "min", "m", (name,))
+        words = _words("legs", float(legs[k, end]), requirements.limits.leg, "min", "m", (name,))
         return f"{words} {place}"
     points = path.vertices.at(s)[:, :2]
-    broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0]), kept)
+    broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0]), requirements)
     return f"{broken} {place}" if broken else f"distances would all but reach their limits {place}"
 
 
-def broken_at_rest(hitch: Hitch, kept: Kept) -> str:
+def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
     """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
-    certificate = certificate_at_rest(hitch, kept)
+    certificate = certificate_at_rest(hitch, requirements)
     for check in certificate.violated:
         return _words(check.name, check.worst, check.limit, check.sense, check.unit, check.where)
     return ""
@@ -112,13 +121,15 @@ def _words(
     return f"{name} {value:.3g}{unit}{place} would be {relation} {limit:.3g}{unit}"
 
 
-def _nearest(start: Hitch, polygon: Outline, fractions: ArrayLike, kept: Kept) -> Hitch:
+def _nearest(
+    start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
+) -> Hitch:
     return Hitch.nearest(
         start.team,
         polygon,
         start.altitude,
         fractions,
-        limits=kept.limits,
-        separation=kept.separation,
-        arena=kept.arena,
+        limits=requirements.limits,
+        separation=requirements.separation,
+        arena=requirements.arena,
     )

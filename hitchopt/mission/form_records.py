@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.values import finite, positive
 from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.values import finite, positive
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""

@@ -10,41 +10,43 @@ import numpy as np
 from hitchopt.certificate import certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.limits import floor_of
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.form_records import Land
-from hitchopt.mission.motions import Kept
 from hitchopt.mission.situation import Situation, Tied
 from hitchopt.model.motion import Motion, Phase, joined_motions
 from hitchopt.planners.forming.approach import hover_altitude
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
 LEVEL = 1e-9
 """[m] Altitudes that differ by less are the same."""
 
 
-def plan_land(before: Situation, step: Land, i: int, kept: Kept) -> Tied:
+def plan_land(before: Situation, step: Land, i: int, requirements: Requirements) -> Tied:
     """Return the plan straight down to the ground; errors as plan_form."""
     down = before.drones.copy()
-    down[:, 2] = floor_of(kept.arena)
-    flight = straight(before.team, kept.limits, before.drones, down)
-    motion = _free([Stage("land", flight)], before.team, i, kept)
+    down[:, 2] = requirements.floor
+    flight = straight(before.team, requirements.limits, before.drones, down)
+    motion = _free([Stage("land", flight)], before.team, i, requirements)
     return Tied(lasting(motion, step.duration, i, step.name), replace(before, drones=down))
 
 
-def plan_hover(before: Situation, seconds: float, i: int, kept: Kept) -> Tied:
+def plan_hover(before: Situation, seconds: float, i: int, requirements: Requirements) -> Tied:
     """Return the plan in which drones on free cables stay for ``seconds`` [s]."""
     rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    return Tied(_free([Stage(_resting_name(before, kept), rest)], before.team, i, kept), before)
+    return Tied(
+        _free([Stage(_resting_name(before, requirements), rest)], before.team, i, requirements),
+        before,
+    )
 
 
-def check_start(before: Situation, kept: Kept) -> None:
+def check_start(before: Situation, requirements: Requirements) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     rest = PiecewisePolynomial.constant([0.0, 1.0], before.drones)
-    stage = Stage(_resting_name(before, kept), rest)
-    check_part(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
+    stage = Stage(_resting_name(before, requirements), rest)
+    check_part(_free([stage], before.team, 0, requirements), requirements, "at the start (t = 0)")
 
 
 def check_above_ground(motion: Motion) -> None:
@@ -53,7 +55,7 @@ def check_above_ground(motion: Motion) -> None:
     An arena's floor has a check of its own.
     """
     heights = motion.drones.coefficients[:, :, 2]
-    if motion.arena is not None or np.min(heights) >= -LEVEL:
+    if motion.requirements.arena is not None or np.min(heights) >= -LEVEL:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
     raise InfeasibleError(
@@ -72,25 +74,23 @@ def check_above_ground(motion: Motion) -> None:
     )
 
 
-def _resting_name(before: Situation, kept: Kept) -> str:
+def _resting_name(before: Situation, requirements: Requirements) -> str:
     """Return what a phase of rest is called: whether cables hang decides how they are checked."""
-    floor = floor_of(kept.arena)
-    needed = hover_altitude(before.team, before.drones, floor, kept.separation.cable)
+    floor = requirements.floor
+    needed = hover_altitude(before.team, before.drones, floor, requirements.separation.cable)
     return "hold" if float(np.min(before.drones[:, 2])) >= needed else "parked"
 
 
-def staged(stages: Sequence[Stage], hitch: Hitch, i: int, kept: Kept) -> Motion:
+def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
-    return joined_motions([_staged(stage, hitch, i, kept) for stage in stages])
+    return joined_motions([_staged(stage, hitch, i, requirements) for stage in stages])
 
 
-def _staged(stage: Stage, hitch: Hitch, i: int, kept: Kept) -> Motion:
+def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     end = stage.drones.duration
     return Motion(
         hitch.team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
+        requirements,
         stage.drones,
         stage.vertices(hitch),
         stage.legs(hitch),
@@ -99,7 +99,7 @@ def _staged(stage: Stage, hitch: Hitch, i: int, kept: Kept) -> Motion:
     )
 
 
-def _free(stages: Sequence[Stage], team: Team, i: int, kept: Kept) -> Motion:
+def _free(stages: Sequence[Stage], team: Team, i: int, requirements: Requirements) -> Motion:
     """Return the motion of drones on free cables that no hitch is told of."""
     motions = []
     for stage in stages:
@@ -109,9 +109,7 @@ def _free(stages: Sequence[Stage], team: Team, i: int, kept: Kept) -> Motion:
         motions.append(
             Motion(
                 team,
-                kept.limits,
-                kept.separation,
-                kept.arena,
+                requirements,
                 stage.drones,
                 nothing(breaks, np.tile(middle, (team.layout.points, 1))),
                 nothing(breaks, np.zeros((team.robots, 2))),
@@ -122,12 +120,11 @@ def _free(stages: Sequence[Stage], team: Team, i: int, kept: Kept) -> Motion:
     return joined_motions(motions)
 
 
-def check_part(motion: Motion, kept: Kept, when: str = "") -> None:
+def check_part(motion: Motion, requirements: Requirements, when: str = "") -> None:
     """Raise InfeasibleError where a part of a plan breaks a limit, its duration left open."""
-    limits = replace(motion.limits, duration=None)
-    certificate = certify(replace(motion, limits=limits))
+    certificate = certify(motion.untimed)
     if not certificate.certified:
-        raise infeasible(certificate, kept.separation, motion.phases, when)
+        raise infeasible(certificate, requirements.separation, motion.phases, when)
 
 
 def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from hitchopt.mission.motions import Kept, certified
+from hitchopt.mission.motions import certified
 from hitchopt.mission.planning import Planned
 from hitchopt.model.motion import Motion
 from hitchopt.planners.leaning import leaning, worth_leaning
+from hitchopt.requirements import Requirements
 
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Of the friction that is counted on: the largest at which every limit is kept."""
@@ -22,7 +23,7 @@ LONGER = 1.5
 """Times as long as without friction, and no longer, may a step last for legs to lean so far."""
 
 
-def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
+def against_friction(planned: Planned, requirements: Requirements, *, timed: bool) -> Planned:
     """Return the plan with legs that lean against friction as far as limits allow.
 
     It is the given one where the team's cables have no friction or none of them slides, and where
@@ -38,12 +39,12 @@ def against_friction(planned: Planned, kept: Kept, *, timed: bool) -> Planned:
     motion = planned.motion
     if motion.team.cable_friction == 0.0:
         return planned
-    slower = not timed and kept.limits.duration is None
+    slower = not timed and requirements.limits.duration is None
     most = 1.0
     for share in SHARES:
         if share > most:
             continue
-        found = leaning(motion, kept.limits, share, slower=slower)
+        found = leaning(motion, requirements.limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.hitch.values import not_negative, per_robot, positive
+from hitchopt.values import not_negative, per_robot, positive
 
 LegSharing = Literal["balanced", "spread"] | NDArray[np.float64]
 """How a cable's slack is shared: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""

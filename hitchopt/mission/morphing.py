@@ -9,7 +9,7 @@ from hitchopt.certificate import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.motions import Certified, Kept, certified, flying
+from hitchopt.mission.motions import Certified, certified, flying
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight
 from hitchopt.planners.flown import fly_unhurried
@@ -17,6 +17,7 @@ from hitchopt.planners.lead import leading
 from hitchopt.planners.leg_law import legs_clear
 from hitchopt.planners.optimise.search import candidates
 from hitchopt.planners.path import ShapePath
+from hitchopt.requirements import Requirements
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +32,17 @@ class WayTask:
     duration: exactly that long [s], or None.
     optimize: look for a faster way even where the step's own one will do.
     tension: smallest and largest [N] where tensions may change on the way.
+    optimiser: whether the optimiser may be used.
     """
 
     start: Hitch
     end: Hitch
-    kept: Kept
+    requirements: Requirements
     phase: Phase
     duration: float | None = None
     optimize: bool = False
     tension: tuple[float, float] | None = None
+    optimiser: bool = True
 
 
 def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
@@ -63,7 +66,7 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
             return _sound(motion, task)
     except HitchoptError as error:
         motion, refusal = None, error
-    found = _optimised(task) if task.kept.optimiser else None
+    found = _optimised(task) if task.optimiser else None
     if motion is not None and (found is None or motion.duration <= found.motion.duration):
         try:  # only now, as it is not needed where another way is faster
             return _sound(motion, task)
@@ -80,7 +83,7 @@ def _sound(motion: Motion, task: WayTask) -> Certified:
     """Return the motion with its certificate, or raise InfeasibleError for what it breaks."""
     found = certified(motion)
     if not found.certificate.certified:
-        raise infeasible(found.certificate, task.kept.separation, motion.phases)
+        raise infeasible(found.certificate, task.requirements.separation, motion.phases)
     return found
 
 
@@ -102,8 +105,8 @@ class _Judge:
 
     def __call__(self, path: ShapePath) -> Flight | None:
         task = self.task
-        flight = fly_unhurried(path, task.kept.limits)
-        found = certified(flying(flight, task.start.team, task.kept, [task.phase]))
+        flight = fly_unhurried(path, task.requirements.limits)
+        found = certified(flying(flight, task.start.team, task.requirements, [task.phase]))
         if not found.certificate.certified:
             return None
         self.passed.append(_Passed(path, flight, found.certificate))
@@ -113,7 +116,7 @@ class _Judge:
 def _optimised(task: WayTask) -> Certified | None:
     """Return the fastest optimised motion in the step's duration; None where there is none."""
     judge = _Judge(task)
-    found = candidates(task.start, task.end, task.kept.distances, judge, task.tension)
+    found = candidates(task.start, task.end, task.requirements, judge, task.tension)
     if not found:
         return None
     passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
@@ -122,20 +125,22 @@ def _optimised(task: WayTask) -> Certified | None:
     flight, remark = passed.flight, f"on an optimised way, first guess {found[0].name}: "
     if task.duration is None:
         phase = replace(task.phase, end=flight.duration, remark=remark)
-        return Certified(flying(flight, task.start.team, task.kept, [phase]), passed.certificate)
+        return Certified(
+            flying(flight, task.start.team, task.requirements, [phase]), passed.certificate
+        )
     if task.duration < flight.duration:
         return None
     flight = flight.lasting(task.duration)
     phase = replace(task.phase, end=flight.duration, remark=remark)
-    return certified(flying(flight, task.start.team, task.kept, [phase]))
+    return certified(flying(flight, task.start.team, task.requirements, [phase]))
 
 
 def _led(passed: _Passed, judge: _Judge) -> _Passed:
     """Return what has passed, or a faster flight on which legs lead and lag."""
-    kept = judge.task.kept
-    for path in leading(passed.path, kept.limits):
+    requirements = judge.task.requirements
+    for path in leading(passed.path, requirements.limits):
         try:
-            flight = judge(path) if legs_clear(path, kept.distances) else None
+            flight = judge(path) if legs_clear(path, requirements) else None
         except HitchoptError:
             continue
         if flight is not None:
@@ -148,7 +153,7 @@ def _why(*, shut: bool) -> str:
 
 
 def _refused(refusal: HitchoptError | None, task: WayTask) -> HitchoptError:
-    if isinstance(refusal, InfeasibleError) and task.kept.optimiser:
+    if isinstance(refusal, InfeasibleError) and task.optimiser:
         return InfeasibleError(refusal.violations, _found_nothing(refusal))
     return refusal or HitchoptError("no way was found")
 

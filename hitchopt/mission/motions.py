@@ -8,33 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchopt.certificate import Certificate, certify
-from hitchopt.hitch import Arena, Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flown import Flown
-from hitchopt.planners.leg_law import KeptDistances
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """What every step of a mission has to keep.
-
-    Attributes
-    ----------
-    limits, separation, arena: of the problem.
-    optimiser: whether steps whose own way will not do are given to the optimiser.
-    """
-
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
-    optimiser: bool = True
-
-    @property
-    def distances(self) -> KeptDistances:
-        """The same, as planners take it."""
-        return KeptDistances(self.limits, self.separation, self.arena)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +26,10 @@ class Certified:
 
 def certified(motion: Motion) -> Certified:
     """Return the motion of one step with its certificate, the whole plan's duration left open."""
-    timeless = replace(motion, limits=replace(motion.limits, duration=None))
-    return Certified(motion, certify(timeless))
+    return Certified(motion, certify(motion.untimed))
 
 
-def resting(hitch: Hitch, kept: Kept, seconds: float, phase: Phase) -> Motion:
+def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:
     """Return the motion in which the hitch stays for ``seconds`` [s]; the phase's end is set."""
     breaks = np.array([0.0, seconds])
     values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
@@ -60,9 +38,7 @@ def resting(hitch: Hitch, kept: Kept, seconds: float, phase: Phase) -> Motion:
     )
     return Motion(
         hitch.team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
+        requirements,
         drones,
         vertices,
         legs,
@@ -71,13 +47,13 @@ def resting(hitch: Hitch, kept: Kept, seconds: float, phase: Phase) -> Motion:
     )
 
 
-def flying(flight: Flown, team: Team, kept: Kept, phases: Sequence[Phase]) -> Motion:
+def flying(
+    flight: Flown, team: Team, requirements: Requirements, phases: Sequence[Phase]
+) -> Motion:
     """Return the motion of a flight, its phases from t = 0."""
     return Motion(
         team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
+        requirements,
         flight.drones,
         flight.vertices,
         flight.legs,
@@ -86,14 +62,13 @@ def flying(flight: Flown, team: Team, kept: Kept, phases: Sequence[Phase]) -> Mo
     )
 
 
-def certificate_at_rest(hitch: Hitch, kept: Kept) -> Certificate:
+def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate:
     """Return the certificate of the hitch without any motion."""
-    timeless = replace(kept, limits=replace(kept.limits, duration=None))
-    return certify(resting(hitch, timeless, 1.0, Phase("hold", 0, 0.0, 1.0)))
+    return certify(resting(hitch, requirements.untimed, 1.0, Phase("hold", 0, 0.0, 1.0)))
 
 
-def check_at_rest(hitch: Hitch, kept: Kept, when: str) -> None:
+def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
-    certificate = certificate_at_rest(hitch, kept)
+    certificate = certificate_at_rest(hitch, requirements)
     if not certificate.certified:
-        raise infeasible(certificate, kept.separation, when=when)
+        raise infeasible(certificate, requirements.separation, when=when)

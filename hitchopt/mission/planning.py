@@ -12,7 +12,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.ends import End, broken_on_the_way, end_of_action, end_of_morph, shared_hitch
 from hitchopt.mission.morphing import WayTask, best_way
-from hitchopt.mission.motions import Kept, check_at_rest, flying, resting
+from hitchopt.mission.motions import check_at_rest, flying, resting
 from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.step_records import (
     Adjust,
@@ -35,6 +35,7 @@ from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flown import Flown, fly_unhurried
 from hitchopt.planners.morph import straight_morph
 from hitchopt.planners.rigid_path import RigidPath
+from hitchopt.requirements import Requirements
 
 IDLE = 0.01
 """[s] What a step takes that moves nothing and was given no duration."""
@@ -56,7 +57,9 @@ class Planned:
     certificate: Certificate | None = None
 
 
-def plan_step(start: Hitch, step: HitchStep, i: int, kept: Kept) -> Planned:
+def plan_step(
+    start: Hitch, step: HitchStep, i: int, requirements: Requirements, *, optimiser: bool = True
+) -> Planned:
     """Return the plan of step i of a mission, from rest to rest.
 
     Raises
@@ -65,15 +68,19 @@ def plan_step(start: Hitch, step: HitchStep, i: int, kept: Kept) -> Planned:
     HitchoptError: a planner failed.
     """
     if isinstance(step, Hold):
-        return Planned(resting(start, kept, step.seconds, Phase(step.name, i, 0.0, 0.0)), start)
+        return Planned(
+            resting(start, requirements, step.seconds, Phase(step.name, i, 0.0, 0.0)), start
+        )
     if isinstance(step, Transport):
-        return _transport(start, step, i, kept)
+        return _transport(start, step, i, requirements)
     if isinstance(step, FollowVertex):
-        return _follow(start, step, i, kept)
-    return _shape(start, step, i, kept)
+        return _follow(start, step, i, requirements)
+    return _shape(start, step, i, requirements, optimiser=optimiser)
 
 
-def plan_blended(start: Hitch, steps: Sequence[ShapeStep], first: int, kept: Kept) -> Planned:
+def plan_blended(
+    start: Hitch, steps: Sequence[ShapeStep], first: int, requirements: Requirements
+) -> Planned:
     """Return the plan of steps that go on into one another, from rest to rest.
 
     One path through all hitches that they would have ended with, timed as a whole; each phase ends
@@ -86,8 +93,8 @@ def plan_blended(start: Hitch, steps: Sequence[ShapeStep], first: int, kept: Kep
     """
     hitches = [start]
     for i, step in enumerate(steps, first):
-        end = _end(hitches[-1], step, kept).hitch
-        check_at_rest(end, kept, _end_of(i, step))
+        end = _end(hitches[-1], step, requirements).hitch
+        check_at_rest(end, requirements, _end_of(i, step))
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
             raise InputError(
                 f"mission[{i}].{step.name}",
@@ -99,8 +106,8 @@ def plan_blended(start: Hitch, steps: Sequence[ShapeStep], first: int, kept: Kep
     way = blended(hitches)
     check_shapes(way.path)
     check_turns(way)
-    check_loads(way.path, kept.limits)
-    flight = fly_unhurried(way.path, kept.limits)
+    check_loads(way.path, requirements.limits)
+    flight = fly_unhurried(way.path, requirements.limits)
     passed = passing_times(way.path, way.s[1:-1], flight)
     times = [0.0, *passed.tolist(), flight.duration]
     phases = [
@@ -113,24 +120,30 @@ def plan_blended(start: Hitch, steps: Sequence[ShapeStep], first: int, kept: Kep
         )
         for j, step in enumerate(steps)
     ]
-    return Planned(flying(flight, start.team, kept, phases), hitches[-1])
+    return Planned(flying(flight, start.team, requirements, phases), hitches[-1])
 
 
-def _shape(start: Hitch, step: ShapeStep, i: int, kept: Kept) -> Planned:
+def _shape(
+    start: Hitch, step: ShapeStep, i: int, requirements: Requirements, *, optimiser: bool
+) -> Planned:
     """Return the plan of a step that ends with another shape or sharing, optimised if need be."""
-    end = _end(start, step, kept)
-    check_at_rest(end.hitch, kept, _end_of(i, step))
+    end = _end(start, step, requirements)
+    check_at_rest(end.hitch, requirements, _end_of(i, step))
 
     def own() -> Motion:
         if not isinstance(step, Morph):
-            return _action(start, step, i, kept, end)
-        flight = straight_morph(
-            start, end.hitch, kept.limits, kept.separation, kept.arena, step.duration
-        )
-        return _moving(flight, end.hitch, step, i, kept)
+            return _action(start, step, i, requirements, end)
+        flight = straight_morph(start, end.hitch, requirements, step.duration)
+        return _moving(flight, end.hitch, step, i, requirements)
 
     task = WayTask(
-        start, end.hitch, kept, Phase(step.name, i, 0.0, 0.0), step.duration, *_options(step)
+        start,
+        end.hitch,
+        requirements,
+        Phase(step.name, i, 0.0, 0.0),
+        step.duration,
+        *_options(step),
+        optimiser=optimiser,
     )
     found = best_way(own, task)
     return Planned(found.motion, end.hitch, found.certificate)
@@ -140,13 +153,13 @@ def _options(step: ShapeStep) -> tuple[bool, tuple[float, float] | None]:
     return (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
 
 
-def _follow(start: Hitch, step: FollowVertex, i: int, kept: Kept) -> Planned:
-    end = end_of_action(_worded(start, step, kept), step.legs, kept)
-    check_at_rest(end.hitch, kept, _end_of(i, step))
-    return Planned(_action(start, step, i, kept, end), end.hitch)
+def _follow(start: Hitch, step: FollowVertex, i: int, requirements: Requirements) -> Planned:
+    end = end_of_action(_worded(start, step, requirements), step.legs, requirements)
+    check_at_rest(end.hitch, requirements, _end_of(i, step))
+    return Planned(_action(start, step, i, requirements, end), end.hitch)
 
 
-def _transport(start: Hitch, step: Transport, i: int, kept: Kept) -> Planned:
+def _transport(start: Hitch, step: Transport, i: int, requirements: Requirements) -> Planned:
     path = RigidPath(start, step.to, step.yaw)
     end = Hitch(
         start.team,
@@ -154,34 +167,34 @@ def _transport(start: Hitch, step: Transport, i: int, kept: Kept) -> Planned:
         float(step.to[2]),
         start.q_legs,
     )
-    check_at_rest(end, kept, _end_of(i, step))
+    check_at_rest(end, requirements, _end_of(i, step))
     if path.still:
-        return Planned(_moving(None, end, step, i, kept), end)
-    check_loads(path, kept.limits)
-    flight = fly_unhurried(path, kept.limits, step.duration)
-    return Planned(_moving(flight, end, step, i, kept), end)
+        return Planned(_moving(None, end, step, i, requirements), end)
+    check_loads(path, requirements.limits)
+    flight = fly_unhurried(path, requirements.limits, step.duration)
+    return Planned(_moving(flight, end, step, i, requirements), end)
 
 
 def _action(
     start: Hitch,
     step: MoveVertex | MoveEdge | Adjust | FollowVertex,
     i: int,
-    kept: Kept,
+    requirements: Requirements,
     end: End,
 ) -> Motion:
     """Return the motion of an action of the paper to the hitch that it ends with."""
-    action = _worded(start, step, kept)
-    found = fly_action(action, end.hitch, kept.distances, _given(step))
-    remark = _remark(action, end, found, asked=step.legs is not None, kept=kept)
-    return _moving(found.flight, end.hitch, step, i, kept, remark)
+    action = _worded(start, step, requirements)
+    found = fly_action(action, end.hitch, requirements, _given(step))
+    remark = _remark(action, end, found, asked=step.legs is not None, requirements=requirements)
+    return _moving(found.flight, end.hitch, step, i, requirements, remark)
 
 
 def _worded(
-    start: Hitch, step: MoveVertex | MoveEdge | Adjust | FollowVertex, kept: Kept
+    start: Hitch, step: MoveVertex | MoveEdge | Adjust | FollowVertex, requirements: Requirements
 ) -> Action:
     """Return the action that a step asks for."""
     if isinstance(step, Adjust):
-        asked = shared_hitch(start.team, start.polygon, start.altitude, step.legs, kept)
+        asked = shared_hitch(start.team, start.polygon, start.altitude, step.legs, requirements)
         return adjust(start, asked.q_legs)
     outline = outline_after(start.team, start.polygon, step)
     if isinstance(step, MoveEdge):
@@ -191,10 +204,10 @@ def _worded(
     return move_vertex(start, outline, step.vertex)
 
 
-def _end(start: Hitch, step: ShapeStep, kept: Kept) -> End:
+def _end(start: Hitch, step: ShapeStep, requirements: Requirements) -> End:
     if isinstance(step, Morph):
-        return end_of_morph(start, step.polygon, step.legs, kept)
-    return end_of_action(_worded(start, step, kept), step.legs, kept)
+        return end_of_morph(start, step.polygon, step.legs, requirements)
+    return end_of_action(_worded(start, step, requirements), step.legs, requirements)
 
 
 def _given(step: MoveVertex | MoveEdge | Adjust | FollowVertex) -> float | None:
@@ -206,17 +219,19 @@ def _moving(
     end: Hitch,
     step: ShapeStep | FollowVertex | Transport,
     i: int,
-    kept: Kept,
+    requirements: Requirements,
     remark: str = "",
 ) -> Motion:
     """Return the motion of a flight, or of a rest where nothing moves."""
     phase = Phase(step.name, i, 0.0, 0.0 if flight is None else flight.duration, remark)
     if flight is None:
-        return resting(end, kept, step.duration or IDLE, phase)
-    return flying(flight, end.team, kept, [phase])
+        return resting(end, requirements, step.duration or IDLE, phase)
+    return flying(flight, end.team, requirements, [phase])
 
 
-def _remark(action: Action, end: End, found: Flying, asked: bool, kept: Kept) -> str:
+def _remark(
+    action: Action, end: End, found: Flying, asked: bool, requirements: Requirements
+) -> str:
     """Return which drones move that the paper does not name, and why."""
     parts = []
     if found.turning:
@@ -229,7 +244,9 @@ def _remark(action: Action, end: End, found: Flying, asked: bool, kept: Kept) ->
         reasons += [end.reason] if end.reason else []
         if found.worst is not None:
             path = action.path(end.hitch.q_legs)
-            reasons.append(broken_on_the_way(path, found.worst, action.start.altitude, kept))
+            reasons.append(
+                broken_on_the_way(path, found.worst, action.start.altitude, requirements)
+            )
         parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
     return "; ".join(parts)
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import MAX_COORDINATE
-from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.fitting import fitting_polygon
-from hitchopt.hitch.values import finite
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
 from hitchopt.mission.outlines import check_steps
@@ -28,6 +27,8 @@ from hitchopt.mission.step_records import (
     Transport,
 )
 from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.values import finite
 
 __all__ = [
     "Adjust",
@@ -140,6 +141,11 @@ class Problem:
         if not self.mission:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
         check_steps(self.team, self.start_outline, self.mission)
+
+    @property
+    def requirements(self) -> Requirements:
+        """What the plan must satisfy."""
+        return Requirements(self.limits, self.separation, self.arena)
 
     @property
     def start_outline(self) -> Outline | None:

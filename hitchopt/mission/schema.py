@@ -11,8 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from hitchopt.hitch import Limits, Quadrotor, Separation
+from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.requirements import Limits, Separation
 
 MIN_QUANTITY = 1e-9
 """In SI units. Smaller lengths, masses, times, … are typing errors, and would only underflow."""

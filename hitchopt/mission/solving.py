@@ -15,7 +15,7 @@ from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
 from hitchopt.mission.friction import against_friction
 from hitchopt.mission.memory import Progress, remembered
-from hitchopt.mission.motions import Certified, Kept, certified, check_at_rest
+from hitchopt.mission.motions import Certified, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.mission.situation import Situation, Tied
@@ -23,8 +23,9 @@ from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
 from hitchopt.mission.tying import plan_form, plan_release
 from hitchopt.model.motion import Motion, joined_motions
 from hitchopt.planners.forming.assigning import assigned
+from hitchopt.requirements import Requirements
 
-__all__ = ["Certified", "Kept", "Progress", "solve_problem", "solve_steps"]
+__all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
 
 RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
 """Checks that hold more easily where everything goes slower."""
@@ -46,18 +47,19 @@ def solve_problem(
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     HitchoptError: a planner failed to find what may exist, and says so.
     """
-    kept = Kept(problem.limits, problem.separation, problem.arena, optimiser)
-    return _solved(progress, problem.team, problem.start, problem.mission, kept)
+    return _solved(
+        progress, problem.team, problem.start, problem.mission, problem.requirements, optimiser
+    )
 
 
 def solve_steps(
     start: Hitch,
     steps: tuple[Step, ...],
-    kept: Kept,
+    requirements: Requirements,
     progress: Progress | None = None,
 ) -> Certified:
     """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    return _solved(progress, start.team, start, steps, kept)
+    return _solved(progress, start.team, start, steps, requirements, optimiser=True)
 
 
 @remembered
@@ -66,22 +68,23 @@ def _solved(
     team: Team,
     start: Start | Hitch,
     steps: tuple[Step, ...],
-    kept: Kept,
+    requirements: Requirements,
+    optimiser: bool,
 ) -> Certified:
-    begun = _begun(progress, team, start, _first_form(steps), kept)
+    begun = _begun(progress, team, start, _first_form(steps), requirements)
     situation = begun.situation
     motions: list[Motion] = []
     certificates: list[Certificate] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
-        planned = _step(progress, situation, group, first, kept)
+        planned = _step(progress, situation, group, first, requirements, optimiser)
         motions.append(planned.motion)
         certificates.append(planned.certificate)
         situation = planned.after
     motion = joined_motions(motions)
     certificate = merged(motion, certificates)
     if not certificate.certified:
-        broken = infeasible(certificate, kept.separation, motion.phases)
+        broken = infeasible(certificate, requirements.separation, motion.phases)
         raise _advised(broken, certificate, motion, steps)
     if isinstance(start, DronesStart):
         check_above_ground(motion)
@@ -102,7 +105,7 @@ def _begun(
     team: Team,
     start: Start | Hitch,
     form: Form | None,
-    kept: Kept,
+    requirements: Requirements,
 ) -> _Begun:
     """Return where a mission starts, ``form`` being the first step that forms a hitch."""
     if not isinstance(start, DronesStart):
@@ -110,15 +113,15 @@ def _begun(
             hitch = start
         else:
             _tell(progress, "sharing the start's legs")
-            hitch = shared_hitch(team, start.polygon, start.altitude, start.legs, kept)
-        check_at_rest(hitch, kept, "at the start (t = 0)")
+            hitch = shared_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+        check_at_rest(hitch, requirements, "at the start (t = 0)")
         return _Begun(Situation.holding(hitch))
     assignment = Assignment.fixed(team.robots)
     if form is not None and form.assign == "auto":
         _tell(progress, "assigning robots to edges")
-        assignment = assigned(team, start.drones, form.polygon, kept.limits.leg)
+        assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     before = Situation(assignment.team(team), assignment.drones(start.drones))
-    check_start(before, kept)
+    check_start(before, requirements)
     return _Begun(before, assignment)
 
 
@@ -141,10 +144,11 @@ def _step(
     before: Situation,
     group: tuple[Step, ...],
     first: int,
-    kept: Kept,
+    requirements: Requirements,
+    optimiser: bool,
 ) -> _Step:
     try:
-        planned = _planned(before, group, first, kept)
+        planned = _planned(before, group, first, requirements, optimiser=optimiser)
     except InfeasibleError as error:
         raise _in_step(error, first, group) from None
     certificate = planned.certificate
@@ -166,26 +170,33 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
 
 
-def _planned(before: Situation, group: Sequence[Step], first: int, kept: Kept) -> Tied:
+def _planned(
+    before: Situation,
+    group: Sequence[Step],
+    first: int,
+    requirements: Requirements,
+    *,
+    optimiser: bool,
+) -> Tied:
     """Return the plan of steps that follow one another without a stop; mostly there is one."""
     step = group[0]
     if isinstance(step, Form):
-        return plan_form(before, step, first, kept)
+        return plan_form(before, step, first, requirements)
     if isinstance(step, Release):
-        return plan_release(before, step, first, kept)
+        return plan_release(before, step, first, requirements)
     if isinstance(step, Land):
-        return plan_land(before, step, first, kept)
+        return plan_land(before, step, first, requirements)
     if before.hitch is None:
         if isinstance(step, Hold):
-            return plan_hover(before, step.seconds, first, kept)
+            return plan_hover(before, step.seconds, first, requirements)
         raise InputError(f"mission[{first}].{step.name}", None, "given a hitch", "form one before")
     if len(group) == 1:
-        planned = plan_step(before.hitch, step, first, kept)
+        planned = plan_step(before.hitch, step, first, requirements, optimiser=optimiser)
     else:
         shapes = [step for step in group if isinstance(step, ShapeStep)]
-        planned = plan_blended(before.hitch, shapes, first, kept)
+        planned = plan_blended(before.hitch, shapes, first, requirements)
     timed = any(getattr(step, "duration", None) is not None for step in group)
-    planned = against_friction(planned, kept, timed=timed)
+    planned = against_friction(planned, requirements, timed=timed)
     after = replace(before, hitch=planned.end, drones=planned.end.drones)
     return Tied(planned.motion, after, planned.certificate)
 

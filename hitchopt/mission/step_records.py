@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.values import finite, positive
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing
+from hitchopt.values import finite, positive
 
 Array = NDArray[np.float64]
 

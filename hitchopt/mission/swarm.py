@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Arena, Limits, Prism, Separation, Swarm
-from hitchopt.hitch.values import positive
+from hitchopt.hitch import Swarm
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
+from hitchopt.values import positive
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,11 @@ class SwarmProblem:
     keep_out: tuple[Prism, ...] = ()
     duration: float | None = None
     title: str = ""
+
+    @property
+    def requirements(self) -> Requirements:
+        """What the plan must satisfy."""
+        return Requirements(self.limits, self.separation, self.arena, self.keep_out)
 
     def __post_init__(self) -> None:
         for name in ("start", "goal"):

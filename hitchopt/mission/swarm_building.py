@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 
-from hitchopt.hitch import Arena, Prism, Separation, Swarm
+from hitchopt.hitch import Swarm
 from hitchopt.mission.building import built_limits, built_quadrotors, checked_title
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_schema import PrismKeys, SwarmKeys
+from hitchopt.requirements import Arena, Prism, Separation
 
 
 def built_swarm(keys: SwarmKeys) -> SwarmProblem:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Separation
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,6 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag
 
-from hitchopt.hitch import Separation
 from hitchopt.hitch.swarm import MAX_DRONES
 from hitchopt.mission.schema import (
     EACH,
@@ -22,6 +21,7 @@ from hitchopt.mission.schema import (
     QuadrotorKeys,
     one_or_each,
 )
+from hitchopt.requirements import Separation
 
 MAX_PRISMS = 1000
 """Prisms of one problem."""

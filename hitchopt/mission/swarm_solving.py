@@ -14,7 +14,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.model.motion import Phase, SwarmMotion
+from hitchopt.model.motion import Motion, Phase
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ SHARE = 1.0 - 1e-6
 class CertifiedSwarm:
     """A motion and the certificate that holds for it."""
 
-    motion: SwarmMotion
+    motion: Motion
     certificate: Certificate
 
 
@@ -50,25 +50,14 @@ def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
     task = SeparationTask(
         problem.start,
         problem.goal,
-        problem.limits,
-        problem.separation,
-        problem.arena,
-        problem.keep_out,
+        problem.requirements,
         duration=problem.duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
     )
     found = separate(task, progress)
-    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
-    motion = SwarmMotion(
-        problem.team,
-        problem.limits,
-        problem.separation,
-        problem.arena,
-        found.drones,
-        (phase,),
-        problem.keep_out,
-    )
+    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark, formed=False)
+    motion = Motion.single(problem.team, problem.requirements, found.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
         raise infeasible(certificate, problem.separation, motion.phases)

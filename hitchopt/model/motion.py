@@ -1,4 +1,4 @@
-"""What flies: the polynomials of a plan and what they have to keep, nothing else."""
+"""The polynomials of a plan and what they must satisfy, nothing else."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Arena, Limits, Separation, Swarm, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.hitch.keep_out import Prism
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 JOINT = 1e-6
@@ -29,7 +29,8 @@ class Phase:
     step: index of the mission's step that it belongs to.
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
-    formed: whether the hitch exists; else the cables hang free, or slack in one another.
+    formed: whether the hitch exists; else cables hang free, or slack in one another, or there are
+        none.
     """
 
     name: str
@@ -42,15 +43,16 @@ class Phase:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where drones, vertices, legs and tensions are at every time, and within which limits.
+    """Where drones, vertices, legs and tensions are at every time, and what they must satisfy.
 
-    While no hitch exists, vertices, legs and tensions stand for nothing: they are kept so that one
-    plan has one set of arrays, and tensions are 0.
+    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
+    stored so that one plan has one set of arrays. A team of single drones has none of them.
 
     Parameters
     ----------
-    team, limits, separation, arena: who flies, and what must be kept.
-    drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, ….
+    team: who flies.
+    requirements: what must be satisfied.
+    drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) of single drones.
     vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
     legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
     tensions: of shape (n,) [N].
@@ -66,9 +68,7 @@ class Motion:
     """
 
     team: Team
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
+    requirements: Requirements
     drones: PiecewisePolynomial
     vertices: PiecewisePolynomial
     legs: PiecewisePolynomial
@@ -81,7 +81,7 @@ class Motion:
         n = self.team.robots
         points = self.team.layout.points
         shapes = {
-            "drones": (2 * n, 3),
+            "drones": (self.team.drones, 3),
             "vertices": (points, 3),
             "legs": (n, 2),
             "tensions": (n,),
@@ -108,10 +108,32 @@ class Motion:
                 "assignment", len(self.assignment.robots), f"{n} robots", "give one per role"
             )
 
+    @classmethod
+    def single(
+        cls,
+        team: Team,
+        requirements: Requirements,
+        drones: PiecewisePolynomial,
+        phases: Sequence[Phase],
+    ) -> Motion:
+        """Return the motion of drones without cables."""
+        breaks = drones.breaks
+        n = team.robots
+        vertices, legs, tensions = (
+            PiecewisePolynomial.constant(breaks, np.zeros(shape))
+            for shape in ((team.layout.points, 3), (n, 2), (n,))
+        )
+        return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
+
     @property
     def duration(self) -> float:
-        """Of all phases together [s]."""
+        """Duration of all phases together [s]."""
         return self.drones.duration
+
+    @property
+    def untimed(self) -> Motion:
+        """The same motion without a limit on its duration."""
+        return replace(self, requirements=self.requirements.untimed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -127,7 +149,7 @@ class Motion:
     def formed(self) -> NDArray[np.bool_]:
         """(pieces,): whether the hitch exists on each piece; it does where there are no phases."""
         if not self.phases:
-            return np.ones(self.drones.pieces, dtype=np.bool_)
+            return np.full(self.drones.pieces, self.team.has_cables)
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
         states = np.array([phase.formed for phase in self.phases], dtype=np.bool_)
@@ -176,45 +198,6 @@ class Motion:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class SwarmMotion:
-    """Where single drones are at every time, and within which limits.
-
-    Parameters
-    ----------
-    team, limits, separation, arena: who flies, and what must be kept.
-    drones: of shape (N, 3) [m], in the order d0, d1, ….
-    phases: one after the other, covering all of the time.
-    keep_out: prisms that the drones stay out of.
-
-    Raises
-    ------
-    InputError: a shape that does not fit the team.
-    """
-
-    team: Swarm
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
-    drones: PiecewisePolynomial
-    phases: tuple[Phase, ...]
-    keep_out: tuple[Prism, ...] = ()
-
-    def __post_init__(self) -> None:
-        shape = (self.team.drones, 3)
-        if self.drones.shape != shape:
-            raise InputError("drones", self.drones.shape, f"of shape {shape}", "one row per drone")
-
-    @property
-    def duration(self) -> float:
-        """Of all phases together [s]."""
-        return self.drones.duration
-
-
-Flying = Motion | SwarmMotion
-"""Whatever has drones on polynomials of time."""
-
-
 def joined_motions(motions: Sequence[Motion]) -> Motion:
     """Return one motion of the given ones in a row; team and limits are the first one's."""
     first = motions[0]
@@ -225,9 +208,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         offset += motion.duration
     return Motion(
         first.team,
-        first.limits,
-        first.separation,
-        first.arena,
+        first.requirements,
         joined([m.drones for m in motions]),
         joined([m.vertices for m in motions]),
         joined([m.legs for m in motions]),

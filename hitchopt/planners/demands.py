@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch import GRAVITY, Limits, Team
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets
+from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 

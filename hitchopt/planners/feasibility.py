@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.path import Path, shapes_along
+from hitchopt.requirements import Limits
 
 FLATTEST = math.radians(0.01)
 """[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""

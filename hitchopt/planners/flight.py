@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.jets import chained
@@ -20,6 +19,7 @@ from hitchopt.planners.path import Path
 from hitchopt.planners.stretch import needed_stretch
 from hitchopt.planners.timing import SpeedProfile, fastest_profile, path_grid
 from hitchopt.planners.warp import Clock, first_clock, jerk_limited
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Limits
 from hitchopt.planners.flight import Flight, fly
 from hitchopt.planners.path import Path
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 BRIEF = 0.05

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Separation
 from hitchopt.hitch.layout import Layout
 from hitchopt.model.motion import Motion
+from hitchopt.requirements import Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ class _Clasps:
         tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
         V = tensions[..., :1] * behind - tensions[..., 1:] * ahead
         legs = _at_clasps(layout, motion.legs.at(t))
-        return cls(length(V), tensions, legs, motion.separation)
+        return cls(length(V), tensions, legs, motion.requirements.separation)
 
     @cached_property
     def upright(self) -> Array:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.path import LegLaw, ShapePath, drones_along
 from hitchopt.planners.timing import TimingError, fastest_profile, path_grid
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Limits
 from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.motion import Motion
 from hitchopt.model.robot import JET
 from hitchopt.planners import jets
 from hitchopt.planners.friction import counted_on
 from hitchopt.planners.stretch import needed_stretch
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
 

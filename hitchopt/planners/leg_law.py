@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.hitch import Arena, Limits, Separation
 from hitchopt.hitch.sharing import measured, share
 from hitchopt.hitch.sharing_task import SharingTask
 from hitchopt.planners.path import LegLaw, ShapePath, Shapes, shapes_along
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -36,68 +34,58 @@ ROUGHNESS = 1.0
 """[m²] How much a bend of the fractions between knots weighs against a deviation of the legs."""
 
 
-@dataclass(frozen=True, eq=False)
-class KeptDistances:
-    """What a leg law has to keep."""
-
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
-
-
-def with_legs_clear(path: ShapePath, kept: KeptDistances) -> ShapePath:
+def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
     """Return the path with the legs shared so that distances hold on the way.
 
     The path's own law is kept where it will do. Else legs are chosen at knots, all at once, nearest
     to that law's; where none is found the path is returned as it is, for the certificate to tell
     what it breaks.
     """
-    if legs_clear(path, kept):
+    if legs_clear(path, requirements):
         return path
     for count, margin in ROUNDS:
         s = np.linspace(0.0, 1.0, count)
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-        task = sharing_task(path, kept, s, margins)
+        task = sharing_task(path, requirements, s, margins)
         found = share(task)
         if found.margin < CLEAR:
             return path
         law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack))
         changed = ShapePath(path.team, path.vertices, law, path.tensions)
-        if legs_clear(changed, kept):
+        if legs_clear(changed, requirements):
             return changed
     return path
 
 
-def legs_clear(path: ShapePath, kept: KeptDistances) -> bool:
+def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
     """Return whether legs are long enough and distances kept at the probes."""
     s = np.linspace(0.0, 1.0, PROBES)
     shapes = shapes_along(path, s)
     legs = shapes.legs[:, path.team.layout.has_leg]
     # The ends are what was asked for; whether they hold is told apart from the way.
-    long_enough = float(np.min(legs[1:-1])) >= kept.limits.leg
-    return long_enough and measured(_task(path, kept, shapes, CLEAR)) >= CLEAR
+    long_enough = float(np.min(legs[1:-1])) >= requirements.limits.leg
+    return long_enough and measured(_task(path, requirements, shapes, CLEAR)) >= CLEAR
 
 
 def sharing_task(
-    path: ShapePath, kept: KeptDistances, s: Array, margin: float | Array
+    path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
 ) -> SharingTask:
     """Return the task of sharing the legs at the points s (J,) of a path, the ends fixed."""
-    return _task(path, kept, shapes_along(path, s), margin)
+    return _task(path, requirements, shapes_along(path, s), margin)
 
 
 def _task(
-    path: ShapePath, kept: KeptDistances, shapes: Shapes, margin: float | Array
+    path: ShapePath, requirements: Requirements, shapes: Shapes, margin: float | Array
 ) -> SharingTask:
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
     return SharingTask(
         path.team,
-        kept.separation,
-        kept.arena,
+        requirements,
         shapes.polygons,
         shapes.legs[..., 0],
-        kept.limits.leg,
+        requirements.limits.leg,
         margin,
         ROUGHNESS,
         fixed,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.hitch import Arena, Hitch, Limits, Separation
+from hitchopt.hitch import Hitch
 from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flight import Flight
 from hitchopt.planners.flown import fly_unhurried
-from hitchopt.planners.leg_law import KeptDistances, with_legs_clear
+from hitchopt.planners.leg_law import with_legs_clear
 from hitchopt.planners.path import ShapePath
+from hitchopt.requirements import Requirements
 
 STILL = 1e-9
 """[m] A morph whose drones move by less is none."""
@@ -18,9 +19,7 @@ STILL = 1e-9
 def straight_morph(
     start: Hitch,
     end: Hitch,
-    limits: Limits,
-    separation: Separation,
-    arena: Arena | None = None,
+    requirements: Requirements,
     duration: float | None = None,
 ) -> Flight | None:
     """Return the flight from one hitch to another, or None where they are the same.
@@ -38,6 +37,6 @@ def straight_morph(
         return None
     path = ShapePath.straight(start, end)
     check_shapes(path)
-    path = with_legs_clear(path, KeptDistances(limits, separation, arena))
-    check_loads(path, limits)
-    return fly_unhurried(path, limits, duration)
+    path = with_legs_clear(path, requirements)
+    check_loads(path, requirements.limits)
+    return fly_unhurried(path, requirements.limits, duration)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Limits, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.demands import Demands, loads_at_rest
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

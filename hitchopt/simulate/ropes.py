@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.hitch.values import not_negative, positive
 from hitchopt.simulate.settings import DENSITY, Preset
+from hitchopt.values import not_negative, positive
 
 Array = NDArray[np.float64]
 

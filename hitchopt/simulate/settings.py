@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.values import finite, not_negative, positive
+from hitchopt.values import finite, not_negative, positive
 
 BODIES = ("rigid", "point")
 

@@ -82,7 +82,7 @@ def read_task(directory: Path) -> Task:
     UnsupportedError: a plan of drones without cables.
     """
     team = read_plan(directory / PLAN).team
-    if not isinstance(team, Team):
+    if not team.has_cables:
         raise UnsupportedError(
             f"{directory}: a plan of single drones has no cables; simulate a hitch's plan"
         )

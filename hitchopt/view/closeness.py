@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hitchopt.certificate.closeness import Closeness
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.view.time_plots import DASHES, LIMIT_COLOUR
 
 SIZE = (10.0, 4.8)
@@ -33,7 +33,7 @@ STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f", "#6a4c93", "0.45")
 
 
-def draw_closeness(motion: Flying, closest: Closeness) -> Figure:
+def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     """Return the picture: bounds of every span as steps, the closest pairs as curves."""
     figure = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
@@ -41,7 +41,7 @@ def draw_closeness(motion: Flying, closest: Closeness) -> Figure:
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
     bounds = np.array([span.bound for span in closest.spans])
     t = np.linspace(edges[0], edges[-1], SAMPLES)
-    positions = motion.drones.at(t) * motion.separation.scale
+    positions = motion.drones.at(t) * motion.requirements.separation.scale
     index = {name: i for i, name in enumerate(motion.team.drone_names)}
     for k, pair in enumerate(closest.pairs[:DRAWN]):
         i, j = (index[name] for name in pair.pair)
@@ -65,7 +65,7 @@ def draw_closeness(motion: Flying, closest: Closeness) -> Figure:
     return figure
 
 
-def save_closeness(path: Path | str, motion: Flying, closest: Closeness) -> None:
+def save_closeness(path: Path | str, motion: Motion, closest: Closeness) -> None:
     """Draw the picture and write it as a PNG.
 
     Raises

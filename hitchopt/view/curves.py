@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Curves:
         return self.states.t
 
 
-def sampled_curves(motion: Flying) -> Curves:
+def sampled_curves(motion: Motion) -> Curves:
     """Return the curves, at times that include the joints of the plan's pieces."""
     drones = len(motion.team.drone_names)
     samples = int(np.clip(POINTS // drones, FEWEST_SAMPLES, MOST_SAMPLES))
@@ -55,7 +55,7 @@ def sampled_curves(motion: Flying) -> Curves:
     thrusts = np.linalg.norm(states.thrusts(motion.team), axis=-1)
     return Curves(
         states,
-        smallest_separations(states.positions, motion.separation.scale),
+        smallest_separations(states.positions, motion.requirements.separation.scale),
         np.max(np.linalg.norm(states.velocities, axis=-1), axis=-1),
         np.max(thrusts / motion.team.max_thrust, axis=-1),
     )

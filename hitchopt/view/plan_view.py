@@ -66,7 +66,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
     axes.add_collection(LineCollection(list(end), colors=_colours(n), linewidths=thin, zorder=3))
     for order, (which, colour) in enumerate(((0, START_COLOUR), (-1, INK)), start=4):
         _draw_drones(axes, states.positions[which], colour, _marker_size(states), order)
-    size = 2.0 * motion.separation.radius
+    size = 2.0 * motion.requirements.separation.radius
     axes.add_collection(
         EllipseCollection(
             [size], [size], [0.0], units="xy", offsets=states.positions[-1][:, :2],
@@ -77,7 +77,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
     if n <= MOST_LABELS and states.formed[-1]:
         _label_vertices(axes, motion.team.layout, states.vertices[-1][:, :2])
     axes.set_aspect("equal", adjustable="datalim")
-    _make_room(axes, states.positions[..., :2], motion.separation.radius)
+    _make_room(axes, states.positions[..., :2], motion.requirements.separation.radius)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.legend(

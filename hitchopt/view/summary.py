@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hitchopt.certificate.report import Certificate
-from hitchopt.model.motion import Flying, Motion
+from hitchopt.model.motion import Motion
 from hitchopt.view.curves import sampled_curves
 from hitchopt.view.plan_view import draw_plan_view
 from hitchopt.view.swarm_view import draw_swarm_view
@@ -23,7 +23,7 @@ RESOLUTION = 120
 """[dots per inch]"""
 
 
-def draw_summary(motion: Flying, certificate: Certificate, title: str = "") -> Figure:
+def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
     """Return the picture: hitches or drones and the paths from above; what is limited over time.
 
     Parameters
@@ -38,7 +38,7 @@ def draw_summary(motion: Flying, certificate: Certificate, title: str = "") -> F
     shown = panels(motion, curves)
     grid = figure.add_gridspec(len(shown), 2)
     above = figure.add_subplot(grid[:, 0])
-    if isinstance(motion, Motion):
+    if motion.team.has_cables:
         draw_plan_view(above, motion, curves)
     else:
         draw_swarm_view(above, motion, curves)
@@ -55,7 +55,7 @@ def draw_summary(motion: Flying, certificate: Certificate, title: str = "") -> F
     return figure
 
 
-def save_summary(path: Path, motion: Flying, certificate: Certificate, title: str = "") -> None:
+def save_summary(path: Path, motion: Motion, certificate: Certificate, title: str = "") -> None:
     """Draw the picture and write it as a PNG.
 
     Parameters
@@ -74,14 +74,14 @@ def save_summary(path: Path, motion: Flying, certificate: Certificate, title: st
         figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
 
 
-def _headline(motion: Flying, certificate: Certificate, title: str) -> str:
+def _headline(motion: Motion, certificate: Certificate, title: str) -> str:
     total = len(certificate.checks)
     if certificate.certified:
         verdict = f"certified for all t: {total} of {total} limits hold"
     else:
         verdict = "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
     drones = f"{len(motion.team.drone_names)} drones"
-    who = f"{motion.team.robots} robots, {drones}" if isinstance(motion, Motion) else drones
+    who = f"{motion.team.robots} robots, {drones}" if motion.team.has_cables else drones
     facts = f"{who}, {motion.duration:.4g} s; {verdict}"
     name = textwrap.shorten(title, 100, placeholder=" …")
     return f"{name}\n{facts}" if name else facts

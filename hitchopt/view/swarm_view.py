@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from numpy.typing import NDArray
 
-from hitchopt.model.motion import SwarmMotion
+from hitchopt.model.motion import Motion
 from hitchopt.view.curves import Curves
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ MOST_LABELS = 30
 """Drones of larger swarms are drawn without their names: they would hide the drawing."""
 
 
-def draw_swarm_view(axes: Axes, motion: SwarmMotion, curves: Curves) -> None:
+def draw_swarm_view(axes: Axes, motion: Motion, curves: Curves) -> None:
     """Draw starts, goals and ways.
 
     Parameters
@@ -33,18 +33,19 @@ def draw_swarm_view(axes: Axes, motion: SwarmMotion, curves: Curves) -> None:
     n = positions.shape[1]
     thin = float(np.clip(6.0 / np.sqrt(n), 0.4, 1.4))  # [points]
     colours = [COLOURS[i % len(COLOURS)] for i in range(n)]
-    for prism in motion.keep_out:
+    for prism in motion.requirements.keep_out:
         axes.add_patch(
             Polygon(
                 prism.polygon.vertices, facecolor="0.88", edgecolor="0.4", hatch="////",
                 linewidth=0.8, zorder=1,
             )
         )  # fmt: skip
-    if motion.arena is not None:
-        size = motion.arena.upper - motion.arena.lower
+    arena = motion.requirements.arena
+    if arena is not None:
+        size = arena.upper - arena.lower
         axes.add_patch(
             Rectangle(
-                (float(motion.arena.lower[0]), float(motion.arena.lower[1])),
+                (float(arena.lower[0]), float(arena.lower[1])),
                 float(size[0]), float(size[1]), facecolor="none", edgecolor="0.4", linewidth=1.0,
                 zorder=1,
             )
@@ -54,7 +55,7 @@ def draw_swarm_view(axes: Axes, motion: SwarmMotion, curves: Curves) -> None:
             list(np.moveaxis(positions, 0, 1)), colors=colours, linewidths=thin, zorder=2
         )
     )
-    diameter = 2.0 * motion.separation.radius
+    diameter = 2.0 * motion.requirements.separation.radius
     for which, fill in ((0, "white"), (-1, "face")):
         axes.add_collection(
             EllipseCollection(
@@ -84,26 +85,26 @@ def draw_swarm_view(axes: Axes, motion: SwarmMotion, curves: Curves) -> None:
     )
 
 
-def _make_room(axes: Axes, points: Array, motion: SwarmMotion) -> None:
+def _make_room(axes: Axes, points: Array, motion: Motion) -> None:
     lower, upper = np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))
-    if motion.arena is not None:
-        lower = np.minimum(lower, motion.arena.lower[:2])
-        upper = np.maximum(upper, motion.arena.upper[:2])
-    room = 2.0 * motion.separation.radius + 0.02 * float(np.max(upper - lower))
+    if motion.requirements.arena is not None:
+        lower = np.minimum(lower, motion.requirements.arena.lower[:2])
+        upper = np.maximum(upper, motion.requirements.arena.upper[:2])
+    room = 2.0 * motion.requirements.separation.radius + 0.02 * float(np.max(upper - lower))
     axes.margins(0.0)
     axes.update_datalim([lower - room, upper + room])
     axes.autoscale_view()
 
 
-def _legend(motion: SwarmMotion) -> list[Line2D | Patch]:
+def _legend(motion: Motion) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
         _marker("white", "start"),
         _marker(COLOURS[0], "goal, as wide as its ellipsoid"),
         Line2D([], [], color=COLOURS[0], linewidth=1.4, label="ways"),
     ]
-    if motion.keep_out:
+    if motion.requirements.keep_out:
         handles.append(Patch(facecolor="0.88", edgecolor="0.4", hatch="////", label="keep out"))
-    if motion.arena is not None:
+    if motion.requirements.arena is not None:
         handles.append(Patch(facecolor="none", edgecolor="0.4", label="arena"))
     return handles
 

@@ -14,7 +14,7 @@ from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Certificate
-from hitchopt.model.motion import Flying, Phase
+from hitchopt.model.motion import Motion, Phase
 from hitchopt.view.curves import Curves
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Panel:
     factor: float = 1.0
 
 
-def panels(motion: Flying, curves: Curves) -> tuple[Panel, ...]:
+def panels(motion: Motion, curves: Curves) -> tuple[Panel, ...]:
     """Return what is drawn, from top to bottom; thrust as a share where drones differ.
 
     A single drone has no separation.
@@ -76,7 +76,9 @@ def panels(motion: Flying, curves: Curves) -> tuple[Panel, ...]:
         thrust = Panel("largest\nthrust [N]", "thrust", limit * curves.thrust, limit, "max")
     else:
         thrust = Panel("largest thrust\n/ its limit", "thrust", curves.thrust, 1.0, "max", math.nan)
-    speed = Panel("largest\nspeed [m/s]", "speed", curves.speed, motion.limits.speed, "max")
+    speed = Panel(
+        "largest\nspeed [m/s]", "speed", curves.speed, motion.requirements.limits.speed, "max"
+    )
     if len(motion.team.drone_names) < 2:
         return (speed, thrust)
     separation = Panel("smallest\nseparation [–]", "separation", curves.separation, 1.0, "min")

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.equilibrium import leg_directions
 from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -89,9 +90,7 @@ def moving(
 
     return Motion(
         team,
-        limits or Limits(),
-        separation or Separation(),
-        arena,
+        Requirements(limits or Limits(), separation or Separation(), arena),
         fitted(breaks, drones, order),
         fitted(breaks, vertices, order),
         fitted(breaks, legs, order),

@@ -31,7 +31,7 @@ def _distances(motion: Motion, times: Array) -> dict[str, float]:
     x, p = motion.drones.at(times), motion.vertices.at(times)
     i, j = np.triu_indices(2 * n, 1)
     gap = x[:, i] - x[:, j]
-    r, h = motion.separation.radius, motion.separation.height
+    r, h = motion.requirements.separation.radius, motion.requirements.separation.height
     level = (gap[..., 0] ** 2 + gap[..., 1] ** 2) / (2 * r) ** 2
     found = {"separation": float(np.min(np.sqrt(level + gap[..., 2] ** 2 / (2 * h) ** 2)))}
     parts: list[tuple[str, int, set[int], Array, Array]] = []
@@ -111,8 +111,8 @@ def _shape(motion: Motion, times: Array) -> dict[str, float]:
         "convexity": float(np.degrees(np.min((exterior + math.pi) % (2 * math.pi) - math.pi))),
     }
     assert n == len(L)
-    if motion.arena is not None:
-        walls = np.minimum(x - motion.arena.lower, motion.arena.upper - x)
+    if motion.requirements.arena is not None:
+        walls = np.minimum(x - motion.requirements.arena.lower, motion.requirements.arena.upper - x)
         found["arena"] = float(np.min(walls))
     return found
 

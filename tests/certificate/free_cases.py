@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -33,9 +34,7 @@ def free_motion(
     n = team.robots
     return Motion(
         team,
-        Limits(),
-        Separation(),
-        arena,
+        Requirements(Limits(), Separation(), arena),
         drones,
         constant(drones.breaks, np.zeros((team.layout.points, 3))),
         constant(drones.breaks, np.zeros((n, 2))),

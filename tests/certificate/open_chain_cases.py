@@ -13,8 +13,9 @@ from certificate_cases import fitted, smooth_step
 from certificate_sampling import point_to_segment, segment_to_segment
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.hitch import Arena, Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -58,9 +59,7 @@ def chain_motion(
 
     return Motion(
         team,
-        Limits(),
-        separation or Separation(),
-        arena,
+        Requirements(Limits(), separation or Separation(), arena),
         through("drones"),
         through("vertices"),
         through("legs"),
@@ -100,9 +99,11 @@ def sampled_chain(motion: Motion, times: Array) -> dict[str, float]:
         for order, name in enumerate(("speed", "acceleration", "jerk"), start=1)
     }
     found["vertex_speed"] = _largest(np.linalg.norm(vertices.at(times, 1), axis=-1))
-    if motion.arena is not None:
+    if motion.requirements.arena is not None:
         x = drones.at(times)
-        found["arena"] = _smallest(np.minimum(x - motion.arena.lower, motion.arena.upper - x))
+        found["arena"] = _smallest(
+            np.minimum(x - motion.requirements.arena.lower, motion.requirements.arena.upper - x)
+        )
     return {
         **found,
         **_distances(motion, times),

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.certificate import Certificate, Check, certify
-from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.model.motion import Motion
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 ORDER = [
@@ -75,9 +76,7 @@ def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: i
 
     motion = Motion(
         Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
-        Limits(),
-        Separation(),
-        ARENA,
+        Requirements(Limits(), Separation(), ARENA),
         around(drones),
         around(vertices),
         PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),

@@ -8,8 +8,9 @@ from certificate_cases import with_drones
 from open_chain_cases import bent, chain_motion, random_chain, sampled_chain
 
 from hitchopt.certificate import certify
-from hitchopt.hitch import Arena, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.model.motion import Motion
+from hitchopt.requirements import Arena, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -175,16 +176,17 @@ def test_reversing_a_chain_exchanges_q_and_r() -> None:
             tension=team.tension[::-1],
             cable_density=team.cable_density,
         ),
-        motion.limits,
-        motion.separation,
-        None,
-        mirrored(motion.drones, 1),  # q0, r0, …, r4 to r4, q4, …, q0: roles exchanged
+        Requirements(motion.requirements.limits, motion.requirements.separation, None),
+        mirrored(motion.drones, 1),
         mirrored(motion.vertices, 1),
         mirrored(motion.legs, 1, 2),
         mirrored(motion.tensions, 1),
         motion.phases,
     )
-    first, second = certify(replace(motion, arena=None)), certify(other)
+    first, second = (
+        certify(replace(motion, requirements=replace(motion.requirements, arena=None))),
+        certify(other),
+    )
     for check in first.checks:
         assert second[check.name].worst == pytest.approx(check.worst, rel=3e-4, abs=1e-6)
     names = {f"q{k}": f"r{n - 1 - k}" for k in range(n)}

@@ -8,19 +8,22 @@ import pytest
 from hitchopt.certificate import certify
 from hitchopt.certificate.closeness import closeness
 from hitchopt.errors import InputError
-from hitchopt.hitch import Limits, Separation, Swarm
-from hitchopt.model.motion import Phase, SwarmMotion
+from hitchopt.hitch import Swarm
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 
-def swarm(n: int, seed: int) -> SwarmMotion:
+def swarm(n: int, seed: int) -> Motion:
     """Drones on curves that meet now and then; continuous or not is of no matter here."""
     rng = np.random.default_rng(seed)
     middle = rng.uniform(-2.0, 2.0, (n, 3)) + np.array([5.0, -3.0, 4.0])
     c = middle[None, :, :, None] + rng.normal(scale=0.5, size=(3, n, 3, 6))
     curves = PiecewisePolynomial(np.array([0.0, 0.5, 1.7, 2.4]), c)
     phases = (Phase("fly", 0, 0.0, 2.4),)
-    return SwarmMotion(Swarm(n), Limits(), Separation(0.1, 0.2), None, curves, phases)
+    return Motion.single(
+        Swarm(n), Requirements(Limits(), Separation(0.1, 0.2), None), curves, phases
+    )
 
 
 @pytest.mark.parametrize(("n", "spans"), [(2, 7), (9, 20), (30, 5)])
@@ -34,7 +37,7 @@ def test_no_sample_beats_a_span_and_all_spans_are_the_certificate(n: int, spans:
     for before, span in zip((None, *found.spans[:-1]), found.spans, strict=True):
         assert before is None or before.end == span.start
         inside = np.linspace(span.start, span.end, 801)[1:-1]  # curves may jump at the joints
-        points = motion.drones.at(inside) * motion.separation.scale
+        points = motion.drones.at(inside) * motion.requirements.separation.scale
         ratio = np.linalg.norm(points[:, i] - points[:, j], axis=-1)
         assert span.bound <= np.min(ratio) + 1e-9
         assert span.start <= span.time <= span.end
@@ -54,7 +57,7 @@ def test_pairs_are_followed_over_the_whole_plan() -> None:
     points = motion.drones.at(t)
     for pair in found.pairs:
         offset = points[:, index[pair.pair[0]]] - points[:, index[pair.pair[1]]]
-        ratio = np.linalg.norm(offset * motion.separation.scale, axis=-1)
+        ratio = np.linalg.norm(offset * motion.requirements.separation.scale, axis=-1)
         assert pair.bound <= np.min(ratio) + 1e-9
         assert pair.bound >= np.min(ratio) - 5e-3
         assert pair.spans >= 1

@@ -5,9 +5,9 @@ import pytest
 from test_interlacing import FEW, motion_of, stages_of
 
 from hitchopt.certificate import certify
-from hitchopt.hitch import Limits
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
+from hitchopt.requirements import Limits
 
 
 @pytest.mark.parametrize("n", FEW)

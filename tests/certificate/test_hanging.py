@@ -13,7 +13,8 @@ from hitchopt.certificate.hanging import chains, cut
 from hitchopt.export.sampling import states_at
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.segments import differences
-from hitchopt.hitch import Arena, Team
+from hitchopt.hitch import Team
+from hitchopt.requirements import Arena
 from hitchopt.trajectory import PiecewisePolynomial
 
 CLOSE = 6e-3
@@ -52,7 +53,9 @@ def test_the_ground_is_the_arenas_floor(seed: int) -> None:
     assert found is not None
     assert found.where[0] == "ground"
     assert lowest - CLOSE <= found.worst <= lowest + 1e-9
-    lower = hanging_clearance.check(replace(motion, arena=None))
+    lower = hanging_clearance.check(
+        replace(motion, requirements=replace(motion.requirements, arena=None))
+    )
     assert lower is not None
     assert lower.worst == pytest.approx(found.worst + 0.8, abs=2e-3)
 

@@ -13,9 +13,8 @@ import hitchopt as ho
 from hitchopt.certificate import interlacing
 from hitchopt.certificate.chord_crossings import chord_crossings
 from hitchopt.certificate.strands import entered
-from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.free_flight import staged
-from hitchopt.mission.motions import Kept
 from hitchopt.model.motion import Motion
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.settings import SwapSettings
@@ -23,9 +22,10 @@ from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.swap import swap
 from hitchopt.planners.forming.tying import tied, undone
+from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
-KEPT = Kept(Limits(), Separation(), None)
+KEPT = Requirements(Limits(), Separation(), None)
 POLYGONS = {
     3: (2.4, [[0.1, 0.6], [0.5, -0.3], [-0.55, -0.25]]),
     4: (2.0, [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]),
@@ -248,7 +248,7 @@ def test_tilted_axes_keep_drones_off_their_neighbours_cables_where_edges_are_in_
     assert not ho.certify(level)["cable_clearance"].holds
     assert not np.any(chord_crossings(level.drones).count == 0)
     pre = find_prehitch(hitch_of(30), Separation(), SwapSettings())
-    assert np.min(pre.kept.clearances) > 0.15
+    assert np.min(pre.measures.clearances) > 0.15
 
 
 def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hitchopt.certificate import certify
 from hitchopt.certificate.keep_out import smallest_clearance
 from hitchopt.errors import InputError
-from hitchopt.hitch import Limits, Prism, Separation, Swarm
-from hitchopt.model.motion import Phase, SwarmMotion
+from hitchopt.hitch import Swarm
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Limits, Prism, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
 OUTLINE = np.array([[1.0, -0.5], [0.2, 0.4], [0.9, 1.3], [2.1, 0.6]])
@@ -66,8 +69,10 @@ def test_the_check_names_drone_and_limit_and_only_prisms_make_one() -> None:
     breaks = np.array([0.0, 1.0])
     line = np.array([[[0.0, 0.0], [-1.0, 3.0], [1.0, 1.0]], [[-2.0, -2.0], [0.0, 0.0], [1.0, 1.0]]])
     curves = PiecewisePolynomial(breaks, line[None])
-    rest = (Swarm(2), Limits(speed=9.0), Separation(), None, curves, (Phase("fly", 0, 0.0, 1.0),))
-    check = certify(SwarmMotion(*rest, (PRISM,)))["keep_out"]
+    phases = (Phase("fly", 0, 0.0, 1.0, formed=False),)
+    free = Requirements(Limits(speed=9.0))
+    walled = replace(free, keep_out=(PRISM,))
+    check = certify(Motion.single(Swarm(2), walled, curves, phases))["keep_out"]
     assert check.where == ("d0",)
     assert (check.limit, check.sense, check.unit) == (0.12, "min", "m")
     outward = np.array([-0.9, 0.8]) / np.linalg.norm([0.9, 0.8])
@@ -75,7 +80,9 @@ def test_the_check_names_drone_and_limit_and_only_prisms_make_one() -> None:
         float(outward @ (np.array([0.0, 0.4]) - OUTLINE[1])), rel=1e-3
     )
     assert check.holds
-    assert "keep_out" not in [c.name for c in certify(SwarmMotion(*rest)).checks]
+    assert "keep_out" not in [
+        c.name for c in certify(Motion.single(Swarm(2), free, curves, phases)).checks
+    ]
 
 
 def test_within_a_prism_the_distance_is_zero() -> None:

@@ -37,7 +37,12 @@ def parts() -> list[Motion]:
 def one_after_the_other(parts: list[Motion], duration: float | None) -> Motion:
     """Joined whether or not each begins where the last one ends: continuity must tell."""
     whole = joined_motions(parts)
-    return replace(whole, limits=replace(whole.limits, duration=duration))
+    return replace(
+        whole,
+        requirements=replace(
+            whole.requirements, limits=replace(whole.requirements.limits, duration=duration)
+        ),
+    )
 
 
 @pytest.mark.parametrize("duration", [None, 100.0, 0.5])

@@ -14,7 +14,8 @@ from hitchopt.certificate import cable_clearance, certify, crossing, proximity, 
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.geometry import regular_polygon
 from hitchopt.geometry.broadphase import Pairs, close_pairs, few_close_pairs
-from hitchopt.hitch import Separation, Team
+from hitchopt.hitch import Team
+from hitchopt.requirements import Separation
 
 FAR = 10**12
 

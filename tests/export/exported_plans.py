@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate import Certificate, certify
-from hitchopt.export.cutting import changed
 from hitchopt.export.exporting import Export, export_plan
 from hitchopt.export.fleet import placeholder_fleet
 from hitchopt.export.formats.format import Task
 from hitchopt.export.formats.registry import format_of
 from hitchopt.export.room import Room
-from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm
+from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
-from hitchopt.model.motion import Flying, Motion, Phase, SwarmMotion, joined_motions
+from hitchopt.model.motion import Motion, Phase, joined_motions
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -51,29 +51,27 @@ def hitch_plan() -> Motion:
 
 
 @lru_cache
-def certificate_of(motion: Flying) -> Certificate:
+def certificate_of(motion: Motion) -> Certificate:
     return certify(motion)
 
 
-def swarm_of(places: Array, breaks: Array, degree_match: int = 4) -> SwarmMotion:
+def swarm_of(places: Array, breaks: Array, degree_match: int = 4) -> Motion:
     """Drones through places (K, D, 3) at breaks (K,), at rest at each."""
     left = np.zeros((degree_match, len(breaks) - 1, *places.shape[1:]))
     right = left.copy()
     left[0], right[0] = places[:-1], places[1:]
     drones = PiecewisePolynomial.hermite(breaks, left, right)
     kinds = [Quadrotor(0.03 + 0.001 * i, 0.6) for i in range(places.shape[1])]
-    return SwarmMotion(
+    return Motion.single(
         Swarm(len(kinds), quadrotor=kinds),
-        Limits(),
-        Separation(),
-        Arena([-5, -5, 0], [5, 5, 3]),
+        Requirements(Limits(), Separation(), Arena([-5, -5, 0], [5, 5, 3])),
         drones,
         (Phase("morph", 0, float(breaks[0]), float(breaks[-1])),),
     )
 
 
 @lru_cache
-def swarm_plan() -> SwarmMotion:
+def swarm_plan() -> Motion:
     places = np.array(
         [
             [[0.1, 0.2, 1.0], [1.1, 0.3, 1.1], [2.1, -0.4, 1.2]],
@@ -90,13 +88,13 @@ def long_plan(times: int = 3) -> Motion:
     there = hitch_plan()
     end = there.duration
     phases = tuple(replace(p, start=end - p.end, end=end - p.start) for p in reversed(there.phases))
-    back = replace(changed(there, lambda part: part.reversed()), phases=phases)
+    back = there.changed(lambda part: part.reversed(), phases)
     assert isinstance(back, Motion)
     return joined_motions([there, back] * times)
 
 
 @lru_cache
-def restless_plan(duration: float = 40.0) -> SwarmMotion:
+def restless_plan(duration: float = 40.0) -> Motion:
     """Two drones on wavy lines that never rest until the end."""
     t = np.linspace(0.0, duration, int(8 * duration) + 1)
     ramp = np.sin(np.pi * t / duration) ** 2
@@ -111,22 +109,18 @@ def restless_plan(duration: float = 40.0) -> SwarmMotion:
     ends = np.stack([places, slopes, bends])
     drones = PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:])
     limits = Limits(speed=2.0, acceleration=20.0, jerk=1e4)
-    return replace(
-        swarm_plan(),
-        team=Swarm(2),
-        limits=limits,
-        drones=drones,
-        phases=(Phase("wave", 0, 0.0, duration),),
-    )
+    requirements = replace(swarm_plan().requirements, limits=limits)
+    phase = Phase("wave", 0, 0.0, duration, formed=False)
+    return Motion.single(Swarm(2), requirements, drones, (phase,))
 
 
-def task_of(motion: Flying, name: str = "csv", rate: float | None = None, **room: object) -> Task:
+def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **room: object) -> Task:
     kind = format_of(name)
     place = Room(**{"frame": kind.frames[0], **room})  # type: ignore[arg-type]
     fleet = placeholder_fleet(motion.team.drone_names)
     return Task(motion, "A plan", place, fleet, rate or kind.rate)
 
 
-def exported(motion: Flying, name: str, folder: Path, **options: object) -> tuple[Export, ...]:
+def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:
     task = task_of(motion, name, **options)  # type: ignore[arg-type]
     return export_plan(format_of(name), task, certificate_of(motion), folder)

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Swarm, Team
-from hitchopt.model.motion import Motion, Phase, SwarmMotion
+from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -55,9 +56,11 @@ def made_motion() -> Motion:
 
     return Motion(
         team,
-        Limits(speed=0.9, tilt=0.7, duration=7.3),
-        Separation(radius=0.11, crossing=0.04),
-        Arena([-4.0, -3.0, 0.1], [5.0, 6.0, 3.5]),
+        Requirements(
+            Limits(speed=0.9, tilt=0.7, duration=7.3),
+            Separation(radius=0.11, crossing=0.04),
+            Arena([-4.0, -3.0, 0.1], [5.0, 6.0, 3.5]),
+        ),
         through([h.drones for h in hitches]),
         through([h.vertices for h in hitches]),
         through([h.legs for h in hitches]),
@@ -66,12 +69,17 @@ def made_motion() -> Motion:
     )
 
 
-def made_swarm() -> SwarmMotion:
+def made_swarm() -> Motion:
     """Return the drones of made_motion without their cables."""
     motion = made_motion()
     swarm = Swarm(8, quadrotor=[Quadrotor(0.13 + 0.01 * i, 2.5 + 0.1 * i) for i in range(8)])
-    return SwarmMotion(
-        swarm, motion.limits, motion.separation, motion.arena, motion.drones, motion.phases
+    return Motion.single(
+        swarm,
+        Requirements(
+            motion.requirements.limits, motion.requirements.separation, motion.requirements.arena
+        ),
+        motion.drones,
+        motion.phases,
     )
 
 

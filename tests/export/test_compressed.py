@@ -19,7 +19,7 @@ from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.export.formats.compressed import compressed, read_compressed
 from hitchopt.export.formats.compressed_bytes import decoded, encoded
 from hitchopt.export.sampling import states_at
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.plan import Plan
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def flown(data: bytes, t: float) -> Array:
 
 
 @pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_the_bytes_fly_the_plan(motion: Flying, tmp_path: Path) -> None:
+def test_the_bytes_fly_the_plan(motion: Motion, tmp_path: Path) -> None:
     (part,) = exported(motion, "compressed", tmp_path, origin=[0.5, -0.2, 0.1])
     assert part.verdict.lost == ()
     assert part.verdict.position.worst <= 2e-3

@@ -27,7 +27,7 @@ from hitchopt.export.formats.poly_csv import (
 )
 from hitchopt.export.manifest import read_manifest
 from hitchopt.export.sampling import states_at
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def flown(path: Path, t: Array, derivative: int = 0) -> Array:
 
 
 @pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_the_usual_reader_sees_the_plan(motion: Flying, tmp_path: Path) -> None:
+def test_the_usual_reader_sees_the_plan(motion: Motion, tmp_path: Path) -> None:
     (part,) = exported(motion, "crazyswarm2", tmp_path, origin=[0.5, -0.2, 0.1], yaw=0.3)
     assert part.verdict.lost == ()
     t = np.linspace(0.0, motion.duration, 150)

@@ -14,7 +14,7 @@ from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_problems import reversed_stack
 from hitchopt.mission.swarm_solving import solve_swarm
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -22,7 +22,7 @@ STEMS = ("open_chain", "open_pair", "paper_experiment_3", "unequal_cables", "tra
 
 
 @lru_cache
-def planned(stem: str) -> Flying:
+def planned(stem: str) -> Motion:
     return solve_problem(load_problem(PROBLEMS / f"{stem}.yaml")).motion
 
 

@@ -12,7 +12,7 @@ from hitchopt.errors import FileError
 from hitchopt.export.judging import CABLE_LENGTH, NOT_CARRIED, ORDER, Verdict, flown_checks, judge
 from hitchopt.export.recording import Recording, recording_of_curves
 from hitchopt.export.room import Room
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -26,13 +26,13 @@ def recorded(
     return recording_of_curves(names, each, (room or Room()).frame, smooth)
 
 
-def judged(motion: Flying, curves: PiecewisePolynomial, smooth: int = 2) -> Verdict:
+def judged(motion: Motion, curves: PiecewisePolynomial, smooth: int = 2) -> Verdict:
     names = motion.team.drone_names
     return judge(motion, recorded(curves, names, smooth), Room(), names)
 
 
 @pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_the_plan_itself_is_judged_as_its_certificate_says(motion: Flying) -> None:
+def test_the_plan_itself_is_judged_as_its_certificate_says(motion: Motion) -> None:
     verdict = judged(motion, motion.drones)
     assert verdict.lost == ()
     assert verdict.position.worst < 1e-9
@@ -63,7 +63,7 @@ def test_samples_never_beat_the_bounds(seed: int) -> None:
     assert np.max(speeds) <= verdict.velocity.worst
     checks = {check.name: check for check in verdict.checks}
     assert np.max(np.linalg.norm(wild.at(t, 1), axis=-1)) <= checks["speed"].worst
-    places = wild.at(t) * motion.separation.scale
+    places = wild.at(t) * motion.requirements.separation.scale
     pairs = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
     pairs[:, np.arange(6), np.arange(6)] = np.inf
     assert np.min(pairs) >= checks["separation"].worst

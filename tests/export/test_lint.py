@@ -21,7 +21,7 @@ from hitchopt.export.formats.registry import HOMES, format_of
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, Report
 from hitchopt.export.lint.linting import lint
 from hitchopt.export.lint.together import Rules
-from hitchopt.hitch import Separation
+from hitchopt.requirements import Separation
 
 
 def report(path: Path, rules: Rules | None = None) -> Report:

@@ -14,7 +14,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.export.formats.mavsdk import COLUMNS, read_table, recording_of_tables
 from hitchopt.export.sampling import states_at
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ def ned(v: Array) -> Array:
 
 
 @pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_rows_are_the_plan_in_north_east_down(motion: Flying, tmp_path: Path) -> None:
+def test_rows_are_the_plan_in_north_east_down(motion: Motion, tmp_path: Path) -> None:
     (part,) = exported(motion, "mavsdk_drone_show", tmp_path)
     assert part.verdict.lost == ()
     assert part.verdict.position.worst < 1e-4

@@ -16,8 +16,8 @@ from handmade import made_motion, made_swarm
 
 from hitchopt.errors import FileError
 from hitchopt.export.plan_file import read_plan, read_title, write_plan
-from hitchopt.hitch import Limits
-from hitchopt.model.motion import Flying, Motion, SwarmMotion
+from hitchopt.model.motion import Motion
+from hitchopt.requirements import Limits
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def bits(array: Any) -> tuple[tuple[int, ...], bytes]:
     return values.shape, values.tobytes()
 
 
-def assert_same(a: Flying, b: Motion) -> None:
+def assert_same(a: Motion, b: Motion) -> None:
     assert isinstance(a, Motion)
     for name in ("drones", "vertices", "legs", "tensions"):
         for part in ("breaks", "coefficients"):
@@ -43,12 +43,12 @@ def assert_same(a: Flying, b: Motion) -> None:
         assert bits(getattr(a.team, name)) == bits(getattr(b.team, name))
     for name in ("robots", "topology", "cable_density", "cable_friction", "quadrotors"):
         assert getattr(a.team, name) == getattr(b.team, name)
-    assert a.limits == b.limits
-    assert a.separation == b.separation
-    assert (a.arena is None) == (b.arena is None)
-    if a.arena is not None and b.arena is not None:
-        assert bits(a.arena.lower) == bits(b.arena.lower)
-        assert bits(a.arena.upper) == bits(b.arena.upper)
+    assert a.requirements.limits == b.requirements.limits
+    assert a.requirements.separation == b.requirements.separation
+    assert (a.requirements.arena is None) == (b.requirements.arena is None)
+    if a.requirements.arena is not None and b.requirements.arena is not None:
+        assert bits(a.requirements.arena.lower) == bits(b.requirements.arena.lower)
+        assert bits(a.requirements.arena.upper) == bits(b.requirements.arena.upper)
     assert a.phases == b.phases
 
 
@@ -83,7 +83,12 @@ def test_a_plan_comes_back_bit_by_bit(motion: Motion, path: Path) -> None:
 
 
 def test_a_plan_without_arena_and_duration_comes_back(motion: Motion, tmp_path: Path) -> None:
-    bare = dataclasses.replace(motion, arena=None, limits=Limits(tilt=np.nextafter(0.7, 1.0)))
+    bare = dataclasses.replace(
+        motion,
+        requirements=dataclasses.replace(
+            motion.requirements, arena=None, limits=Limits(tilt=np.nextafter(0.7, 1.0))
+        ),
+    )
     write_plan(tmp_path / "plan.npz", bare)
     assert_same(read_plan(tmp_path / "plan.npz"), bare)
     assert read_title(tmp_path / "plan.npz") == ""
@@ -268,9 +273,12 @@ def test_the_plan_of_a_swarm_comes_back(tmp_path: Path) -> None:
     swarm = made_swarm()
     write_plan(tmp_path / "plan.npz", swarm, TITLE)
     again = read_plan(tmp_path / "plan.npz")
-    assert isinstance(again, SwarmMotion)
-    assert again.team.quadrotors == swarm.team.quadrotors
-    assert (again.limits, again.separation) == (swarm.limits, swarm.separation)
+    assert isinstance(again, Motion)
+    assert again.team.quadrotor == swarm.team.quadrotor
+    assert (again.requirements.limits, again.requirements.separation) == (
+        swarm.requirements.limits,
+        swarm.requirements.separation,
+    )
     assert again.phases == swarm.phases
     assert bits(again.drones.coefficients) == bits(swarm.drones.coefficients)
     assert bits(again.drones.breaks) == bits(swarm.drones.breaks)

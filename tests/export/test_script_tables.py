@@ -24,7 +24,7 @@ from hitchopt.export.formats.parquet_table import read_parquet, write_parquet
 from hitchopt.export.manifest import read_manifest
 from hitchopt.export.sampling import sample_times, states_at
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.motion import SwarmMotion
+from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ WRITERS = {"csv": write_csv, "parquet": write_parquet, "npz": write_npz, "json":
 READERS = {"csv": read_csv, "parquet": read_parquet, "npz": read_npz, "json": read_json}
 
 
-def many_drones() -> SwarmMotion:
+def many_drones() -> Motion:
     side = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), axis=-1).reshape(-1, 2)
     start = np.concatenate([side, np.ones((1200, 1))], axis=-1)
     return swarm_of(np.stack([start, start + 0.1]), np.array([0.0, 1.4]))

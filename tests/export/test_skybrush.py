@@ -23,8 +23,9 @@ from hitchopt.export.formats.skybrush_csv import HEADER, lines_of, read_zip
 from hitchopt.export.formats.skybrush_show import drones_of_show
 from hitchopt.export.judging import flown_checks
 from hitchopt.export.sampling import states_at
-from hitchopt.hitch import Limits, Separation, Swarm
-from hitchopt.model.motion import Flying, Phase
+from hitchopt.hitch import Swarm
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ def bezier(points: Any, t: float) -> Array:
 
 
 @MOTIONS
-def test_a_show_is_the_plan(motion: Flying, tmp_path: Path) -> None:
+def test_a_show_is_the_plan(motion: Motion, tmp_path: Path) -> None:
     (part,) = exported(motion, "skybrush", tmp_path)
     assert part.verdict.lost == ()
     assert part.verdict.position.worst <= 2e-3
@@ -57,7 +58,7 @@ def test_a_show_is_the_plan(motion: Flying, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "show.skyc") as archive:
         show = json.loads(archive.read("show.json"))
         assert (show["version"], show["meta"]["frame"]) == (1, "nwu")
-        assert show["settings"]["validation"]["maxVelocityXY"] == motion.limits.speed
+        assert show["settings"]["validation"]["maxVelocityXY"] == motion.requirements.limits.speed
         for i, drone in enumerate(show["swarm"]["drones"]):
             settings = drone["settings"]
             assert (drone["type"], settings["name"]) == ("generic", motion.team.drone_names[i])
@@ -79,7 +80,12 @@ def test_a_tight_limit_takes_more_points(tmp_path: Path) -> None:
     swarm = swarm_plan()
     (usual,) = exported(swarm, "skybrush", tmp_path / "usual")
     planned = np.radians(flown_checks(swarm)["tilt"].worst)
-    tight = replace(swarm, limits=replace(swarm.limits, tilt=planned * 1.05))
+    tight = replace(
+        swarm,
+        requirements=replace(
+            swarm.requirements, limits=replace(swarm.requirements.limits, tilt=planned * 1.05)
+        ),
+    )
     (part,) = exported(tight, "skybrush", tmp_path / "tight")
     points = [int(p.notes[0].split()[0]) for p in (usual, part)]
     assert points[1] > points[0]
@@ -87,7 +93,7 @@ def test_a_tight_limit_takes_more_points(tmp_path: Path) -> None:
 
 
 @MOTIONS
-def test_a_zip_of_csv_is_the_plan(motion: Flying, tmp_path: Path) -> None:
+def test_a_zip_of_csv_is_the_plan(motion: Motion, tmp_path: Path) -> None:
     (part,) = exported(motion, "skybrush_csv", tmp_path)
     assert part.verdict.position.worst <= 2e-3
     with zipfile.ZipFile(tmp_path / "show.zip") as archive:
@@ -115,9 +121,12 @@ def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> N
     swarm = swarm_plan()
     pair = replace(
         swarm,
+        requirements=replace(
+            swarm.requirements,
+            limits=Limits(speed=5.0, acceleration=1e3, jerk=1e6),
+            separation=Separation(),
+        ),
         team=Swarm(2),
-        limits=Limits(speed=5.0, acceleration=1e3, jerk=1e6),
-        separation=Separation(),
         drones=PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
         phases=(Phase("circle", 0, 0.0, 4.0),),
     )

@@ -20,7 +20,7 @@ MOVE = {"move_vertex": {"vertex": 0, "by": [0.1, 0.3]}}
 LEANING = "legs lean against friction, by up to"
 
 
-def solved(steps: list[dict[str, Any]], friction: float = 0.1, **keys: Any) -> ho.Plan[Motion]:
+def solved(steps: list[dict[str, Any]], friction: float = 0.1, **keys: Any) -> ho.Plan:
     team = {**TEAM, "cable_friction": friction, **keys.pop("team", {})}
     plan = ho.solve(problem_from_dict({"team": team, "start": START, "mission": steps, **keys}))
     assert isinstance(plan.motion, Motion)

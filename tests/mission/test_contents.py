@@ -17,10 +17,10 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 import hitchopt as ho
 from hitchopt.mission.contents import UnknownContents, digest_of
-from hitchopt.mission.motions import Kept
 from hitchopt.mission.sealing import sealed
 from hitchopt.mission.situation import Situation
 from hitchopt.mission.step_records import Step
+from hitchopt.requirements import Requirements
 
 TRIANGLE = ho.ConvexPolygon([[0.3, -1.0], [-0.4, 0.5], [0.4, 0.55]])
 TEAM = ho.Team(
@@ -33,7 +33,9 @@ TEAM = ho.Team(
 )
 HITCH = ho.Hitch.balanced(TEAM, TRIANGLE, 1.3)
 POINTS = np.arange(9.0).reshape(3, 3)
-KEPT = Kept(ho.Limits(duration=20.0), ho.Separation(), ho.Arena([-3.0, -2.0, 0.1], [3.0, 4.0, 2.5]))
+KEPT = Requirements(
+    ho.Limits(duration=20.0), ho.Separation(), ho.Arena([-3.0, -2.0, 0.1], [3.0, 4.0, 2.5])
+)
 STEPS = (
     ho.Morph(TRIANGLE, HITCH.q_legs, 3.0, tension=(0.3, 0.6)),
     ho.MoveVertex(1, to=np.array([0.1, 0.2])),

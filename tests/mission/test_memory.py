@@ -136,9 +136,9 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     asked: list[int] = []
     planner = solving._planned
 
-    def counting(before: Any, group: Sequence[Any], first: int, kept: Any) -> Any:
+    def counting(before: Any, group: Sequence[Any], first: int, *args: Any, **keys: Any) -> Any:
         asked.append(first)
-        return planner(before, group, first, kept)
+        return planner(before, group, first, *args, **keys)
 
     monkeypatch.setattr(solving, "_planned", counting)
     return asked

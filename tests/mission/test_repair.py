@@ -180,7 +180,7 @@ def test_edits_say_what_the_changed_problem_is() -> None:
     assert written.team.max_thrust == pytest.approx(
         1.25 * np.repeat([2.6, 2.6, 2.8], 2)  # the file's, and the default where it has none
     )
-    assert written.team.quadrotors == changed.problem.team.quadrotors
+    assert written.team.quadrotor == changed.problem.team.quadrotor
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def test_sampling_a_plan_never_beats_its_certificate(n: int, seed: int) -> None:
     plan = ho.solve(random_problem(n, seed))
     team, certificate = plan.motion.team, plan.certificate
     state = plan.at(np.linspace(0.0, plan.duration, 3001 if n < 20 else 301))
-    x = state.positions * plan.motion.separation.scale
+    x = state.positions * plan.motion.requirements.separation.scale
     i, j = np.triu_indices(2 * n, 1)
     ratio = min(
         float(np.min(np.linalg.norm(x[:, a] - x[:, b], axis=-1))) for a, b in zip(i, j, strict=True)

@@ -181,9 +181,9 @@ def test_a_plan_is_saved_and_loaded_with_its_prisms(tmp_path: Path) -> None:
     again = ho.load(tmp_path / "out")
     assert again.certificate == plan.certificate
     assert again.title == "Every key"
-    assert isinstance(again.motion, ho.SwarmMotion)
-    (prism,) = again.motion.keep_out
-    np.testing.assert_array_equal(prism.corners, plan.motion.keep_out[0].corners)
+    assert isinstance(again.motion, ho.Motion)
+    (prism,) = again.motion.requirements.keep_out
+    np.testing.assert_array_equal(prism.corners, plan.motion.requirements.keep_out[0].corners)
     assert (tmp_path / "out" / "summary.png").stat().st_size > 10_000
     picture = tmp_path / "closest.png"
     found = ho.closest(again, 10, picture)

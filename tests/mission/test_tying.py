@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.certificate import certify
 from hitchopt.mission.loading import load_problem, problem_from_dict
-from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -24,13 +23,13 @@ TRIANGLE = np.array([[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]])
 LINES = np.array([[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]])
 
 
-def forming(q: Array, r: Array, team: ho.Team | None = None, **keys: Any) -> ho.Plan[Motion]:
+def forming(q: Array, r: Array, team: ho.Team | None = None, **keys: Any) -> ho.Plan:
     team = team or ho.Team(3, 2.4)
     return ho.form(team, q, r, keys.pop("polygon", TRIANGLE), 1.5, **keys)
 
 
 @cache
-def whole_mission() -> ho.Plan[Any]:
+def whole_mission() -> ho.Plan:
     return ho.solve(PROBLEMS / "tie_carry_untie.yaml")
 
 
@@ -84,6 +83,7 @@ def test_the_vertices_table_has_rows_only_while_there_is_a_hitch(tmp_path: Path)
         assert here.worst == pytest.approx(there.worst, rel=1e-3, abs=2e-3)
     content = json.loads((tmp_path / "certificate.json").read_text())
     assignment = plan.motion.assignment
+    assert assignment is not None
     assert content["assignment"] == {
         "robots": list(assignment.robots),
         "flipped": list(assignment.flipped),
@@ -129,7 +129,7 @@ def test_robots_bring_their_own_cables_tensions_and_drones() -> None:
     flown = plan.motion.team
     assert flown.cable_length.tolist() == [team.cable_length[i] for i in order]
     assert flown.tension.tolist() == [team.tension[i] for i in order]
-    assert [kind.mass for kind in flown.quadrotors] == [kinds[i].mass for i in order]
+    assert [kind.mass for kind in flown.quadrotor] == [kinds[i].mass for i in order]
     np.testing.assert_allclose(plan.at(plan.duration).tensions, flown.tension, atol=1e-12)
 
 
@@ -306,7 +306,7 @@ def test_what_cannot_be_formed_is_told_with_what_would_mend_it(stem: str) -> Non
     assert ho.solve(found[0].change.problem).certificate.certified
 
 
-def formed_legs(plan: ho.Plan[Motion]) -> Array:
+def formed_legs(plan: ho.Plan) -> Array:
     """(n, 2) [m]: of the hitch at the end of the plan."""
     legs: Array = plan.at(plan.duration).legs
     return legs

@@ -9,8 +9,9 @@ import pytest
 from hitchopt.certificate import certify
 from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.errors import InputError
-from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Swarm, Team
-from hitchopt.model.motion import Motion, Phase, SwarmMotion
+from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
@@ -34,9 +35,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
     return Motion(
         team,
-        Limits(),
-        Separation(),
-        None,
+        Requirements(Limits(), Separation(), None),
         constant["drones"],
         constant["vertices"],
         constant["legs"],
@@ -111,7 +110,7 @@ def test_a_hitch_forms_at_a_break() -> None:
         replace(motion, phases=late)
 
 
-def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> SwarmMotion:
+def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> Motion:
     """Return three drones in a row, ``apart`` metres, that move by 0.5 m in y in 2 s."""
     x = np.zeros((3, 3, 2))
     x[:, 0] = apart * np.arange(3.0)[:, None]
@@ -122,8 +121,8 @@ def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> SwarmMot
     )
     arena = Arena([-1.0, -1.0, 0.0], [3.0, 2.0, 1.5])
     team = Swarm(3, quadrotor=kinds)
-    return SwarmMotion(
-        team, Limits(), Separation(), arena, drones, (Phase("separate", 0, 0.0, 2.0),)
+    return Motion.single(
+        team, Requirements(Limits(), Separation(), arena), drones, (Phase("separate", 0, 0.0, 2.0),)
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.assigning import assigned
@@ -23,6 +23,7 @@ from hitchopt.planners.forming.swap import swap
 from hitchopt.planners.forming.turns import APART, Turns, rise_that_clears
 from hitchopt.planners.forming.tying import tied, undone
 from hitchopt.planners.forming.wheels import Wheels, turned
+from hitchopt.requirements import Limits, Separation
 
 Array = NDArray[np.float64]
 
@@ -140,11 +141,11 @@ def test_no_span_comes_taut_and_its_measures_are_what_samples_say() -> None:
     places = np.concatenate([sampled(stage) for stage in stages[:3]])
     pairs = places.reshape(len(places), 5, 2, 3)
     spans = np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1) / LENGTHS
-    assert np.max(spans) == pytest.approx(pre.kept.span, abs=2e-3)
+    assert np.max(spans) == pytest.approx(pre.measures.span, abs=2e-3)
     assert np.max(spans) < 0.971
     swaps = np.concatenate([sampled(stage) for stage in stages[:2]]).reshape(-1, 5, 2, 3)
     lowest = Catenary.between(swaps[:, :, 0], swaps[:, :, 1], LENGTHS).lowest + swaps[:, :, 0, 2]
-    assert 1.7 - np.min(lowest) == pytest.approx(pre.kept.lowest, abs=5e-3)
+    assert 1.7 - np.min(lowest) == pytest.approx(pre.measures.lowest, abs=5e-3)
 
 
 def test_half_way_the_spans_sum_to_legs_and_edges() -> None:
@@ -217,7 +218,9 @@ def test_mirror_images_turn_the_other_way_with_the_same_clearances() -> None:
     up, stages = stages_of(hitch, SwapSettings(sense=1))
     down, others = stages_of(image, SwapSettings(sense=-1))
     assert down.share == up.share
-    assert np.sort(down.kept.clearances) == pytest.approx(np.sort(up.kept.clearances), abs=1e-9)
+    assert np.sort(down.measures.clearances) == pytest.approx(
+        np.sort(up.measures.clearances), abs=1e-9
+    )
     for one, other in zip(stages, others, strict=True):
         expected = sampled(one).reshape(-1, 5, 2, 3)[:, order][:, :, ::-1] * [-1.0, 1.0, 1.0]
         np.testing.assert_allclose(sampled(other).reshape(-1, 5, 2, 3), expected, atol=1e-7)

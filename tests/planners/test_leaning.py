@@ -42,7 +42,7 @@ def planned(polygon: Array = POLYGON, goal: Array = GOAL, seconds: float | None 
 
 
 def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning:
-    found = leaning(rubbing(motion, friction), motion.limits, share, slower=True)
+    found = leaning(rubbing(motion, friction), motion.requirements.limits, share, slower=True)
     assert found is not None
     return found
 
@@ -132,7 +132,7 @@ def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float)
     angles = leans(found.motion, plain, s)
     assert np.max(angles) <= FARTHEST * 1.05
     assert found.turned == pytest.approx(np.max(angles), rel=0.02)
-    layout, limits = plain.team.layout, plain.separation
+    layout, limits = plain.team.layout, plain.requirements.separation
     gaps = []
     for m in (found.motion, plain):
         x = m.drones.at(s * m.duration)
@@ -194,16 +194,18 @@ def test_in_a_mirror_it_leans_the_same() -> None:
 
 def test_where_nothing_slides_nothing_leans() -> None:
     plain = planned(goal=POLYGON + 1e-9)
-    assert leaning(rubbing(plain, 0.3), plain.limits, 1.0, slower=True) is None
-    assert leaning(rubbing(planned(), 1e-3), plain.limits, 1.0, slower=True) is None  # too little
+    assert leaning(rubbing(plain, 0.3), plain.requirements.limits, 1.0, slower=True) is None
+    assert (
+        leaning(rubbing(planned(), 1e-3), plain.requirements.limits, 1.0, slower=True) is None
+    )  # too little
 
 
 def test_a_given_time_is_kept_or_nothing_leans() -> None:
     quick = planned(seconds=None)
-    assert leaning(rubbing(quick, 0.1), quick.limits, 1.0, slower=False) is None
+    assert leaning(rubbing(quick, 0.1), quick.requirements.limits, 1.0, slower=False) is None
     slower = leaned(quick).motion
     assert slower.duration > quick.duration
-    unhurried = leaning(rubbing(planned(), 0.1), quick.limits, 1.0, slower=False)
+    unhurried = leaning(rubbing(planned(), 0.1), quick.requirements.limits, 1.0, slower=False)
     assert unhurried is not None
     assert unhurried.motion.duration == 4.0
     assert slower.phases[0].start == 0.0

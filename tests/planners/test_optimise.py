@@ -11,7 +11,6 @@ from hitchopt.geometry import ConvexPolygon, random_convex_polygon, regular_poly
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.motion import Motion, Phase
 from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.morph import straight_morph
 from hitchopt.planners.optimise import settling
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
@@ -20,14 +19,13 @@ from hitchopt.planners.optimise.search import Candidate, candidates
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath
+from hitchopt.requirements import Requirements
 
 
-def certified(flight: Flight, team: Team, kept: KeptDistances) -> ho.Certificate:
+def certified(flight: Flight, team: Team, requirements: Requirements) -> ho.Certificate:
     motion = Motion(
         team,
-        kept.limits,
-        kept.separation,
-        kept.arena,
+        Requirements(requirements.limits, requirements.separation, requirements.arena),
         flight.drones,
         flight.vertices,
         flight.legs,
@@ -72,7 +70,7 @@ def test_the_mean_turn_is_that_of_a_turned_polygon(angle: float) -> None:
     assert mean_turn(PENTAGON, PENTAGON.rotated(angle).scaled(1.2)) == pytest.approx(angle)
 
 
-NARROW = KeptDistances(ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0], [1.55, 1.55, 3]))
+NARROW = Requirements(ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0], [1.55, 1.55, 3]))
 FOUR = Team(4, 2.4)
 THRUST_BOUND = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
 MUST_PLAN = {
@@ -86,19 +84,19 @@ MUST_PLAN = {
 
 
 def found_flights(
-    start: Hitch, end: Hitch, kept: KeptDistances, tension: tuple[float, float] | None = None
+    start: Hitch, end: Hitch, requirements: Requirements, tension: tuple[float, float] | None = None
 ) -> list[Candidate]:
     def judge(path: ShapePath) -> Flight | None:
-        flight = fly(path, kept.limits)
-        return flight if certified(flight, start.team, kept).certified else None
+        flight = fly(path, requirements.limits)
+        return flight if certified(flight, start.team, requirements).certified else None
 
-    return candidates(start, end, kept, judge, tension)
+    return candidates(start, end, requirements, judge, tension)
 
 
 def best(
-    start: Hitch, end: Hitch, kept: KeptDistances, tension: tuple[float, float] | None = None
+    start: Hitch, end: Hitch, requirements: Requirements, tension: tuple[float, float] | None = None
 ) -> Flight:
-    found = found_flights(start, end, kept, tension)
+    found = found_flights(start, end, requirements, tension)
     assert found
     durations = [candidate.flight.duration for candidate in found]
     assert durations == sorted(durations)
@@ -147,9 +145,9 @@ def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("name", MUST_PLAN)
 def test_hard_morphs_are_found_and_certified(name: str) -> None:
-    team, first, last, kept = MUST_PLAN[name]
-    start, end = ends(team, first, last, kept)
-    flight = best(start, end, kept)
+    team, first, last, requirements = MUST_PLAN[name]
+    start, end = ends(team, first, last, requirements)
+    flight = best(start, end, requirements)
     np.testing.assert_allclose(flight.drones.at(0.0), start.drones, atol=1e-9)
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
 
@@ -172,7 +170,7 @@ def test_the_optimised_way_is_no_slower_than_the_straight_one(seed: int) -> None
     rng = np.random.default_rng(seed)
     first = random_convex_polygon(5, 1.2, rng, 0.18)
     start, end = ends(Team(5, 2.1), first, first.rotated(0.5).translated([0.3, 0.2]))
-    straight = straight_morph(start, end, ho.Limits(), ho.Separation())
+    straight = straight_morph(start, end, Requirements())
     assert straight is not None
     flight = best(start, end, FREE)
     assert flight.duration <= 1.01 * straight.duration
@@ -186,10 +184,10 @@ def test_renumbering_gives_the_same_duration() -> None:
 
 
 def test_free_tensions_are_eased_on_the_way_and_restored() -> None:
-    team, first, last, kept = MUST_PLAN["thrust-bound"]
+    team, first, last, requirements = MUST_PLAN["thrust-bound"]
     start, end = ends(team, first, last)
-    fixed = best(start, end, kept)
-    eased = best(start, end, kept, (0.3, 0.8))
+    fixed = best(start, end, requirements)
+    eased = best(start, end, requirements, (0.3, 0.8))
     t = np.linspace(0.0, eased.duration, 201)
     tensions = eased.tensions.at(t)
     np.testing.assert_allclose(tensions[[0, -1]], 0.8, atol=1e-9)

@@ -26,6 +26,7 @@ from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
 from hitchopt.planners.optimise.program import WayProgram, build_program
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.way import Way
+from hitchopt.requirements import Requirements
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}
 
@@ -36,7 +37,7 @@ def program_of(n: int, step: Step, tension: tuple[float, float] | None) -> WayPr
     pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
     start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
     polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
-    bounds = Bounds(ho.Limits(), ho.Separation(), None, tension, 1.02, (1.5, 1.5))
+    bounds = Bounds(Requirements(), tension, 1.02, (1.5, 1.5))
     return build_program(Way.through("turned", start, end, polygons), bounds, step)
 
 
@@ -97,9 +98,7 @@ def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
     x = moved[1:-1].ravel()
     apart = np.linalg.norm(x[rows.first] - x[rows.second], axis=1)
     kept = bool(np.all(rows.rows @ x >= rows.least) and np.all(apart >= rows.apart))
-    task = SharingTask(
-        way.team, ho.Separation(), None, other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0
-    )
+    task = SharingTask(way.team, Requirements(), other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0)
     assert measured(task) >= 1.0 - 1e-9 or not kept
 
 
@@ -116,7 +115,7 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
     layout, places = Layout(n), instants(5, parts)
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
-    bounds = Bounds(ho.Limits(), ho.Separation(), None, None, 1.05, (1.2, 1.01))
+    bounds = Bounds(Requirements(), None, 1.05, (1.2, 1.01))
     table = layout.table(way)
     found = between_rows(way, bounds, places, 0.3)
     nodes = layout.table(way.at(places / 5.0))[:, layout.nodes]
@@ -187,7 +186,9 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     columns = np.concatenate([layout.q_legs, layout.r_legs])
     legs, at_knots = (w[:, columns] for w in map(layout.table, (way.at(places / 5.0), way)))
     limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
-    bounds = Bounds(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0), None, None, 1.0, (1.0, 1.0))
+    bounds = Bounds(
+        Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0)), None, 1.0, (1.0, 1.0)
+    )
     rows = between_rows(way, bounds, places, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH

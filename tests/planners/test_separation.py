@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.hitch import Arena, Limits, Prism, Separation
 from hitchopt.planners.separation import Separated, SeparationTask, Tether, separate
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
@@ -21,7 +21,7 @@ def circle(n: int, radius: float) -> SeparationTask:
     angles = 2.0 * np.pi * np.arange(n) / n + 0.1
     offset = radius * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
     middle = np.array([0.7, -1.3, 1.4])
-    return SeparationTask(middle + offset, middle - offset, LIMITS, SEPARATION)
+    return SeparationTask(middle + offset, middle - offset, Requirements(LIMITS, SEPARATION))
 
 
 def scattered(n: int, seed: int) -> SeparationTask:
@@ -36,7 +36,7 @@ def scattered(n: int, seed: int) -> SeparationTask:
             if np.all(apart > 1.1):
                 points = np.vstack([points, point])
         ends.append(points)
-    return SeparationTask(ends[0], ends[1], LIMITS, SEPARATION)
+    return SeparationTask(ends[0], ends[1], Requirements(LIMITS, SEPARATION))
 
 
 def assert_kept(task: SeparationTask, found: Separated, samples: int = 1500) -> None:
@@ -52,17 +52,25 @@ def assert_kept(task: SeparationTask, found: Separated, samples: int = 1500) -> 
     for order in (0, 1, 2):
         first, last = curves.ends(order)
         np.testing.assert_allclose(last[:-1], first[1:], atol=1e-9)
-    caps = (task.limits.speed, task.limits.acceleration, task.limits.jerk)
+    caps = (
+        task.requirements.limits.speed,
+        task.requirements.limits.acceleration,
+        task.requirements.limits.jerk,
+    )
     for order, cap in enumerate(caps, start=1):
         assert np.max(np.linalg.norm(curves.at(t, order), axis=-1)) <= cap * (1.0 + 1e-9)
     i, j = np.triu_indices(task.drones, 1)
-    ratio = np.linalg.norm((points[:, i] - points[:, j]) * task.separation.scale, axis=-1)
+    ratio = np.linalg.norm(
+        (points[:, i] - points[:, j]) * task.requirements.separation.scale, axis=-1
+    )
     if task.drones > 1:
         assert np.min(ratio) >= found.closest >= 1.0
-    if task.arena is not None:
-        assert np.all((points >= task.arena.lower) & (points <= task.arena.upper))
-    for prism in task.keep_out:
-        assert np.min(prism.clearance(points).distance) >= task.separation.radius
+    if task.requirements.arena is not None:
+        assert np.all(
+            (points >= task.requirements.arena.lower) & (points <= task.requirements.arena.upper)
+        )
+    for prism in task.requirements.keep_out:
+        assert np.min(prism.clearance(points).distance) >= task.requirements.separation.radius
     for tether in task.tethers:
         apart = np.linalg.norm(points[:, tether.first] - points[:, tether.second], axis=-1)
         assert np.max(apart) <= tether.longest
@@ -91,13 +99,13 @@ def test_random_teams(seed: int) -> None:
 def stack(n: int) -> SeparationTask:
     z = 0.5 + 0.65 * np.arange(n)
     start = np.column_stack([np.full(n, 0.3), np.full(n, -0.2), z])
-    return SeparationTask(start, start[::-1], LIMITS, SEPARATION)
+    return SeparationTask(start, start[::-1], Requirements(LIMITS, SEPARATION))
 
 
 def row(n: int) -> SeparationTask:
     x = 0.4 * np.arange(n)
     start = np.column_stack([x, np.full(n, 0.5), np.full(n, 1.0)])
-    return SeparationTask(start, start[::-1], LIMITS, SEPARATION)
+    return SeparationTask(start, start[::-1], Requirements(LIMITS, SEPARATION))
 
 
 @pytest.mark.parametrize("task", [stack(2), stack(5), row(7)], ids=["two", "stack", "row"])
@@ -132,7 +140,7 @@ def test_quicker_drones_fly_the_same_ways_in_less_time() -> None:
     quicker = Limits(
         speed=k * LIMITS.speed, acceleration=k**2 * LIMITS.acceleration, jerk=k**3 * LIMITS.jerk
     )
-    other = separate(replace(task, limits=quicker))
+    other = separate(replace(task, requirements=replace(task.requirements, limits=quicker)))
     assert other.drones.duration * k == pytest.approx(found.drones.duration, rel=1e-6)
 
 
@@ -142,8 +150,12 @@ def test_larger_drones_farther_apart_are_the_same_problem() -> None:
     larger = SeparationTask(
         k * task.start,
         k * task.goal,
-        Limits(speed=k * LIMITS.speed, acceleration=k * LIMITS.acceleration, jerk=k * LIMITS.jerk),
-        Separation(k * SEPARATION.radius, k * SEPARATION.height),
+        Requirements(
+            Limits(
+                speed=k * LIMITS.speed, acceleration=k * LIMITS.acceleration, jerk=k * LIMITS.jerk
+            ),
+            Separation(k * SEPARATION.radius, k * SEPARATION.height),
+        ),
     )
     other = separate(larger)
     assert other.drones.duration == pytest.approx(found.drones.duration, rel=1e-4)
@@ -179,7 +191,9 @@ def test_curves_to_stay_near_to_are_stayed_near_to() -> None:
     points = np.concatenate([half[0], half[1][1:]])
     lines = np.stack([points[:-1], points[1:]], axis=-1)
     nominal = PiecewisePolynomial(breaks, lines)
-    task = SeparationTask(start, goal, LIMITS, SEPARATION, nominal=nominal, duration=9.0)
+    task = SeparationTask(
+        start, goal, Requirements(LIMITS, SEPARATION), nominal=nominal, duration=9.0
+    )
     found = separate(task)
     assert_kept(task, found)
     np.testing.assert_allclose(found.drones.at(4.5), middle, atol=0.15)
@@ -188,18 +202,25 @@ def test_curves_to_stay_near_to_are_stayed_near_to() -> None:
 def test_arena_prism_and_cables_are_kept() -> None:
     around = replace(
         circle(6, 1.8),
-        arena=Arena([-1.3, -3.3, 1.0], [2.7, 0.7, 1.7]),
+        requirements=replace(
+            circle(6, 1.8).requirements, arena=Arena([-1.3, -3.3, 1.0], [2.7, 0.7, 1.7])
+        ),
         tethers=(Tether(0, 1, 2.0), Tether(2, 3, 1.9)),
     )
     assert_kept(around, separate(around))
     start = np.array([[-1.5, 0.0, 1.0], [1.5, 0.1, 1.0], [-1.4, 0.6, 1.0]])
     goal = np.array([[1.5, 0.0, 1.0], [-1.5, 0.1, 1.0], [1.4, -0.6, 1.0]])
-    past = SeparationTask(start, goal, LIMITS, SEPARATION, keep_out=(POST,))
+    past = SeparationTask(start, goal, Requirements(LIMITS, SEPARATION, keep_out=(POST,)))
     assert_kept(past, separate(past))
 
 
 def test_a_flat_arena_leaves_only_the_plane() -> None:
-    task = replace(circle(8, 1.5), arena=Arena([-2, -4, 1.39], [4, 2, 1.41]))
+    task = replace(
+        circle(8, 1.5),
+        requirements=replace(
+            circle(8, 1.5).requirements, arena=Arena([-2, -4, 1.39], [4, 2, 1.41])
+        ),
+    )
     assert_kept(task, separate(task))
 
 
@@ -212,7 +233,7 @@ def test_weak_drones_accelerate_as_they_can() -> None:
 
 
 def test_one_drone_flies_straight_and_who_is_there_stays() -> None:
-    one = SeparationTask([[0.1, 0.2, 1.0]], [[2.0, 1.0, 1.5]], LIMITS, SEPARATION)  # type: ignore[arg-type]
+    one = SeparationTask([[0.1, 0.2, 1.0]], [[2.0, 1.0, 1.5]], Requirements(LIMITS, SEPARATION))  # type: ignore[arg-type]
     found = separate(one)
     assert_kept(one, found)
     assert found.drones.duration <= 1.06 * found.bound
@@ -239,7 +260,7 @@ def test_what_cannot_be_is_told_with_names_and_time(
     change: dict[str, object], constraint: str, where: tuple[str, ...], words: str
 ) -> None:
     ends = np.array([[-1.0, 0, 1], [1.0, 0, 1]])
-    task = SeparationTask(ends, ends[::-1], LIMITS, SEPARATION)
+    task = SeparationTask(ends, ends[::-1], Requirements(LIMITS, SEPARATION))
     with pytest.raises(InfeasibleError) as caught:
         separate(replace(task, **change))  # type: ignore[arg-type]
     violation = caught.value.violations[0]
@@ -275,7 +296,7 @@ def test_a_duration_that_would_do_is_offered() -> None:
     ],
 )
 def test_tasks_that_are_wrong_in_themselves(change: dict[str, object], words: str) -> None:
-    task = SeparationTask(np.zeros((1, 3)), np.ones((1, 3)), LIMITS, SEPARATION)
+    task = SeparationTask(np.zeros((1, 3)), np.ones((1, 3)), Requirements(LIMITS, SEPARATION))
     with pytest.raises(InputError, match=words):
         replace(task, **change)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="longest"):

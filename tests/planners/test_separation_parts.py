@@ -12,7 +12,6 @@ from scipy.interpolate import BSpline
 from scipy.optimize import LinearConstraint, lsq_linear, minimize
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.hitch import Arena, Limits, Prism, Separation
 from hitchopt.planners.separation import SeparationTask, Tether
 from hitchopt.planners.separation.course import course_of
 from hitchopt.planners.separation.delays import departures, progress_along
@@ -24,6 +23,7 @@ from hitchopt.planners.separation.qp import QuadraticProgram, Solver
 from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
 from hitchopt.planners.separation.walls import walls_before
 from hitchopt.planners.separation.ways import ways_around
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import bernstein
 
 PILLAR = Prism([[-0.3, -0.4], [-0.3, 0.4], [0.5, 0.4], [0.5, -0.4]], 0.0, 9.0)
@@ -108,7 +108,7 @@ def crossing_task(**more: object) -> SeparationTask:
     """Three drones that meet about the middle, off the origin."""
     start = np.array([[-1.0, 0.5, 1.2], [1.4, 0.6, 1.1], [0.2, 2.0, 1.3]])
     goal = np.array([[1.3, 0.4, 1.0], [-1.1, 0.5, 1.3], [0.3, -1.0, 1.1]])
-    return SeparationTask(start, goal, Limits(), Separation(), **more)  # type: ignore[arg-type]
+    return SeparationTask(start, goal, Requirements(Limits(), Separation()), **more)  # type: ignore[arg-type]
 
 
 def around_of(task: SeparationTask, seed: int) -> Around:
@@ -121,7 +121,9 @@ def around_of(task: SeparationTask, seed: int) -> Around:
     pieces = course.grid.pieces_of(coefficients)
     scaled = pieces * course.scale[:, None]
     planes = planes_between(scaled, close_pieces(scaled, 2.0))
-    walls = walls_before(pieces, task.keep_out, task.separation.radius, 0.8)
+    walls = walls_before(
+        pieces, task.requirements.keep_out, task.requirements.separation.radius, 0.8
+    )
     return Around(coefficients, 4.2, 0.3, planes, walls)
 
 
@@ -155,7 +157,7 @@ def test_rows_are_what_the_moved_curves_do() -> None:
     expected = np.concatenate(
         [
             np.einsum("md,mdk->mk", normals, offset).ravel(),
-            before.ravel() / task.separation.radius,
+            before.ravel() / task.requirements.separation.radius,
         ]
     )
     first = built.kept_rows
@@ -239,22 +241,24 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
 
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
     start, goal = np.array([[-2.0, 0.1, 1.0]]), np.array([[2.0, 0.0, 1.0]])
-    task = SeparationTask(start, goal, Limits(), Separation(), keep_out=(PILLAR,))
+    task = SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(PILLAR,)))
     ways = ways_around(task)
-    off = 1.25 * task.separation.radius
+    off = 1.25 * task.requirements.separation.radius
     corners = [[-0.3 - off, 0.4 + off], [0.5 + off, 0.4 + off]]
     by_hand = np.vstack([start[0, :2], corners, goal[0, :2]])
     length = float(np.sum(np.linalg.norm(np.diff(by_hand, axis=0), axis=1)))
     assert ways.lengths[0] == pytest.approx(length, rel=1e-6)
     points = ways.of(0, np.linspace(0.0, 1.0, 500))
-    assert np.min(PILLAR.clearance(points).distance) > task.separation.radius
+    assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
     np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
 
 
 def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
     low = Prism(PILLAR.polygon, 0.0, 0.9)
     start, goal = np.array([[-2.0, 0.1, 0.8]]), np.array([[2.0, 0.0, 0.8]])
-    ways = ways_around(SeparationTask(start, goal, Limits(), Separation(), keep_out=(low,)))
+    ways = ways_around(
+        SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(low,)))
+    )
     assert np.max(ways.of(0, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
     assert ways.lengths[0] < 4.2
 
@@ -266,7 +270,9 @@ def test_a_slit_is_told_with_its_width() -> None:
     )
     start, goal = np.array([[-1.0, 0.3, 1.0]]), np.array([[1.0, 0.2, 1.0]])
     room = Arena([-2, -4, 0], [2, 4, 3])
-    task = SeparationTask(start, goal, Limits(), Separation(), room, walls)
+    task = SeparationTask(
+        start, goal, Requirements(Limits(), Separation(), arena=room, keep_out=walls)
+    )
     with pytest.raises(InfeasibleError, match="keep_out") as caught:
         ways_around(task)
     assert caught.value.violations[0].value == pytest.approx(0.08, rel=2e-3)
@@ -278,16 +284,16 @@ def test_departures_leave_nobody_to_meet() -> None:
     line = np.linspace(-1.0, 1.0, n)
     start = np.column_stack([np.full(n, -3.0), line, np.full(n, 1.0)])
     goal = start * [-1.0, -1.0, 1.0]
-    task = SeparationTask(start, goal, Limits(), Separation())
+    task = SeparationTask(start, goal, Requirements(Limits(), Separation()))
     ways = ways_around(task)
     shares, ramps = np.full(n, 0.4), np.full(n, 0.2)
-    leaving = departures(ways, shares, ramps, task.separation.scale)
+    leaving = departures(ways, shares, ramps, task.requirements.separation.scale)
     assert np.all(leaving + shares <= 1.0 + 1e-12)
     time = np.linspace(0.0, 1.0, 400)
     points = np.stack(
         [ways.of(i, progress_along((time - leaving[i]) / 0.4, 0.2)) for i in range(n)]
     )
-    scaled = points * task.separation.scale
+    scaled = points * task.requirements.separation.scale
     i, j = np.triu_indices(n, 1)
     assert np.min(np.linalg.norm(scaled[i] - scaled[j], axis=-1)) > 1.0
 

@@ -12,8 +12,9 @@ from hitchopt.errors import FileError
 from hitchopt.export.setpoints import HEADER, write_setpoints
 from hitchopt.export.vertices import write_vertices
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Hitch, Limits, Separation, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.simulate.tables import read_setpoints, read_vertices
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -31,9 +32,7 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
 
     return Motion(
         team,
-        Limits(),
-        Separation(),
-        None,
+        Requirements(Limits(), Separation(), None),
         line(hitch.drones),
         line(hitch.vertices),
         PiecewisePolynomial.constant([0.0, 0.53], hitch.legs, 1),

@@ -100,7 +100,7 @@ def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:
         2.3,
         tension=0.5,
         cable_density=0.01,
-        quadrotor=replace(hitch.team.quadrotors[0], max_thrust=30.0),
+        quadrotor=replace(hitch.team.quadrotor[0], max_thrust=30.0),
     )
     done = simulate(Task(team, wild, vertices), Settings(body="point"))
     assert isinstance(done.flight.error, InvalidRunError)

@@ -6,8 +6,9 @@ import numpy as np
 
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.geometry import ConvexPolygon, regular_polygon
-from hitchopt.hitch import Hitch, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 ORDER = 9
@@ -37,9 +38,7 @@ def make_motion(n: int, shift: float = 0.3, thrusts: tuple[float, ...] = (2.6,))
 
     return Motion(
         team,
-        Limits(speed=0.8),
-        Separation(radius=0.11, height=0.25),
-        None,
+        Requirements(Limits(speed=0.8), Separation(radius=0.11, height=0.25), None),
         through("drones"),
         through("vertices"),
         through("legs"),

@@ -12,8 +12,9 @@ from matplotlib.text import Text
 
 from hitchopt.certificate import certify
 from hitchopt.certificate.closeness import closeness
-from hitchopt.hitch import Arena, Limits, Prism, Separation, Swarm
-from hitchopt.model.motion import Phase, SwarmMotion
+from hitchopt.hitch import Swarm
+from hitchopt.model.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.view.closeness import draw_closeness
 from hitchopt.view.summary import draw_summary, save_summary
@@ -21,7 +22,7 @@ from hitchopt.view.summary import draw_summary, save_summary
 PRISM = Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)
 
 
-def swarm(n: int) -> SwarmMotion:
+def swarm(n: int) -> Motion:
     """Drones side by side, off the origin, that all go by one offset."""
     start = np.column_stack([2.0 + 0.5 * np.arange(n), np.full(n, -1.0), np.full(n, 1.0)])
     share = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
@@ -29,7 +30,9 @@ def swarm(n: int) -> SwarmMotion:
     curves = PiecewisePolynomial(np.array([0.0, 3.0]), c[None])
     arena = Arena([1, -2, 0], [25, 3, 2])
     phase = (Phase("fly", 0, 0.0, 3.0),)
-    return SwarmMotion(Swarm(n), Limits(), Separation(), arena, curves, phase, (PRISM,))
+    return Motion.single(
+        Swarm(n), Requirements(Limits(), Separation(), arena, keep_out=(PRISM,)), curves, phase
+    )
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])

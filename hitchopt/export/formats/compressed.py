@@ -37,7 +37,7 @@ from hitchopt.export.refit.rounding import rounded
 from hitchopt.export.refit.settling import Keeping, settled, settling_times
 from hitchopt.export.sampling import states_at
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -138,7 +138,7 @@ def _keeping(task: Task, breaks: Array) -> Keeping:
     mass = motion.team.mass
     weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
     load = task.room.vectors(weight - states_at(motion, t).cable_forces)
-    return Keeping(motion.limits.speed, mass, motion.team.max_thrust, load, ACCURACY)
+    return Keeping(motion.requirements.limits.speed, mass, motion.team.max_thrust, load, ACCURACY)
 
 
 def read_compressed(path: Path) -> PiecewisePolynomial:
@@ -185,11 +185,11 @@ def _most(curves: PiecewisePolynomial) -> int:
     return room // (HEADER_BYTES + 2 * DEGREE * max(1, axes))
 
 
-def _fits(motion: Flying, share: float) -> bool:
+def _fits(motion: Motion, share: float) -> bool:
     return _segments(motion, _most(motion.drones), share * BOUNDS[0]) is not None
 
 
-def _needed(motion: Flying) -> Violation:
+def _needed(motion: Motion) -> Violation:
     many = ceil(motion.duration / KIND.quantum) + 1
     breaks = _segments(motion, many, BOUNDS[0])
     return Violation(
@@ -204,6 +204,6 @@ def _needed(motion: Flying) -> Violation:
     )
 
 
-def _segments(motion: Flying, most: int, bound: float) -> Array | None:
+def _segments(motion: Motion, most: int, bound: float) -> Array | None:
     error = span_error(motion.drones, KIND)
     return greedy_breaks(error, float(motion.drones.breaks[-1]), KIND, bound, most)

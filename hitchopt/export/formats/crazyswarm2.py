@@ -30,7 +30,7 @@ from hitchopt.export.formats.poly_csv import (
 from hitchopt.export.recording import Recording, lasted, recording_of_curves
 from hitchopt.export.refit.breaks import best_breaks, greedy_breaks, span_error
 from hitchopt.export.refit.pieces import Kind, Scale, fitted
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -108,7 +108,9 @@ def _stacked(task: Task, curves: PiecewisePolynomial) -> tuple[str, ...]:
     found = []
     for points, what in zip(curves.ends(), ("take off from", "land on"), strict=True):
         across = points[0 if what == "take off from" else -1][:, :2]
-        pairs = cKDTree(across).query_pairs(STACKED * 2.0 * task.motion.separation.radius)
+        pairs = cKDTree(across).query_pairs(
+            STACKED * 2.0 * task.motion.requirements.separation.radius
+        )
         if pairs:
             i, j = min(pairs)
             found.append(
@@ -128,11 +130,11 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _fits(motion: Flying, share: float) -> bool:
+def _fits(motion: Motion, share: float) -> bool:
     return _coarse_breaks(motion.drones, MOST, share * COARSEST) is not None
 
 
-def _needed(motion: Flying) -> Violation:
+def _needed(motion: Motion) -> Violation:
     many = 100 * (MOST + ceil(motion.duration / 0.01))
     breaks = _coarse_breaks(motion.drones, many, COARSEST)
     pieces = float(many if breaks is None else len(breaks) - 1)

@@ -15,7 +15,7 @@ from hitchopt.export.fleet import Fleet
 from hitchopt.export.recording import Recording
 from hitchopt.export.room import Room
 from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Task:
     rate_given: whether the user asked for that rate; else a format may sample more often.
     """
 
-    motion: Flying
+    motion: Motion
     title: str
     room: Room
     fleet: Fleet

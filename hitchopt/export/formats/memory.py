@@ -8,7 +8,7 @@ from dataclasses import replace
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.export.cutting import cut, rests
 from hitchopt.export.formats.format import Arrangement, Task
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 BYTES = 4096
 """For all trajectories of one drone."""
@@ -19,8 +19,8 @@ CLOSER = 0.3
 
 def arrangements(
     task: Task,
-    fits: Callable[[Flying, float], bool],
-    needed: Callable[[Flying], Violation],
+    fits: Callable[[Motion, float], bool],
+    needed: Callable[[Motion], Violation],
 ) -> Iterator[Arrangement]:
     """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
 

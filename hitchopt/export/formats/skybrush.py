@@ -131,9 +131,9 @@ def _show(task: Task, drones: list[Any]) -> dict[str, Any]:
         "environment": {"type": "indoor"},
         "settings": {
             "validation": {
-                "minDistance": 2.0 * motion.separation.radius,
-                "maxVelocityXY": motion.limits.speed,
-                "maxVelocityZ": motion.limits.speed,
+                "minDistance": 2.0 * motion.requirements.separation.radius,
+                "maxVelocityXY": motion.requirements.limits.speed,
+                "maxVelocityZ": motion.requirements.limits.speed,
             }
         },
         "meta": {

@@ -19,7 +19,7 @@ from hitchopt.export.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_c
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, DroneFacts, Finding, Loaded
 from hitchopt.export.recording import recording_of_curves
 from hitchopt.export.room import AXES
-from hitchopt.hitch import Separation
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 

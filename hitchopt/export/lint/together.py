@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from hitchopt.certificate import acceleration, separation, speed
 from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, Finding, Flight, Loaded
-from hitchopt.hitch import Limits, Separation, Swarm
-from hitchopt.model.motion import SwarmMotion
+from hitchopt.hitch import Swarm
+from hitchopt.model.motion import Motion
+from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -100,14 +101,9 @@ def _look(seen: _Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules
     names = loaded.recording.names
     if seen.first is None:
         seen.first, seen.start = window.coefficients[0, ..., 0], float(window.breaks[0])
-    motion = SwarmMotion(
-        Swarm(len(names)),
-        Limits(speed=rules.speed, acceleration=rules.acceleration),
-        rules.separation,
-        None,
-        window,
-        (),
-    )
+    limits = Limits(speed=rules.speed, acceleration=rules.acceleration)
+    requirements = Requirements(limits, rules.separation)
+    motion = Motion.single(Swarm(len(names)), requirements, window, ())
     found: dict[str, Check | None] = {"speed": speed.check(motion)}
     if len(names) > 1:
         found["separation"] = separation.check(motion)

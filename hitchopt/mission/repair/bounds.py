@@ -46,7 +46,7 @@ def limit_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     if degrees < STEEPEST:
         steepest = STEEPEST / degrees - 1.0
         yield raised(tilt, TIMES | {"tilt"}, needed(violations, "tilt"), steepest, relaxes=True)
-    thrusts = np.array([kind.max_thrust for kind in problem.team.quadrotors])
+    thrusts = np.array([kind.max_thrust for kind in problem.team.quadrotor])
     same = bool(np.all(thrusts == thrusts[0]))
     old = float(thrusts[0]) if same else 1.0
     thrust = Quantity(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Arena, Quadrotor, Team
+from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
@@ -24,6 +24,7 @@ from hitchopt.mission.step_records import (
     Step,
     Transport,
 )
+from hitchopt.requirements import Arena
 
 Array = NDArray[np.float64]
 
@@ -34,23 +35,23 @@ DECIMALS = 9
 def with_cables(problem: Problem, lengths: Array) -> Edited:
     """Return the problem with cables (n,) [m]."""
     values = [_rounded(length) for length in lengths]
-    team = _team(problem.team, cable_length=values)
+    team = replace(problem.team, cable_length=np.array(values))
     return Edited(replace(problem, team=team), (Edit("team.cable_length", _one_or_all(values)),))
 
 
 def with_tensions(problem: Problem, tensions: Array) -> Edited:
     """Return the problem with tensions (n,) [N]."""
     values = [_rounded(tension) for tension in tensions]
-    team = _team(problem.team, tension=values)
+    team = replace(problem.team, tension=np.array(values))
     return Edited(replace(problem, team=team), (Edit("team.tension", _one_or_all(values)),))
 
 
 def with_thrust(problem: Problem, factor: float) -> Edited:
     """Return the problem with every largest thrust times ``factor``."""
     kinds = [
-        Quadrotor(kind.mass, _rounded(kind.max_thrust * factor)) for kind in problem.team.quadrotors
+        Quadrotor(kind.mass, _rounded(kind.max_thrust * factor)) for kind in problem.team.quadrotor
     ]
-    team = _team(problem.team, quadrotors=kinds)
+    team = replace(problem.team, quadrotor=tuple(kinds))
     values = [{"mass": kind.mass, "max_thrust": kind.max_thrust} for kind in kinds]
     return Edited(replace(problem, team=team), (Edit("team.quadrotor", _one_or_all(values)),))
 
@@ -193,24 +194,6 @@ def _with_step(problem: Problem, i: int, step: Step, key: str, value: object) ->
     mission = (*problem.mission[:i], step, *problem.mission[i + 1 :])
     edit = Edit(f"mission[{i}].{step.name}.{key}", value)
     return Edited(replace(problem, mission=mission), (edit,))
-
-
-def _team(
-    team: Team,
-    cable_length: Sequence[float] | None = None,
-    tension: Sequence[float] | None = None,
-    quadrotors: Sequence[Quadrotor] | None = None,
-) -> Team:
-    """Return the team with other values of its robots."""
-    return Team(
-        team.robots,
-        team.cable_length if cable_length is None else cable_length,
-        topology=team.topology,
-        cable_density=team.cable_density,
-        cable_friction=team.cable_friction,
-        tension=team.tension if tension is None else tension,
-        quadrotor=team.quadrotors if quadrotors is None else quadrotors,
-    )
 
 
 def _scaled(outline: Outline, factor: float, centre: Array) -> Outline:

@@ -10,7 +10,6 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.fitting import balanced_legs
 from hitchopt.mission.ends import shared_hitch
-from hitchopt.mission.motions import Kept
 from hitchopt.mission.outlines import outline_left
 from hitchopt.mission.problem import HitchStart, LegSharing, Problem
 from hitchopt.mission.repair.change import Change, Edited
@@ -52,7 +51,7 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
 def _farthest(problem: Problem, outline: Outline, legs: LegSharing) -> float:
     """Return how far a leg is from the spread ones at most, over its cable's length."""
     team = problem.team
-    kept = Kept(problem.limits, problem.separation, problem.arena)
+    requirements = problem.requirements
     given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
-    spread = shared_hitch(team, outline, 0.0, "spread", kept)
+    spread = shared_hitch(team, outline, 0.0, "spread", requirements)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

@@ -14,8 +14,8 @@ from hitchopt.planners.actions.sliding import cleared
 from hitchopt.planners.actions.timed import fly_timed
 from hitchopt.planners.feasibility import SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.flown import MOVES, Flown, fly_unhurried, moving
-from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.path import ShapePath, drones_along, legs_along
+from hitchopt.requirements import Requirements
 
 PROBES = 65
 """Points of a path at which it is seen which drones its law moves."""
@@ -40,7 +40,7 @@ class Flying:
 
 
 def fly_action(
-    action: Action, end: Hitch, kept: KeptDistances, duration: float | None = None
+    action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
 ) -> Flying:
     """Return the flight to ``end``, further cables sliding where a limit binds on the way.
 
@@ -60,11 +60,11 @@ def fly_action(
         return Flying(None)
     path = action.path(end.q_legs)
     _check_outline(path)
-    clear = cleared(path, kept, at_rest=timed)
+    clear = cleared(path, requirements, at_rest=timed)
     check_shapes(clear.path)
-    check_loads(clear.path, kept.limits)
+    check_loads(clear.path, requirements.limits)
     flight: Flown = (
-        fly_unhurried(clear.path, kept.limits, duration)
+        fly_unhurried(clear.path, requirements.limits, duration)
         if action.seconds is None
         else fly_timed(clear.path, action.seconds)
     )

@@ -9,15 +9,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.sharing import measured, share
-from hitchopt.planners.leg_law import (
-    CLEAR,
-    PROBES,
-    RAMP,
-    KeptDistances,
-    legs_clear,
-    sharing_task,
-)
+from hitchopt.planners.leg_law import CLEAR, PROBES, RAMP, legs_clear, sharing_task
 from hitchopt.planners.path import LegLaw, ShapePath, legs_along
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
@@ -47,7 +41,7 @@ class Clearance:
     worst: float | None
 
 
-def cleared(path: ShapePath, kept: KeptDistances, at_rest: bool) -> Clearance:
+def cleared(path: ShapePath, requirements: Requirements, at_rest: bool) -> Clearance:
     """Return the path with legs shared so that distances hold on the way.
 
     As with_legs_clear, but for few cables only, and with legs a little longer than their limit at
@@ -60,14 +54,15 @@ def cleared(path: ShapePath, kept: KeptDistances, at_rest: bool) -> Clearance:
     kept: the distances.
     at_rest: whether s is time, so that the sharing has to start and end at rest.
     """
-    if legs_clear(path, kept):
+    if legs_clear(path, requirements):
         return Clearance(path, None)
     for count, margin in ROUNDS:
         s = np.linspace(0.0, 1.0, count)
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
         task = replace(
-            sharing_task(path, kept, s, margins), shortest_leg=LEG_MARGIN * kept.limits.leg
+            sharing_task(path, requirements, s, margins),
+            shortest_leg=LEG_MARGIN * requirements.limits.leg,
         )
         found = share(task)
         if found.margin < 1.0:
@@ -75,8 +70,8 @@ def cleared(path: ShapePath, kept: KeptDistances, at_rest: bool) -> Clearance:
         law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack, at_rest))
         changed = ShapePath(path.team, path.vertices, law, path.tensions)
         for candidate in (_few_sliding(path, changed), changed):
-            if legs_clear(candidate, kept):
-                return Clearance(candidate, _worst_place(path, kept))
+            if legs_clear(candidate, requirements):
+                return Clearance(candidate, _worst_place(path, requirements))
     return Clearance(path, None)
 
 
@@ -127,10 +122,10 @@ def _split(part: PiecewisePolynomial, breaks: Array) -> Array:
     )
 
 
-def _worst_place(path: ShapePath, kept: KeptDistances) -> float:
+def _worst_place(path: ShapePath, requirements: Requirements) -> float:
     """Return s where the path's own law leaves the least of its limits, ends left out."""
     s = np.linspace(0.0, 1.0, PROBES)[1:-1]
     legs = legs_along(path, s)[:, path.team.layout.has_leg]
-    shortest = np.min(legs, axis=1) / kept.limits.leg
-    apart = [measured(sharing_task(path, kept, s[j : j + 1], CLEAR)) for j in range(len(s))]
+    shortest = np.min(legs, axis=1) / requirements.limits.leg
+    apart = [measured(sharing_task(path, requirements, s[j : j + 1], CLEAR)) for j in range(len(s))]
     return float(s[int(np.argmin(np.minimum(shortest, apart)))])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.hitch import Arena, Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.reserve import SHARE, accelerations
@@ -24,6 +24,7 @@ from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import STILL, straight
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.requirements import Limits, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -49,17 +50,18 @@ class ApproachTask:
     ----------
     team: whose drones, on free cables.
     start, goal: (2n, 3) [m]
-    limits, separation, arena: what is kept.
-    ground: its height [m].
+    requirements: what is satisfied on the way.
     """
 
     team: Team
     start: Array
     goal: Array
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
-    ground: float
+    requirements: Requirements
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of motion."""
+        return self.requirements.limits
 
 
 def ways(task: ApproachTask) -> Iterator[Callable[[], list[Stage]]]:
@@ -100,9 +102,7 @@ def _direct(task: ApproachTask) -> list[Stage]:
         SeparationTask(
             here,
             task.goal,
-            _kept(task.limits),
-            task.separation,
-            task.arena,
+            _reserved(task.requirements),
             tethers=tethers,
             acceleration=accelerations(task.team, task.limits, both),
             names=task.team.drone_names,
@@ -116,12 +116,12 @@ def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> lis
 
     Drones that come closer together on their way let their cable hang lower than at its ends.
     """
-    ends = task.ground + CLEARANCE * task.separation.cable
+    ends = task.requirements.floor + CLEARANCE * task.requirements.separation.cable
     at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
     missing = ends - min(float(np.min(_lowest(task.team, places))) for places in drones.at(at))
     if missing <= 0.0:
         return [Stage("approach", drones)]
-    up = np.array([0.0, 0.0, missing + 0.1 * task.separation.cable])
+    up = np.array([0.0, 0.0, missing + 0.1 * task.requirements.separation.cable])
     higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
     return [
         Stage("climb", straight(task.team, task.limits, here, here + up)),
@@ -130,21 +130,23 @@ def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> lis
     ]
 
 
-def _kept(limits: Limits) -> Limits:
-    """Return limits that leave the certificate's bounds, which are made otherwise, their room."""
-    return replace(
+def _reserved(requirements: Requirements) -> Requirements:
+    """Return requirements that leave a reserve for the certificate's bounds."""
+    limits = requirements.limits
+    reserved = replace(
         limits,
         speed=SHARE * limits.speed,
         acceleration=SHARE * limits.acceleration,
         jerk=SHARE * limits.jerk,
     )
+    return replace(requirements, limits=reserved)
 
 
 def _gathered(task: ApproachTask) -> list[Stage]:
     team, n = task.team, task.team.robots
-    span = DRAWN * 2.0 * task.separation.radius
+    span = DRAWN * 2.0 * task.requirements.separation.radius
     ways_there = Wheels.between(task.start, task.goal, 0.5 * span)
-    disc = 0.5 * span + task.separation.radius
+    disc = 0.5 * span + task.requirements.separation.radius
     start, goal = ways_there.centres, _spaced(ways_there.goals, 2.0 * ROOM * disc)
     gathered = ways_there.drones(start, np.zeros(n))
     stages, here = _risen(task, task.start, gathered, task.goal)
@@ -152,14 +154,14 @@ def _gathered(task: ApproachTask) -> list[Stage]:
     start[:, 2] = goal[:, 2] = altitude
     gathered[:, 2] = altitude
     # No robot may pass over another one, whose cable or its own would be in the way.
-    discs = replace(task.separation, radius=disc, height=float(np.max(team.cable_length)))
+    discs = replace(
+        task.requirements.separation, radius=disc, height=float(np.max(team.cable_length))
+    )
     found = separate(
         SeparationTask(
             start,
             goal,
-            _kept(task.limits),
-            discs,
-            task.arena,
+            replace(_reserved(task.requirements), separation=discs),
             acceleration=np.min(
                 accelerations(team, task.limits, np.stack([here, gathered])).reshape(n, 2), axis=1
             ),
@@ -192,8 +194,11 @@ def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:
 
     So high that cables hang free there, and at all ``others`` (2n, 3) as well.
     """
-    clearance = CLEARANCE * task.separation.cable
-    needed = [hover_altitude(task.team, p, task.ground, clearance) for p in (task.start, *others)]
+    clearance = CLEARANCE * task.requirements.separation.cable
+    needed = [
+        hover_altitude(task.team, p, task.requirements.floor, clearance)
+        for p in (task.start, *others)
+    ]
     if np.min(task.start[:, 2]) >= max(needed):
         return [], task.start
     altitude = max(*needed, float(np.max(task.goal[:, 2])))

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Limits
 from hitchopt.planners.forming.clock import timed
 from hitchopt.planners.forming.reserve import SHARE
 from hitchopt.planners.jets import chained
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

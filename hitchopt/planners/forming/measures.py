@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Separation
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.turns import Turns
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 

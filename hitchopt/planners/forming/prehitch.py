@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Hitch, Separation
+from hitchopt.hitch import Hitch
 from hitchopt.planners.forming.measures import Measures, measured
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.turns import APART, Turns, half_that_clears, rise_that_clears
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class PreHitch:
     turns: the ellipses, at the altitude of the swap.
     share: of the hitch's legs.
     scale: of the hitch's polygon.
-    kept: what the swaps keep, angle by angle.
+    measures: spans and distances of the swaps, angle by angle.
     shortfall: by how much that misses what is asked, relative; none if at most zero.
     separation: distances that were asked for.
     """
@@ -58,7 +59,7 @@ class PreHitch:
     turns: Turns
     share: float
     scale: float
-    kept: Measures
+    measures: Measures
     shortfall: float
     separation: Separation
 
@@ -92,7 +93,7 @@ def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) ->
                 turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale)
                 found = _turning(turns, separation, settings, share, scale)
                 yield found
-                if found.kept.span > SPAN or found.kept.opening < _opening(separation):
+                if found.measures.span > SPAN or found.measures.opening < _opening(separation):
                     break  # tilts do not change it
 
 
@@ -105,15 +106,15 @@ def _turning(
     """
     senses = np.full(len(turns.half), float(settings.sense or 1))
     turns = turns.with_senses(senses)
-    kept = measured(turns, separation)
-    short = kept.clearances < CLEARANCE * separation.cable
+    measures = measured(turns, separation)
+    short = measures.clearances < CLEARANCE * separation.cable
     if not settings.sense and np.any(short):
         down = measured(turns.with_senses(-senses), separation).clearances
-        better = short & (down > kept.clearances + EVEN)
+        better = short & (down > measures.clearances + EVEN)
         if np.any(better):
             turns = turns.with_senses(np.where(better, -senses, senses))
-            kept = measured(turns, separation)
-    return PreHitch(turns, share, scale, kept, _shortfall(kept, separation), separation)
+            measures = measured(turns, separation)
+    return PreHitch(turns, share, scale, measures, _shortfall(measures, separation), separation)
 
 
 def _opening(separation: Separation) -> float:
@@ -121,15 +122,15 @@ def _opening(separation: Separation) -> float:
     return 2.0 * APART * separation.radius
 
 
-def _shortfall(kept: Measures, separation: Separation) -> float:
+def _shortfall(measures: Measures, separation: Separation) -> float:
     """Return by how much the worst quantity misses what is asked, relative."""
     needed = [
-        (kept.span, SPAN),
-        (_opening(separation) - kept.opening + separation.radius, separation.radius),
-        (1.0, kept.apart / (0.99 * APART)),
+        (measures.span, SPAN),
+        (_opening(separation) - measures.opening + separation.radius, separation.radius),
+        (1.0, measures.apart / (0.99 * APART)),
     ]
     if separation.cable > 0.0:
-        clearance = float(np.min(kept.clearances))
+        clearance = float(np.min(measures.clearances))
         needed.append((CLEARANCE, max(clearance, 1e-9) / separation.cable))
     return max(value / limit - 1.0 for value, limit in needed)
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.hitch import GRAVITY, Limits, Team
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.hanging import hanging_forces
+from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 

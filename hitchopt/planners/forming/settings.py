@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.values import finite, positive
+from hitchopt.values import finite, positive
 
 
 @dataclass(frozen=True)

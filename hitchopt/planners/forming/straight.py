@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Limits, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.reserve import SHARE, accelerations
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from hitchopt.hitch import Limits
 from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.fitting import fitted, needed_stretch
 from hitchopt.planners.forming.reserve import accelerations
 from hitchopt.planners.forming.turns import Turns
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 PIECE = 0.3

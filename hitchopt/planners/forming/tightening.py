@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.hitch import Limits, Separation, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.forming.straight import straight
+from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Separation, Team
+from hitchopt.hitch import Team
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 

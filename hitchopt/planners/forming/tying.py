@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Hitch, Limits, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import PreHitch
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.swap import swap
 from hitchopt.planners.forming.tightening import tightened
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Limits, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.fitting import fitted, needed_stretch
 from hitchopt.planners.forming.reserve import accelerations
 from hitchopt.planners.forming.straight import PAUSE
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

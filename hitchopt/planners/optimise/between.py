@@ -65,19 +65,19 @@ def between_rows(way: Way, bounds: Bounds, places: Array, reach: float) -> Betwe
     layout, steps = Layout(way.team.robots), len(way.polygons) - 1
     at_knots, there = layout.table(way), layout.table(way.at(places / steps))
     margins = bounds.margins(steps, places)
-    pairs = near_pairs(there[:, layout.nodes], bounds.separation, margins, reach)
+    pairs = near_pairs(there[:, layout.nodes], bounds.requirements.separation, margins, reach)
     pair, a, b = pairs.sides()
     slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
     variables = np.concatenate([layout.nodes[a], layout.nodes[b]], axis=1)
     apart = _between(at_knots, there, places, (pairs.frame[pair], variables, slopes))
 
     legs = np.concatenate([layout.q_legs, layout.r_legs])
-    short = there[:, legs] < bounds.limits.leg + LEG_REACH
+    short = there[:, legs] < bounds.requirements.limits.leg + LEG_REACH
     frame, leg = np.nonzero(short)
     single = (frame, legs[leg][:, None], np.ones((len(frame), 1)))
     long = _between(at_knots, there, places, single)
     ends = np.min(at_knots[[0, -1]][:, legs], axis=0)
-    shortest = np.minimum(bounds.limits.leg + LEG_INSET, ends)[leg]
+    shortest = np.minimum(bounds.requirements.limits.leg + LEG_INSET, ends)[leg]
     least = np.concatenate([pairs.kept[pair] - apart.bow, shortest - long.bow])
     return BetweenRows(sparse.csc_matrix(sparse.vstack([apart.rows, long.rows])), least)
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import GRAVITY, Arena, Limits, Separation, Team
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.planners.optimise.layout import Layout
+from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]
 
@@ -54,15 +55,13 @@ class Bounds:
 
     Attributes
     ----------
-    limits, separation, arena: as of the problem.
+    requirements: of the problem.
     tension: smallest and largest [N] where tensions are free, or None.
     margin: how many times their limits distances are kept at the knots.
     end_margins: how many times their limits they are kept by the first and the last hitch.
     """
 
-    limits: Limits
-    separation: Separation
-    arena: Arena | None
+    requirements: Requirements
     tension: tuple[float, float] | None
     margin: float
     end_margins: tuple[float, float]
@@ -95,9 +94,9 @@ def variable_box(
     inner = len(table)
     lower = np.full(layout.size, -np.inf)
     upper = np.full(layout.size, np.inf)
-    if bounds.arena is not None:
-        lower[layout.drones] = bounds.arena.lower[:2] + INSET
-        upper[layout.drones] = bounds.arena.upper[:2] - INSET
+    if bounds.requirements.arena is not None:
+        lower[layout.drones] = bounds.requirements.arena.lower[:2] + INSET
+        upper[layout.drones] = bounds.requirements.arena.upper[:2] - INSET
     if bounds.tension is None:
         lower[layout.tensions] = upper[layout.tensions] = team.tension
     else:
@@ -108,7 +107,7 @@ def variable_box(
         upper = np.maximum(lower, upper)
     lower, upper = np.tile(lower, (inner, 1)), np.tile(upper, (inner, 1))
     rise = (margins - 1.0) / max(bounds.margin - 1.0, 1e-9)
-    legs = bounds.limits.leg + INSET * np.clip(rise, 0.0, 1.0)
+    legs = bounds.requirements.limits.leg + INSET * np.clip(rise, 0.0, 1.0)
     lower[:, layout.q_legs] = lower[:, layout.r_legs] = legs[:, None]
     places = layout.nodes.ravel()
     lower[:, places] = np.maximum(lower[:, places], table[:, places] - stride)
@@ -121,6 +120,6 @@ def _static_tension(team: Team, bounds: Bounds) -> Array:
     """Return (n,) [N]: the largest pull against which both drones of each robot can hover."""
     lift = team.mass * GRAVITY + team.cable_weight
     by_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
-    by_tilt = lift * math.tan(STATIC_SHARE * bounds.limits.tilt)
+    by_tilt = lift * math.tan(STATIC_SHARE * bounds.requirements.limits.tilt)
     largest: Array = np.min(np.minimum(by_thrust, by_tilt).reshape(-1, 2), axis=1)
     return largest

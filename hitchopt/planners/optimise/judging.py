@@ -15,12 +15,13 @@ from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.demands import Demands
 from hitchopt.planners.feasibility import check_loads, check_shapes
 from hitchopt.planners.flight import Flight
-from hitchopt.planners.leg_law import CLEAR, KeptDistances, sharing_task
+from hitchopt.planners.leg_law import CLEAR, sharing_task
 from hitchopt.planners.optimise.bounds import Bounds
 from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath, drones_along, legs_along
 from hitchopt.planners.timing import TimingError, fastest_profile
 from hitchopt.planners.warp import WarpError
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -62,23 +63,20 @@ class Search:
 
     Attributes
     ----------
-    kept: limits, separation and arena.
+    requirements: of the problem.
     judge: has the last word on every path.
     tension: smallest and largest [N] where tensions may change on the way.
     end_margins: how many times their limits the first and last hitch keep their distances.
     """
 
-    kept: KeptDistances
+    requirements: Requirements
     judge: Judge
     tension: tuple[float, float] | None
     end_margins: tuple[float, float]
 
     def bounds(self, margin: float) -> Bounds:
         """Return what the optimiser keeps, distances at ``margin`` times their limits."""
-        kept = self.kept
-        return Bounds(
-            kept.limits, kept.separation, kept.arena, self.tension, margin, self.end_margins
-        )
+        return Bounds(self.requirements, self.tension, margin, self.end_margins)
 
 
 def clear(way: Way, search: Search) -> bool:
@@ -86,12 +84,12 @@ def clear(way: Way, search: Search) -> bool:
     path = way.path()
     try:
         check_shapes(path)
-        if not _distances_kept(path, search.kept):
+        if not _distances_kept(path, search.requirements):
             return False
-        check_loads(path, search.kept.limits)
+        check_loads(path, search.requirements.limits)
     except InfeasibleError:
         return False
-    return _inside(path, search.kept)
+    return _inside(path, search.requirements)
 
 
 def judged(way: Way, search: Search) -> Candidate | None:
@@ -105,24 +103,27 @@ def judged(way: Way, search: Search) -> Candidate | None:
     return Candidate(way.name, flight)
 
 
-def promise(way: Way, kept: KeptDistances) -> float:
+def promise(way: Way, requirements: Requirements) -> float:
     """Return how long a way takes without a limit of jerk [s], be it clear or not."""
     path, s = way.path(), np.linspace(0.0, 1.0, GRID)
     flat = path.flat(s)
     try:
-        demands = Demands.of(path.team, kept.limits, flat, drone_jets(path.team, flat))
+        demands = Demands.of(path.team, requirements.limits, flat, drone_jets(path.team, flat))
         return fastest_profile(s, demands).duration
     except (InfeasibleError, TimingError):
         return math.inf
 
 
-def _distances_kept(path: ShapePath, kept: KeptDistances) -> bool:
+def _distances_kept(path: ShapePath, requirements: Requirements) -> bool:
     """Return whether legs are long enough and distances kept, looked at closely near the ends."""
     inner = np.linspace(0.0, 1.0, PROBES)
     s = np.concatenate([inner, NEAR_END * inner[1:-1], 1.0 - NEAR_END * inner[1:-1]])
     s = np.unique(s)
     shortest = float(np.min(legs_along(path, s)[1:-1]))
-    return shortest >= kept.limits.leg and measured(sharing_task(path, kept, s, CLEAR)) >= CLEAR
+    return (
+        shortest >= requirements.limits.leg
+        and measured(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
+    )
 
 
 def _tensions_kept(flight: Flight, tension: tuple[float, float] | None) -> bool:
@@ -137,8 +138,8 @@ def _tensions_kept(flight: Flight, tension: tuple[float, float] | None) -> bool:
     return least >= tension[0] - slack and most <= tension[1] + slack
 
 
-def _inside(path: ShapePath, kept: KeptDistances) -> bool:
-    if kept.arena is None:
+def _inside(path: ShapePath, requirements: Requirements) -> bool:
+    if requirements.arena is None:
         return True
     drones = drones_along(path, np.linspace(0.0, 1.0, GRID)).positions[..., 0]
-    return bool(np.all((drones >= kept.arena.lower) & (drones <= kept.arena.upper)))
+    return bool(np.all((drones >= requirements.arena.lower) & (drones <= requirements.arena.upper)))

@@ -63,7 +63,7 @@ def keep_apart(draft: Draft, x: ca.MX, way: Way, bounds: Bounds, step: Step) -> 
     table = layout.table(way)
     now = table[1:-1].ravel()
     margins = bounds.margins(count, np.arange(1.0, count))
-    pairs = pair_rows(layout, table, bounds.separation, margins, step.reach)
+    pairs = pair_rows(layout, table, bounds.requirements.separation, margins, step.reach)
     if len(pairs.first):
         across = x[pairs.first[:, 0].tolist()] - x[pairs.second[:, 0].tolist()]
         along = x[pairs.first[:, 1].tolist()] - x[pairs.second[:, 1].tolist()]

@@ -10,9 +10,9 @@ from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.hitch import Separation
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from hitchopt.planners.optimise.layout import Layout
+from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -83,7 +83,8 @@ def build_program(way: Way, bounds: Bounds, step: Step) -> WayProgram:
 
     steps = len(table) - 1
     whole = ca.horzcat(table[0], knots, table[-1])
-    speed = [bounds.limits.vertex_speed, bounds.limits.speed]
+    limits = bounds.requirements.limits
+    speed = [limits.vertex_speed, limits.speed]
     slowness = 1.0 / np.repeat(speed, [2 * team.robots, 4 * team.robots])
     scaled = whole[layout.nodes.ravel().tolist(), :] * ca.repmat(ca.DM(slowness), 1, steps + 1)
     travel = scaled[:, 1:] - scaled[:, :-1]

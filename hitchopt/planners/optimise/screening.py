@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.sharing import measured
 from hitchopt.hitch.sharing_task import SharingTask
-from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.optimise.way import Way
+from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]
 
@@ -42,15 +44,15 @@ def sound(way: Way) -> bool:
     )
 
 
-def loose(way: Way, kept: KeptDistances) -> bool:
+def loose(way: Way, requirements: Requirements) -> bool:
     """Return whether a way's bodies are not all in one heap."""
-    return _measured(way.team, way.polygons, way.q_legs, kept) >= CLOSEST
+    return _measured(way.team, way.polygons, way.q_legs, requirements) >= CLOSEST
 
 
-def end_margin(hitch: Hitch, kept: KeptDistances) -> float:
+def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch keeps its distances."""
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return _measured(hitch.team, polygon, q_legs, kept) * (1.0 - 1e-4)
+    return _measured(hitch.team, polygon, q_legs, requirements) * (1.0 - 1e-4)
 
 
 def same(way: Way, other: Way) -> bool:
@@ -64,5 +66,7 @@ def same(way: Way, other: Way) -> bool:
     return apart < SAME
 
 
-def _measured(team: Team, polygons: Array, q_legs: Array, kept: KeptDistances) -> float:
-    return measured(SharingTask(team, kept.separation, None, polygons, q_legs, 0.0, WIDEST))
+def _measured(team: Team, polygons: Array, q_legs: Array, requirements: Requirements) -> float:
+    return measured(
+        SharingTask(team, replace(requirements, arena=None), polygons, q_legs, 0.0, WIDEST)
+    )

@@ -9,13 +9,13 @@ import numpy as np
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
-from hitchopt.planners.leg_law import KeptDistances
 from hitchopt.planners.optimise.bounds import Step
 from hitchopt.planners.optimise.guesses import guesses, widened
 from hitchopt.planners.optimise.judging import Candidate, Judge, Search, clear, judged, promise
 from hitchopt.planners.optimise.screening import end_margin, loose, same, sound
 from hitchopt.planners.optimise.settling import iterates
 from hitchopt.planners.optimise.way import Way
+from hitchopt.requirements import Requirements
 
 __all__ = ["ROUNDS", "Candidate", "Judge", "Search", "candidates", "searched"]
 
@@ -70,7 +70,7 @@ WORSE = 1.1
 def candidates(
     start: Hitch,
     end: Hitch,
-    kept: KeptDistances,
+    requirements: Requirements,
     judge: Judge,
     tension: tuple[float, float] | None = None,
 ) -> list[Candidate]:
@@ -85,11 +85,16 @@ def candidates(
     """
     if not isinstance(start.polygon, ConvexPolygon) or not isinstance(end.polygon, ConvexPolygon):
         return []  # chains are not optimised
-    search = Search(kept, judge, tension, (end_margin(start, kept), end_margin(end, kept)))
+    search = Search(
+        requirements,
+        judge,
+        tension,
+        (end_margin(start, requirements), end_margin(end, requirements)),
+    )
     found = guesses(start.polygon, end.polygon, FEWEST_KNOTS + 1)
     ways = [Way.through(guess.name, start, end, guess.polygons) for guess in found]
     whole = [way for way in ways if sound(way)]
-    found_ways = searched([way for way in whole if loose(way, kept)] or whole, search)
+    found_ways = searched([way for way in whole if loose(way, requirements)] or whole, search)
     if found_ways:
         return found_ways
     # Wider on the way, legs have more room to pass one another.
@@ -109,7 +114,7 @@ def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
     seen: list[Way] = []
     tried: list[Way] = []
     fastest = np.inf
-    outlooks = [promise(way, search.kept) for way in ways]
+    outlooks = [promise(way, search.requirements) for way in ways]
     for k in np.argsort(outlooks, kind="stable"):
         if outlooks[k] > HOPELESS * fastest:
             break
@@ -120,7 +125,7 @@ def searched(ways: Sequence[Way], search: Search) -> list[Candidate]:
         if settled is None:
             continue
         tried.append(knots)
-        if found and promise(settled, search.kept) > WORSE * fastest:
+        if found and promise(settled, search.requirements) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
         if refined is not None:
@@ -162,7 +167,7 @@ def _refined(way: Way, search: Search) -> Candidate | None:
         faster = [moved for moved in steps_on if clear(moved, search)]
         choices = [*faster, way]
         if faster:
-            choices.sort(key=lambda choice: promise(choice, search.kept))
+            choices.sort(key=lambda choice: promise(choice, search.requirements))
         for choice in dict.fromkeys([choices[0], way]):
             found = judged(choice, search)
             if found is not None:

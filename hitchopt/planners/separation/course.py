@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Arena
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.separation.ways import ways_along, ways_around
+from hitchopt.requirements import Arena
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Course:
     @property
     def scale(self) -> Array:
         """(3,) [1/m]: the norm of an offset times this is a separation."""
-        return self.task.separation.scale
+        return self.task.requirements.separation.scale
 
 
 def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
@@ -75,7 +75,7 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     ------
     InfeasibleError: the prisms leave no way.
     """
-    limits = task.limits
+    limits = task.requirements.limits
     n = task.drones
     given = limits.acceleration if task.acceleration is None else task.acceleration
     acceleration = np.minimum(np.broadcast_to(np.asarray(given), (n,)), limits.acceleration)
@@ -86,7 +86,7 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
     alone, rise = float(ramps.duration[slowest]), float(ramps.rise[slowest])
-    size = max(float(np.max(ways.lengths)), 2.0 * task.separation.radius)
+    size = max(float(np.max(ways.lengths)), 2.0 * task.requirements.separation.radius)
     going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
@@ -101,7 +101,7 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     elif patience > 1.0 and going:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
         rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
-        leaving = departures(ways, shares, rises, task.separation.scale)
+        leaving = departures(ways, shares, rises, task.requirements.separation.scale)
         own = [
             progress_along((s - leave) / share, float(rise))
             for leave, share, rise in zip(leaving, shares, rises, strict=True)

@@ -32,7 +32,7 @@ def check_ends(task: SeparationTask) -> None:
 
 
 def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
-    scaled = points * task.separation.scale
+    scaled = points * task.requirements.separation.scale
     pairs = cKDTree(scaled).query_pairs(1.0 + LAST_DIGITS, output_type="ndarray")
     ratio = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
     found = []
@@ -47,9 +47,9 @@ def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list
 
 
 def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
-    if task.arena is None:
+    if task.requirements.arena is None:
         return []
-    lower, upper = task.arena.lower, task.arena.upper
+    lower, upper = task.requirements.arena.lower, task.requirements.arena.upper
     room = np.minimum(  # a floor at 0 is exact: who rests on it is inside
         points - lower - LAST_DIGITS * np.abs(lower), upper - points - LAST_DIGITS * np.abs(upper)
     ).min(axis=1)
@@ -62,10 +62,10 @@ def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[V
 
 
 def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
-    limit = task.separation.radius
+    limit = task.requirements.separation.radius
     remedy = f"move the {end} away from the prism"
     found = []
-    for k, prism in enumerate(task.keep_out):
+    for k, prism in enumerate(task.requirements.keep_out):
         distance = np.maximum(prism.clearance(points).distance, 0.0)
         for i in np.argsort(distance)[:MOST]:
             if distance[i] < limit * (1.0 + LAST_DIGITS):

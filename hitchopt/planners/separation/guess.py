@@ -79,8 +79,8 @@ def pushed_apart(course: Course, manners: Manners) -> Array:
             break
         speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
         coefficients[:, grid.free] += speed
-        if task.arena is not None:
-            coefficients[:, grid.free] = inside(task.arena, coefficients[:, grid.free])
+        if task.requirements.arena is not None:
+            coefficients[:, grid.free] = inside(task.requirements.arena, coefficients[:, grid.free])
     return coefficients
 
 
@@ -138,8 +138,8 @@ def _other_pushes(course: Course, points: Array) -> Array:
     """Return pushes (samples, drones, 3) out of prisms, and together along taut cables [m]."""
     task = course.task
     pushes = np.zeros_like(points)
-    wanted = WANTED * task.separation.radius
-    for prism in task.keep_out:
+    wanted = WANTED * task.requirements.separation.radius
+    for prism in task.requirements.keep_out:
         clearance = prism.clearance(points)
         missing = np.maximum(wanted - clearance.distance, 0.0)
         pushes += missing[..., None] * clearance.normals

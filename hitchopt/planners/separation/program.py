@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Arena
 from hitchopt.planners.separation.course import Course, inside
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
@@ -21,6 +20,7 @@ from hitchopt.planners.separation.qp import QuadraticProgram
 from hitchopt.planners.separation.rows import Rows
 from hitchopt.planners.separation.spline import DEGREE, HELD
 from hitchopt.planners.separation.walls import Walls
+from hitchopt.requirements import Arena
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -107,7 +107,7 @@ def build_program(course: Course, around: Around) -> Built:
     P = sp.block_diag([hessian, sp.diags_array(weights)], format="csc")
     q = np.concatenate([gradient, np.zeros(len(weights))])
     program = QuadraticProgram(sp.csc_array(sp.triu(P)), q, *rows.compressed())
-    return Built(program, kept, (n, free, 3), around, course.task.arena)
+    return Built(program, kept, (n, free, 3), around, course.task.requirements.arena)
 
 
 def _objective(course: Course, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
@@ -131,7 +131,7 @@ def _add_boxes(rows: Rows, course: Course, around: Around) -> None:
     """Keep changes within the trust radius, and coefficients (so curves) within the arena."""
     current = around.coefficients[:, HELD:-HELD]
     lower, upper = np.full(current.shape, -1.0), np.full(current.shape, 1.0)
-    arena = course.task.arena
+    arena = course.task.requirements.arena
     if arena is not None:
         lower = np.maximum(lower, np.minimum((arena.lower - current) / around.trust, 0.0))
         upper = np.minimum(upper, np.maximum((arena.upper - current) / around.trust, 0.0))
@@ -181,7 +181,7 @@ def _add_planes(rows: Rows, course: Course, around: Around, slack: int) -> None:
 def _add_walls(rows: Rows, course: Course, around: Around, slack: int) -> None:
     walls = around.walls
     lower = (1.0 + MARGIN) - walls.gaps
-    steepest = walls.normals * around.trust / course.task.separation.radius
+    steepest = walls.normals * around.trust / course.task.requirements.separation.radius
     column, entry, live = _piece_entries(course, walls.piece, walls.drone, steepest)
     _add_sided(rows, [column], [entry], live, lower, slack)
 

@@ -133,7 +133,7 @@ def _improved(course: Course, guess: Array, say: Progress) -> Standing:
 def _around(course: Course, here: Standing, known: ClosePieces | None) -> Around:
     """Return where the next program is set up, with the planes of the last one among its own."""
     task = course.task
-    radius = task.separation.radius
+    radius = task.requirements.separation.radius
     aimed = FASTER * here.duration if here.clear else here.duration
     floor = BARELY * course.alone if task.duration is None else task.duration
     pieces = course.grid.pieces_of(here.coefficients)
@@ -142,7 +142,7 @@ def _around(course: Course, here: Standing, known: ClosePieces | None) -> Around
     if known is not None:
         close = close.united(known, task.drones)
     trust = TRUST * radius
-    walls = walls_before(pieces, task.keep_out, radius, radius + 2.0 * trust)
+    walls = walls_before(pieces, task.requirements.keep_out, radius, radius + 2.0 * trust)
     planes = planes_between(scaled, close)
     return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
 

@@ -97,10 +97,12 @@ def _surroundings(
 ) -> list[Violation | None]:
     task = course.task
     found: list[Violation | None] = []
-    if task.arena is not None:
+    if task.requirements.arena is not None:
         x = unit.coefficients  # an arena is convex: what holds the coefficients holds the curves
-        room = np.minimum(x - task.arena.lower[:, None], task.arena.upper[:, None] - x)
-        corners = np.abs([task.arena.lower, task.arena.upper])
+        room = np.minimum(
+            x - task.requirements.arena.lower[:, None], task.requirements.arena.upper[:, None] - x
+        )
+        corners = np.abs([task.requirements.arena.lower, task.requirements.arena.upper])
         margin = ROUNDING * float(max(np.max(np.abs(x)), np.max(corners)))
         worst = float(np.min(room)) - margin
         if float(np.min(room)) >= -LAST_PLACE * float(np.max(corners)):
@@ -110,12 +112,12 @@ def _surroundings(
             when = _when(float(unit.breaks[piece]), duration)
             name = (task.names[int(drone)],)
             found.append(Violation("arena", worst, 0.0, "min", "m", name, when, REMEDY))
-    if task.keep_out:
-        nearest = smallest_clearance(unit, task.keep_out)
-        if nearest.worst < task.separation.radius:
+    if task.requirements.keep_out:
+        nearest = smallest_clearance(unit, task.requirements.keep_out)
+        if nearest.worst < task.requirements.separation.radius:
             name = (task.names[nearest.item],)
             when = _when(nearest.time, duration)
-            limit = task.separation.radius
+            limit = task.requirements.separation.radius
             found.append(
                 Violation("keep_out", nearest.worst, limit, "min", "m", name, when, REMEDY)
             )

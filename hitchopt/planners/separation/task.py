@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Arena, Limits, Separation
-from hitchopt.hitch.keep_out import Prism
-from hitchopt.hitch.values import per_robot, positive
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import per_robot, positive
 
 Array = NDArray[np.float64]
 
@@ -43,10 +42,8 @@ class SeparationTask:
     Parameters
     ----------
     start, goal: (N, 3) [m]
-    limits: speed, acceleration and jerk of every drone; the rest of it is not looked at.
-    separation: radius and height of the ellipsoids.
-    arena: that the drones stay in, or None.
-    keep_out: prisms that they stay out of, by ``separation.radius``.
+    requirements: speed, acceleration and jerk of every drone, the ellipsoids, the arena and the
+        prisms that drones stay out of by ``separation.radius``; the rest is not looked at.
     tethers: pairs of drones with a largest distance.
     duration: exactly this long [s], or None: as short as is found.
     nominal: of shape (N, 3) [m]: curves from start to goal that the drones stay near to, over any
@@ -62,10 +59,7 @@ class SeparationTask:
 
     start: Array
     goal: Array
-    limits: Limits
-    separation: Separation
-    arena: Arena | None = None
-    keep_out: tuple[Prism, ...] = ()
+    requirements: Requirements
     tethers: tuple[Tether, ...] = ()
     duration: float | None = None
     nominal: PiecewisePolynomial | None = None
@@ -91,7 +85,6 @@ class SeparationTask:
         if self.acceleration is not None:
             array = per_robot("acceleration", self.acceleration, n)
             object.__setattr__(self, "acceleration", array)
-        object.__setattr__(self, "keep_out", tuple(self.keep_out))
         object.__setattr__(self, "tethers", tuple(self.tethers))
         for k, tether in enumerate(self.tethers):
             for end in (tether.first, tether.second):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch.keep_out import Prism
 from hitchopt.planners.separation.planes import CURVE_SAMPLES
+from hitchopt.requirements import Prism
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]

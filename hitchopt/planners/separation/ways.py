@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.hitch import Arena
-from hitchopt.hitch.keep_out import Prism
 from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.requirements import Arena, Prism
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -80,10 +79,10 @@ def ways_around(task: SeparationTask) -> Ways:
     ------
     InfeasibleError: no way was found that is wide enough.
     """
-    radius = task.separation.radius
+    radius = task.requirements.separation.radius
     corners = list(np.stack([task.start, task.goal], axis=1))
     blocked = np.zeros(task.drones, dtype=np.bool_)
-    for prism in task.keep_out:
+    for prism in task.requirements.keep_out:
         blocked |= _Solid.around(prism, radius * (1.0 - TIGHT)).cuts(task.start, task.goal)
     lengths = np.linalg.norm(task.goal - task.start, axis=1)
     for i in np.flatnonzero(blocked).tolist():
@@ -108,23 +107,27 @@ def ways_along(curves: PiecewisePolynomial) -> Ways:
 
 def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
     """Return the shortest way whose corners keep a distance [m] from all prisms, or None."""
-    solids = [_Solid.around(prism, distance * (1.0 - TIGHT)) for prism in task.keep_out]
+    solids = [
+        _Solid.around(prism, distance * (1.0 - TIGHT)) for prism in task.requirements.keep_out
+    ]
     # Ends may stand closer to a prism than corners do: then only what they must keep counts there.
     ends = np.stack([start, goal])
-    least_distance = min(distance, task.separation.radius) * (1.0 - TIGHT)
-    least = [_Solid.around(prism, least_distance) for prism in task.keep_out]
+    least_distance = min(distance, task.requirements.separation.radius) * (1.0 - TIGHT)
+    least = [_Solid.around(prism, least_distance) for prism in task.requirements.keep_out]
     if not any(solid.cuts(start[None], goal[None])[0] for solid in least):
         return ends
     levels = [start[2], goal[2]]
     outlines = []
-    for prism in task.keep_out:
+    for prism in task.requirements.keep_out:
         levels += [prism.lower - distance, prism.upper + distance]
         outlines.append(_widened(prism.polygon.vertices, distance))
     flat = np.vstack(outlines)
     heights = np.unique(levels)
     nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
-    nodes = np.vstack([nodes, *(_over(prism, start, goal, distance) for prism in task.keep_out)])
-    nodes = nodes[_inside(task.arena, nodes)]
+    nodes = np.vstack(
+        [nodes, *(_over(prism, start, goal, distance) for prism in task.requirements.keep_out)]
+    )
+    nodes = nodes[_inside(task.requirements.arena, nodes)]
     for solid in solids:
         nodes = nodes[~solid.holds(nodes)]
     nodes = np.vstack([ends, nodes])
@@ -219,7 +222,7 @@ def _inside(arena: Arena | None, points: Array) -> NDArray[np.bool_]:
 
 def _too_narrow(task: SeparationTask, drone: int) -> Violation:
     """Return how wide the widest way is that was found for a drone."""
-    start, goal, limit = task.start[drone], task.goal[drone], task.separation.radius
+    start, goal, limit = task.start[drone], task.goal[drone], task.requirements.separation.radius
     narrow, wide = 0.0, limit
     for _ in range(HALVINGS):
         middle = 0.5 * (narrow + wide)
