@@ -41,7 +41,7 @@ def assert_same(a: Motion, b: Motion) -> None:
             assert bits(x) == bits(y)
     for name in ("cable_length", "tension", "mass", "max_thrust", "cable_weight"):
         assert bits(getattr(a.team, name)) == bits(getattr(b.team, name))
-    for name in ("robots", "topology", "cable_density", "cable_friction", "quadrotors"):
+    for name in ("robots", "topology", "cable_density", "cable_friction", "quadrotor"):
         assert getattr(a.team, name) == getattr(b.team, name)
     assert a.requirements.limits == b.requirements.limits
     assert a.requirements.separation == b.requirements.separation
