@@ -147,8 +147,11 @@ class Motion:
 
     @property
     def formed(self) -> NDArray[np.bool_]:
-        """(pieces,): whether the hitch exists on each piece; it does where there are no phases."""
-        if not self.phases:
+        """(pieces,): whether the hitch exists on each piece.
+
+        It does where there are no phases, and never without cables.
+        """
+        if not self.phases or not self.team.has_cables:
             return np.full(self.drones.pieces, self.team.has_cables)
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
@@ -157,10 +160,12 @@ class Motion:
         return here
 
     def spans(self, *, formed: bool) -> tuple[Motion, ...]:
-        """Return the longest runs of pieces on which the hitch exists, or does not.
+        """Return the longest runs of pieces on which the hitch exists, or cables are free of it.
 
-        Each at its own times, as a motion of the phases that it overlaps.
+        Each at its own times, as a motion of the phases that it overlaps. None without cables.
         """
+        if not self.team.has_cables:
+            return ()
         wanted = self.formed == formed
         if np.all(wanted):
             return (self,)

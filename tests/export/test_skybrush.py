@@ -118,17 +118,12 @@ def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> N
     t = 4.0 * angles / angles[-1]
     ends = np.stack([np.stack([s, -s], axis=1) for s in (around, slopes * np.pi)])
     ends[0] += [0.0, 0.0, 1.0]
-    swarm = swarm_plan()
-    pair = replace(
-        swarm,
-        requirements=replace(
-            swarm.requirements,
-            limits=Limits(speed=5.0, acceleration=1e3, jerk=1e6),
-            separation=Separation(),
-        ),
-        team=Swarm(2),
-        drones=PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
-        phases=(Phase("circle", 0, 0.0, 4.0),),
+    limits = Limits(speed=5.0, acceleration=1e3, jerk=1e6)
+    pair = Motion.single(
+        Swarm(2),
+        replace(swarm_plan().requirements, limits=limits, separation=Separation()),
+        PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
+        (Phase("circle", 0, 0.0, 4.0, formed=False),),
     )
     certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
     kind = format_of("skybrush_csv")
