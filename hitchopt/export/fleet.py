@@ -61,7 +61,7 @@ class Fleet:
     members: one per drone.
     types: settings of the types, as given.
     settings: settings for all drones, as given; empty for the usual ones.
-    given: whether the user named them; else names are the plan's and addresses placeholders.
+    given: whether the user named them; else their addresses are placeholders.
     """
 
     members: tuple[Member, ...]
@@ -137,4 +137,6 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
             raise InputError(
                 f"{where[twice.role]}.{key}", value, "of one drone only", "give each its own"
             )
-    return Fleet(members, keys.types, keys.settings, given=True)
+    placeholders = [member.uri for member in placeholder_fleet(roles).members]
+    given = [member.uri for member in members] != placeholders
+    return Fleet(members, keys.types, keys.settings, given)

@@ -155,6 +155,7 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     exported(motion, "crazyswarm2", tmp_path / "placeholders")
     again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", motion.team.drone_names)
     assert again.members == placeholder_fleet(motion.team.drone_names).members
+    assert not again.given
 
 
 def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_mistakes_are_told_by_key(data: dict[str, object], told: str) -> None:
         fleet_from_dict(data, ROLES)
 
 
-ROBOTS = {
+ROBOTS: dict[str, dict[str, object]] = {
     "cf7": {"uri": "radio://0/80/2M/E7E7E7E707", "initial_position": [0, 0.5, 0], "role": "r0"},
     "q0": {"enabled": True, "uri": "radio://0/80/2M/E7E7E7E709", "type": "cf21"},
     "cf3": {"enabled": False, "uri": "radio://0/80/2M/E7E7E7E703", "type": "cf21"},

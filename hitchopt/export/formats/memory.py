@@ -50,7 +50,7 @@ def arrangements(
         return
     before = 1
     for share in (1.0, CLOSER):
-        parts = []
+        parts: list[Task] = []
         first = 0
         while first < len(at) - 1:
             last = first + 1
