@@ -59,7 +59,11 @@ class RobotsKeys(Keys):
 
 WORDS = {
     "missing": ("given", "add it"),
-    "extra_forbidden": ("a known key", "name, uri and type are those of a drone"),
+    "extra_forbidden": (
+        "a known key",
+        "drones have name, uri and type; robots of a crazyflies.yaml enabled, uri, "
+        "initial_position, type and role, and other settings go into their type",
+    ),
     "string_pattern_mismatch": ("an address", "such as radio://0/80/2M/E7E7E7E7E7"),
     "string_type": ("text", "put it in quotes"),
 }
