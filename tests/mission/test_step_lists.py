@@ -15,6 +15,8 @@ ARC: Any = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
 Q: Any = [[-0.5, 1, 0], [-0.5, 0, 0], [-0.5, -1, 0]]
 R: Any = [[0.5, 1, 0], [0.5, 0, 0], [0.5, -1, 0]]
 LEGS: Any = [0.7, 0.72, 0.68]
+WORD: Any = "even"
+RAGGED: Any = [[1], [1, 2]]
 TEAM = ho.Team(3, 2.4)
 CHAIN = ho.Team(3, 2.4, topology="open")
 
@@ -57,14 +59,14 @@ def test_points_become_outlines_of_the_teams_topology(
         (lambda: (ho.DronesStart(Q, R), ho.Form(TRIANGLE[::-1])), "mission[0].form.polygon"),
         (lambda: (ho.DronesStart(Q, R), ho.Form(TRIANGLE[:2])), "mission[0].form.polygon"),
         (lambda: (ho.DronesStart(Q, R), ho.Form(ARC)), "mission[0].form.polygon"),
-        (lambda: (ho.DronesStart(Q, R), ho.Form("TRIANGLE")), "mission[0].form.polygon"),
+        (lambda: (ho.DronesStart(Q, R), ho.Form(WORD)), "mission[0].form.polygon"),
         (lambda: (ho.DronesStart(Q, R), ho.Form(TRIANGLE, legs=LEGS[:2])), "mission[0].form.legs"),
-        (lambda: (ho.HitchStart(TRIANGLE, 1.2), ho.Adjust("even")), "mission[0].adjust.legs"),
-        (lambda: (ho.HitchStart(TRIANGLE, 1.2), ho.Morph([[1]])), "mission[0].morph.polygon"),
-        (lambda: (ho.HitchStart([[1]], 1.2), ho.Hold(1.0)), "start.hitch.polygon"),
-        (lambda: (ho.HitchStart(TRIANGLE, 1.2, "even"), ho.Hold(1.0)), "start.hitch.legs"),
-        (lambda: (ho.DronesStart([[1], [1, 2]], R), ho.Land()), "q"),
-        (lambda: (ho.DronesStart(Q, "R"), ho.Land()), "r"),
+        (lambda: (ho.HitchStart(TRIANGLE, 1.2), ho.Adjust(WORD)), "mission[0].adjust.legs"),
+        (lambda: (ho.HitchStart(TRIANGLE, 1.2), ho.Morph(RAGGED)), "mission[0].morph.polygon"),
+        (lambda: (ho.HitchStart(RAGGED, 1.2), ho.Hold(1.0)), "start.hitch.polygon"),
+        (lambda: (ho.HitchStart(TRIANGLE, 1.2, WORD), ho.Hold(1.0)), "start.hitch.legs"),
+        (lambda: (ho.DronesStart(RAGGED, R), ho.Land()), "q"),
+        (lambda: (ho.DronesStart(Q, WORD), ho.Land()), "r"),
     ],
 )
 def test_lists_that_are_no_outline_are_refused_with_their_key(
@@ -75,7 +77,7 @@ def test_lists_that_are_no_outline_are_refused_with_their_key(
     assert caught.value.key == key
 
 
-@pytest.mark.parametrize("places", ["q", [[1], [1, 2]], [[0, 0], [1, 1]]])
+@pytest.mark.parametrize("places", [WORD, RAGGED, [[0, 0], [1, 1]]])
 def test_drones_given_to_functions_are_checked_alike(places: Any) -> None:
     with pytest.raises(ho.InputError) as caught:
         ho.form(TEAM, places, R, TRIANGLE)
