@@ -43,7 +43,7 @@ def test_points_become_outlines_of_the_teams_topology(
     team: ho.Team, points: Any, kind: type[object]
 ) -> None:
     begun = ho.Problem(team, ho.HitchStart(points, 1.2), (ho.Morph(points), ho.Adjust("balanced")))
-    formed = ho.Problem(team, ho.DronesStart(Q, R), (ho.Form(tuple(points), 1.2),))
+    formed = ho.Problem(team, ho.DronesStart(Q, R), (ho.Form(points, 1.2),))
     first, last = begun.mission[0], formed.mission[0]
     assert isinstance(begun.start, ho.HitchStart)
     assert isinstance(first, ho.Morph)
