@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.values import finite, not_negative, positive
+from hitchopt.hitch.values import acute, finite, not_negative, positive
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,7 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("speed", "acceleration", "jerk", "tilt", "vertex_speed", "leg"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
-        if self.tilt >= 0.5 * math.pi:
-            raise InputError("tilt", self.tilt, "below 90 degrees", "45 degrees is usual")
+        acute("tilt", self.tilt)
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))
 
