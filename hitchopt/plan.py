@@ -132,7 +132,9 @@ class Plan:
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
 
-        One entry for every part of the plan, mostly one; certified as ``export`` does it.
+        One entry for every part of the plan, mostly one; certified as ``export`` does it. Before
+        the next part is uploaded, drones ``goTo`` the point where they hover: an upload overwrites
+        the memory that a finished trajectory is still evaluated from.
 
         Parameters
         ----------

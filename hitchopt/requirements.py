@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.values import finite, not_negative, positive
+from hitchopt.values import acute, finite, not_negative, positive
 
 Array = NDArray[np.float64]
 
@@ -42,8 +42,7 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("speed", "acceleration", "jerk", "tilt", "vertex_speed", "leg"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
-        if self.tilt >= 0.5 * math.pi:
-            raise InputError("tilt", self.tilt, "below 90 degrees", "45 degrees is usual")
+        acute("tilt", self.tilt)
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))
 

@@ -123,7 +123,7 @@ def _from_drones(
     separation: Separation | None,
     arena: Arena | None,
 ) -> Plan:
-    start = DronesStart(np.asarray(q, dtype=np.float64), np.asarray(r, dtype=np.float64))
+    start = DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
     problem = Problem(team, start, (step,), limits or Limits(), separation or Separation(), arena)
     found = solve_problem(problem)
     return Plan(found.motion, found.certificate)

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     "fleet_file",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}",
+    help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}, "
+    "or a crazyflies.yaml with a role for each robot.",
 )
 @click.option("--rate", metavar="HZ", type=float, help="Samples per second, where it samples.")
 @click.option(

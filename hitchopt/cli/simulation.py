@@ -80,8 +80,9 @@ def simulate(
     Of the plan it reads its team, and vertices.csv for the cables' shape at the start and to
     compare with, and for where cables simulated so thick need their ends, less than their 12 mm
     aside. Drones get setpoints.csv and nothing else. One flight ends with 3 if anything fails:
-    drones touch, a vertex does not hold, the simulation leaves the range in which it means
-    anything. A campaign (--runs) ends with 0 and says how often.
+    drones touch, a vertex does not hold. It also ends with 3 if the simulation leaves the range in
+    which it means anything: that is reported as not simulated, since it says nothing of the plan. A
+    campaign (--runs) ends with 0 and says how often.
     """
     from hitchopt.simulate.simulation import read_task
 
@@ -120,6 +121,7 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables
     from hitchopt.simulate.film import save_film
+    from hitchopt.simulate.outcome import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulate.report import save_simulation
     from hitchopt.simulate.simulation import simulate as simulated
 
@@ -129,7 +131,8 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
     say(flight_tables(done))
     say(f"{_verdict(done)}; results are in {place}")
     for failure in done.outcome.failures:
-        say(f"failed: t = {failure.time:.2f} s, {failure.words}", err=True)
+        word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
+        say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
         with LateProgress(sys.stderr, "drawing the film"):
             save_film(film, done.flight.film)
@@ -139,11 +142,12 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
 
 
 def _verdict(done: Simulation) -> str:
+    if done.flight.linking is None:
+        return "not simulated to its end: nothing is known of the hitch"
     if done.task.ends_formed:
         held = done.outcome.hitched
         return "hitched: every vertex is linked and held" if held else "NOT hitched"
-    linked = done.flight.linking is None or bool(done.flight.linking.any())
-    return "NOT untied" if linked else "untied: no two cables are linked"
+    return "NOT untied" if done.flight.linking.any() else "untied: no two cables are linked"
 
 
 def _fly_often(

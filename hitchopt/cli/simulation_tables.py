@@ -22,13 +22,13 @@ def flight_tables(simulation: Simulation) -> str:
     vertices = new_table(
         "Vertices: distances to the plan's, mean ± standard deviation (largest)",
         [("vertex", "left")],
-        ["linked", "bears", "error [cm]", "without sag [cm]", "pull test moves it", "holds"],
+        ["linked", "bears [N]", "error [cm]", "without sag [cm]", "pull test moves it", "holds"],
     )
     for c, clasp in enumerate(outcome.clasps):
         vertices.add_row(
             clasp.name,
             str(clasp.linking),
-            f"{clasp.bearing:.3f} N",
+            f"{clasp.bearing:.3f} {'≥' if clasp.bears else '<'} {clasp.least_bearing:.3f}",
             _spread(Spread.of(errors.errors[:, c])),
             _spread(Spread.of(errors.without_sag[:, c])),
             _centimetres(clasp.moved),
@@ -54,10 +54,13 @@ def campaign_tables(campaign: Campaign) -> str:
     """Return how often a campaign succeeded, and what failed where."""
     low, high = campaign.interval
     count = len(campaign.runs)
+    lost = campaign.not_simulated
+    note = f", {lost} could not be simulated and count as not succeeded" if lost else ""
     head = (
-        f"{campaign.successes} of {count} flights succeeded: {campaign.successes / count:.1%} "
-        f"({low:.1%} to {high:.1%} at 95 %), seeds {campaign.runs[0].seed} to "
-        f"{campaign.runs[-1].seed}, preset {campaign.settings.preset.name}\n"
+        f"{campaign.successes} of {count} flights succeeded{note}: "
+        f"{campaign.successes / count:.1%} ({low:.1%} to {high:.1%} at 95 %), "
+        f"seeds {campaign.runs[0].seed} to {campaign.runs[-1].seed}, "
+        f"preset {campaign.settings.preset.name}\n"
     )
     runs = new_table("Runs, over all flights", [("quantity", "left")], ["mean", "largest"])
     for name, values in (

@@ -103,6 +103,7 @@ def rendered(table: Table) -> str:
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
     text = StringIO()
-    console = Console(file=text, width=width, force_terminal=terminal)
+    # Without markup: units in brackets are text.
+    console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
     console.print(table)
     return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())

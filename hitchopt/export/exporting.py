@@ -39,12 +39,14 @@ class Export:
     files: names of the files in it, without the manifest.
     verdict: errors and checks of what the files say.
     notes: what else is to be known of them.
+    begins: when in the plan it begins [s]; 0 unless the plan was cut.
     """
 
     folder: Path
     files: tuple[str, ...]
     verdict: Verdict
     notes: tuple[str, ...]
+    begins: float = 0.0
 
 
 class _LostError(Exception):
@@ -127,11 +129,11 @@ def _arranged(
         for part, name in zip(tasks, names, strict=True):
             _export(kind, part, certificate, Path(trial) / name, note, progress)
     done = tuple(
-        _export(kind, part, certificate, folder / name, note, progress)
+        _export(kind, part, certificate, folder / name, f"{part.place}: {note}", progress)
         for part, name in zip(tasks, names, strict=True)
     )
     _remove_parts(folder, [name for name in before if name not in names])
-    content = manifest_of_parts(kind, tasks[0], names)
+    content = manifest_of_parts(kind, tasks, names)
     replace_files(
         folder,
         {FILE: lambda path: write_manifest(path, content)},
@@ -185,7 +187,7 @@ def _written(
 
     writers: dict[str, Writer] = {**candidate.writers, FILE: check}
     replace_files(folder, writers, owned, seal=FILE)
-    return Export(folder, files, verdicts[-1], candidate.notes)
+    return Export(folder, files, verdicts[-1], candidate.notes, task.begins)
 
 
 def _refuse_strangers(folder: Path, files: Sequence[str]) -> None:

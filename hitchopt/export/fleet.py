@@ -7,6 +7,10 @@ A fleet file is YAML, one entry per drone of the plan::
       r0: {name: cf232, uri: radio://0/80/2M/E7E7E7E7E8, type: cf21}
     types:                      # optional, copied into crazyflies.yaml
       cf21: {motion_capture: {tracking: librigidbodytracker}}
+    settings: {}                # optional, for all drones, likewise
+
+A ``crazyflies.yaml`` is a fleet file too: every enabled robot flies the drone of the plan that its
+key ``role`` names, else the one of its own name.
 """
 
 from __future__ import annotations
@@ -56,11 +60,13 @@ class Fleet:
     ----------
     members: one per drone.
     types: settings of the types, as given.
-    given: whether the user named them; else names are the plan's and addresses placeholders.
+    settings: settings for all drones, as given; empty for the usual ones.
+    given: whether the user named them; else their addresses are placeholders.
     """
 
     members: tuple[Member, ...]
     types: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
     given: bool = False
 
 
@@ -85,12 +91,12 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
 
     data = read_yaml(path)
     if not isinstance(data, dict):
-        raise FileError(f"{path}: is no mapping; a fleet file has the key drones")
+        raise FileError(f"{path}: is no mapping; a fleet file has the key drones or robots")
     return fleet_from_dict(data, roles)
 
 
 def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
-    """Return the fleet that ``data`` describes with the keys of a fleet file.
+    """Return the fleet that ``data`` describes with the keys of a fleet file or crazyflies.yaml.
 
     Raises
     ------
@@ -99,23 +105,26 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
     from hitchopt.export.fleet_keys import checked_keys
 
     keys = checked_keys(data)
+    root = "robots" if "robots" in data else "drones"
     missing = [role for role in roles if role not in keys.drones]
     unknown = [role for role in keys.drones if role not in set(roles)]
     if missing or unknown:
         raise InputError(
-            "drones",
+            root,
             (missing or unknown)[0],
             "named once, and be a drone of the plan" if missing else "a drone of the plan",
-            f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}",
+            f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+            + ("; a robot's role tells which it flies" if root == "robots" else ""),
         )
     members = tuple(
         Member(role, keys.drones[role].name, keys.drones[role].uri, keys.drones[role].type)
         for role in roles
     )
+    where = {m.role: f"{root}.{m.name if root == 'robots' else m.role}" for m in members}
     for member in members:
         if not NAME.match(member.name) or member.name.lower() in WORDS:
             raise InputError(
-                f"drones.{member.role}.name",
+                f"{where[member.role]}.name",
                 member.name,
                 "letters, digits and underscores, a letter first, and no word of YAML",
                 "files and topics are called so",
@@ -126,6 +135,8 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
         if twice is not None:
             value = getattr(twice, key)
             raise InputError(
-                f"drones.{twice.role}.{key}", value, "of one drone only", "give each its own"
+                f"{where[twice.role]}.{key}", value, "of one drone only", "give each its own"
             )
-    return Fleet(members, keys.types, given=True)
+    placeholders = [member.uri for member in placeholder_fleet(roles).members]
+    given = [member.uri for member in members] != placeholders
+    return Fleet(members, keys.types, keys.settings, given)

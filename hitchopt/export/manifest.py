@@ -34,6 +34,7 @@ def manifest_of(
         "heading_rad": task.room.heading,
         "drones": {member.role: member.name for member in task.fleet.members},
         "duration": verdict.duration,
+        "plan_span": list(task.span),
         "position_error_m": asdict(verdict.position),
         "velocity_error_m_s": asdict(verdict.velocity),
         "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
@@ -44,14 +45,17 @@ def manifest_of(
     }
 
 
-def manifest_of_parts(kind: Format, task: Task, parts: Sequence[str]) -> dict[str, Any]:
+def manifest_of_parts(kind: Format, tasks: Sequence[Task], parts: Sequence[str]) -> dict[str, Any]:
     """Return what stands beside the folders of an export that was cut."""
+    task = tasks[0]
     return {
         "format": FORMAT,
         "exported_as": kind.name,
         "title": task.title,
         **task.room.to_dict(),
+        "duration": tasks[-1].span[1],
         "parts": list(parts),
+        "plan_spans": [list(part.span) for part in tasks],
         "files": [],
     }
 

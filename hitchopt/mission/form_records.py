@@ -21,9 +21,10 @@ class Form:
 
     Parameters
     ----------
-    polygon: the hitch's outline.
+    polygon: the hitch's outline, or its points (n, 2) [m] until a Problem knows the topology.
     altitude: of its plane [m].
-    legs: the sharing; None for spread, with room at the cables where drones stand close to them.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with room
+        at the cables where drones stand close to them.
     assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
     swap: how the drones turn about each other.
     duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.leg_sharing import leg_sharing
 from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
@@ -96,21 +99,44 @@ def outline_left(team: Team, outline: Outline | None, step: Step) -> Outline | N
     return None if isinstance(step, Release) else outline_after(team, outline, step)
 
 
-def check_steps(team: Team, outline: Outline | None, steps: tuple[Step, ...]) -> None:
-    """Raise InputError where a step does not fit the team, the outline it meets, or the next step.
+def fitting_steps(team: Team, outline: Outline | None, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """Return the steps with their polygons as outlines and their legs as arrays.
 
-    Keys are those of the problem file, from ``mission`` on; no outline: cables are free at first.
+    Parameters
+    ----------
+    team: who flies them.
+    outline: the hitch's at the start; None where cables are free.
+    steps: with polygons and legs as a user writes them.
+
+    Raises
+    ------
+    InputError: a step that does not fit the team, the outline it meets, or the next step; its key
+        is that of the problem file, from ``mission`` on.
     """
-    for i, step in enumerate(steps):
+    fitted: list[Step] = []
+    for i, given in enumerate(steps):
         try:
+            step = _fitting_step(team, given)
             outline = outline_left(team, outline, step)
-            _check_legs(step, team)
             _check_tension(step, team)
             _check_blend(step, steps[i + 1] if i + 1 < len(steps) else None)
             if i > 0 and getattr(steps[i - 1], "blend", False):
                 _check_untimed(step)
         except InputError as error:
-            raise error.within(f"mission[{i}].{step.name}") from None
+            raise error.within(f"mission[{i}].{given.name}") from None
+        fitted.append(step)
+    return tuple(fitted)
+
+
+def _fitting_step(team: Team, step: Step) -> Step:
+    """Return the step with its polygon as an outline and its legs as an array, if it has any."""
+    changes: dict[str, Any] = {}
+    if isinstance(step, Morph | Form):
+        changes["polygon"] = fitting_polygon(team, step.polygon)
+    legs = getattr(step, "legs", None)
+    if legs is not None:
+        changes["legs"] = leg_sharing(legs, team)
+    return replace(step, **changes) if changes else step
 
 
 def _convex(team: Team, points: Array, step: HitchStep) -> Outline:
@@ -129,14 +155,6 @@ def _convex(team: Team, points: Array, step: HitchStep) -> Outline:
             f"have to be {error.bound})",
             "go less far",
         ) from None
-
-
-def _check_legs(step: Step, team: Team) -> None:
-    legs = getattr(step, "legs", None)
-    if isinstance(legs, np.ndarray) and legs.shape != (team.robots,):
-        raise InputError(
-            "legs", legs.tolist(), f"a list of {team.robots} q-legs", "give one per robot"
-        )
 
 
 def _check_tension(step: Step, team: Team) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.fitting import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
-from hitchopt.mission.outlines import check_steps
+from hitchopt.mission.outlines import fitting_steps
 from hitchopt.mission.step_records import (
     Adjust,
     FollowVertex,
@@ -61,9 +61,9 @@ class HitchStart:
 
     Parameters
     ----------
-    polygon: its outline.
+    polygon: its outline, or its points (n, 2) [m] until a Problem knows the topology.
     altitude: [m]
-    legs: the sharing.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m].
     """
 
     polygon: Outline
@@ -88,9 +88,14 @@ class DronesStart:
 
     def __post_init__(self) -> None:
         for name in ("q", "r"):
-            points = np.array(getattr(self, name), dtype=np.float64)
+            try:
+                points = np.array(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                points = np.empty(0)
             if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-                raise InputError(name, points.shape, "(n, 3)", "give one point [x, y, z] a robot")
+                given = getattr(self, name)
+                value = given if points.size == 0 else points.shape
+                raise InputError(name, value, "(n, 3)", "give one point [x, y, z] a robot")
             bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
             if np.any(bad):
                 k = int(np.argmax(bad))
@@ -137,10 +142,11 @@ class Problem:
     title: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mission", tuple(self.mission))
-        if not self.mission:
+        object.__setattr__(self, "start", _fitting_start(self.team, self.start))
+        steps = tuple(self.mission)
+        if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
-        check_steps(self.team, self.start_outline, self.mission)
+        object.__setattr__(self, "mission", fitting_steps(self.team, self.start_outline, steps))
 
     @property
     def requirements(self) -> Requirements:
@@ -150,18 +156,28 @@ class Problem:
     @property
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
-        start = self.start
-        try:
-            if isinstance(start, HitchStart):
-                return fitting_polygon(self.team, start.polygon)
-            if len(start.q) != self.team.robots:
-                raise InputError(
-                    "q",
-                    len(start.q),
-                    f"a list of {self.team.robots} points",
-                    "add or remove points, or change team.robots",
-                )
-        except InputError as error:
-            key = "hitch" if isinstance(start, HitchStart) else "drones"
-            raise error.within(f"start.{key}") from None
-        return None
+        return self.start.polygon if isinstance(self.start, HitchStart) else None
+
+
+def _fitting_start(team: Team, start: Start) -> Start:
+    """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
+
+    Raises
+    ------
+    InputError: a start that does not fit the team; its key is that of the problem file.
+    """
+    try:
+        if isinstance(start, HitchStart):
+            outline, legs = fitting_polygon(team, start.polygon), leg_sharing(start.legs, team)
+            return replace(start, polygon=outline, legs=legs)
+        if len(start.q) != team.robots:
+            raise InputError(
+                "q",
+                len(start.q),
+                f"a list of {team.robots} points",
+                "add or remove points, or change team.robots",
+            )
+    except InputError as error:
+        key = "hitch" if isinstance(start, HitchStart) else "drones"
+        raise error.within(f"start.{key}") from None
+    return start

@@ -30,8 +30,9 @@ class Morph:
 
     Parameters
     ----------
-    polygon: the outline at the end.
-    legs: the sharing at the end; None for the one nearest to the current fractions.
+    polygon: the outline at the end, or its points (n, 2) [m] until a Problem knows the topology.
+    legs: at the end, ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for those nearest to the
+        current fractions.
     duration: exactly that long [s]; None for as fast as the limits allow.
     blend: go on into the next step without a stop.
     optimize: look for a faster way even where the straight one will do.

@@ -6,12 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.equilibrium import contact_forces
+from hitchopt.simulate.tables import VertexTable
 from hitchopt.simulate.world import World
 
 Array = NDArray[np.float64]
 
-LEAST_BEARING = 1e-3
-"""[N] Cables that press less do not bear on each other."""
+BEARING_SHARE = 0.3
+"""Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
+and by what drones deviate, and Gauss's integral counts some of them as linked, since the lines that
+close them cross there too."""
+
+
+def least_bearing(team: Team, vertices: VertexTable) -> Array:
+    """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
+
+    It is a share of the force with which a clasp presses without friction, which is
+    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike.
+
+    Parameters
+    ----------
+    team: whose hitch it is.
+    vertices: the plan's outlines and tensions; a cable without tension bears nothing.
+    """
+    least = np.zeros((len(vertices.t), len(team.layout.clasps)))
+    pulled = np.all(vertices.tensions > 0.0, axis=-1)
+    edges = team.layout.edges(vertices.positions[pulled])
+    directions = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    forces = contact_forces(directions, vertices.tensions[pulled], team.topology)
+    least[pulled] = BEARING_SHARE * forces
+    return least
 
 
 class Bearing:
@@ -50,8 +74,12 @@ class Bearing:
         np.add.at(self._force, clasp, force)
         np.add.at(self._moment, clasp, force[:, None] * data.contact.pos[chosen])
 
-    def collect(self) -> tuple[Array, Array]:
+    def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
         """Return the vertices and the forces since the last time, and begin anew.
+
+        Parameters
+        ----------
+        least: (clasps,) [N], cables that press less do not bear on each other.
 
         Returns
         -------
@@ -59,7 +87,7 @@ class Bearing:
         forces: (clasps,) [N], mean sums of normal forces.
         """
         forces = self._force / max(self._count, 1)
-        bears = forces > LEAST_BEARING
+        bears = (forces > 0.0) & (forces >= least)
         vertices = np.full_like(self._moment, np.nan)
         vertices[bears] = self._moment[bears] / self._force[bears, None]
         self._force[:], self._moment[:], self._count = 0.0, 0.0, 0

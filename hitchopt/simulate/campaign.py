@@ -18,7 +18,7 @@ from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulate.measures import Spread, tracking_errors
-from hitchopt.simulate.outcome import Failure
+from hitchopt.simulate.outcome import NOT_SIMULATED, START, SUCCEEDED, Failure
 from hitchopt.simulate.report import CAMPAIGN, OWNED, RUNS, settings_summary
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.simulation import Task, simulate
@@ -38,8 +38,8 @@ class Run:
     Attributes
     ----------
     seed: of its perturbations; the same seed alone flies the same flight.
-    succeeded: nothing went wrong.
-    failures: all that did, by time.
+    verdict: what became of it, as of an Outcome.
+    failures: all that went wrong, by time.
     vertex_error, without_sag: over vertices and time [m].
     moving_without_sag: over the time in which the plan moves a vertex; nan where it moves none.
     tracking: of drones [m].
@@ -49,7 +49,7 @@ class Run:
     """
 
     seed: int
-    succeeded: bool
+    verdict: str
     failures: tuple[Failure, ...]
     vertex_error: Spread
     without_sag: Spread
@@ -58,6 +58,11 @@ class Run:
     peak_tension: float
     saturated: float
     pace: float
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether nothing went wrong."""
+        return self.verdict == SUCCEEDED
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,11 @@ class Campaign:
         return sum(run.succeeded for run in self.runs)
 
     @property
+    def not_simulated(self) -> int:
+        """How many the simulation itself failed; they count as not succeeded."""
+        return sum(run.verdict == NOT_SIMULATED for run in self.runs)
+
+    @property
     def interval(self) -> tuple[float, float]:
         """Of the success rate, at 95 %."""
         return wilson_interval(self.successes, len(self.runs))
@@ -100,6 +110,7 @@ class Campaign:
             "settings": settings_summary(self.settings),
             "runs": len(self.runs),
             "successes": self.successes,
+            "not_simulated": self.not_simulated,
             "rate": self.successes / len(self.runs),
             "rate_95_percent": [low, high],
             "first_failures": [
@@ -187,13 +198,13 @@ def one_run(job: tuple[Task, Settings]) -> Run:
     except (InputError, UnsupportedError):
         raise
     except HitchoptError as error:
-        failure = Failure("start", (), 0.0, str(error))
+        failure = Failure(START, (), 0.0, str(error))
         spreads = (nothing, nothing, nothing, nothing)
-        return Run(settings.seed, False, (failure,), *spreads, np.nan, np.nan, np.nan)
+        return Run(settings.seed, NOT_SIMULATED, (failure,), *spreads, np.nan, np.nan, np.nan)
     record, errors = done.flight.record, done.errors
     return Run(
         settings.seed,
-        done.outcome.succeeded,
+        done.outcome.verdict,
         done.outcome.failures,
         Spread.of(errors.errors),
         Spread.of(errors.without_sag),
@@ -226,7 +237,7 @@ def _write_runs(path: Path, campaign: Campaign) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(
-            ["seed", "succeeded", "failure", "where", "time", "words", *names]
+            ["seed", "verdict", "succeeded", "failure", "where", "time", "words", *names]
             + ["peak_tension", "saturated", "pace"]
         )
         for run in campaign.runs:
@@ -239,4 +250,4 @@ def _write_runs(path: Path, campaign: Campaign) -> None:
             numbers = [getattr(getattr(run, s), p) for s in spreads for p in parts]
             numbers += [run.peak_tension, run.saturated, run.pace]
             texts = [f"{x:.6g}" if np.isfinite(x) else "" for x in numbers]
-            table.writerow([run.seed, int(run.succeeded), *told, *texts])
+            table.writerow([run.seed, run.verdict, int(run.succeeded), *told, *texts])

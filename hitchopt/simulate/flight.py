@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import HitchoptError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.simulate.air import downwash, drag
+from hitchopt.simulate.bearing import least_bearing
 from hitchopt.simulate.control import Reference, wanted_forces
 from hitchopt.simulate.description import BODY
 from hitchopt.simulate.disturbances import Disturbances
@@ -96,7 +97,7 @@ def fly(
         world.place(hanging(ropes, start, ground))
     else:
         world.place(clasped(ropes, team.layout, start, vertices.positions[begins]))
-    run = _Run(team, setpoints, settings, world, chance, progress)
+    run = _Run(team, setpoints, vertices, settings, world, chance, progress)
     error: HitchoptError | None = None
     try:
         run.fly(formed=begins is not None)
@@ -112,6 +113,7 @@ class _Run:
         self,
         team: Team,
         setpoints: Setpoints,
+        vertices: VertexTable,
         settings: Settings,
         world: World,
         chance: Disturbances,
@@ -122,6 +124,9 @@ class _Run:
         self._mujoco = imported_mujoco()
         self._drones = make_drones(world, team.max_thrust, settings.lag)
         self._recorder = Recorder(world, team, self._drones)
+        least = least_bearing(team, vertices)
+        self._vertices = vertices
+        self._least_bearing = np.vstack([least, np.zeros((1, least.shape[1]))])  # without a hitch
         # What the plan knows of the cables' weight is replaced by what it is.
         self._planned_weight = _upward(team.cable_weight)
         self._weight = _upward(_carried(world.ropes))
@@ -214,7 +219,13 @@ class _Run:
         )
 
     def _sample(self, time: float, index: int) -> None:
-        self._recorder.sample(time, self._setpoints.positions[index])
+        self._recorder.sample(time, self._setpoints.positions[index], self._bearing_at(index))
+
+    def _bearing_at(self, index: int) -> Array:
+        """Return (clasps,) [N]: the contact force from which on clasps bear at a setpoint."""
+        row = self._vertices.index(float(self._setpoints.t[index]))
+        found: Array = self._least_bearing[-1 if row is None else row]
+        return found
 
     def _tell(self, time: float, index: int) -> None:
         if self._progress is not None and index % TELLING == 0:
@@ -234,6 +245,7 @@ class _Run:
             self._pulled,
             self._world.ropes.density,
             error,
+            self._bearing_at(len(self._setpoints.t) - 1),
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,22 @@ JUDGED = 0.5
 """[s] Over which a vertex's place is averaged before the pull test, and at its end."""
 
 
+SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
+
+START, INVALID = "start", "invalid"
+UNSIMULATED = (START, INVALID)
+"""The kinds of failure that are the simulation's own: it could not begin, or left its range."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """One thing that went wrong.
 
     Attributes
     ----------
-    kind: ``invalid`` (the simulation left its range), ``touch``, ``unlinked``, ``tangled``,
-        ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the pull test).
+    kind: one of UNSIMULATED, which say nothing of the plan, or ``touch``, ``unlinked``,
+        ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the
+        pull test).
     where: names of drones, cables or vertices.
     time: [s], from the flight's start.
     words: what happened.
@@ -46,8 +54,10 @@ class Clasp:
     Attributes
     ----------
     name: p0, p1, ….
-    linking: how often its two cables are linked, ±1 for a clasp; 0 where it was not reached.
+    linking: Gauss's linking number of its two cables, ±1 for a clasp. Cables that merely cross may
+        have any of 0 and ±1: a clasp bears as well.
     bearing: how hard they press on each other after the rest [N].
+    least_bearing: from where on they bear [N].
     moved: how far the vertex moved under the pull test [m]; nan without one.
     holds: linked once, bearing, and held.
     """
@@ -55,8 +65,14 @@ class Clasp:
     name: str
     linking: int
     bearing: float
+    least_bearing: float
     moved: float
     holds: bool
+
+    @property
+    def bears(self) -> bool:
+        """Whether its cables press on each other as those of a clasp do."""
+        return self.bearing >= self.least_bearing > 0.0
 
 
 @dataclass(frozen=True)
@@ -65,12 +81,20 @@ class Outcome:
 
     Attributes
     ----------
-    clasps: of a plan that ends with a hitch; else none.
+    clasps: of a plan that ends with a hitch, once it has rested; else none.
     failures: all that went wrong, by time; none is a success.
     """
 
     clasps: tuple[Clasp, ...]
     failures: tuple[Failure, ...]
+
+    @property
+    def verdict(self) -> str:
+        """Return SUCCEEDED, FAILED, or NOT_SIMULATED where nothing but the simulation failed."""
+        if self.succeeded:
+            return SUCCEEDED
+        simulated = any(failure.kind not in UNSIMULATED for failure in self.failures)
+        return FAILED if simulated else NOT_SIMULATED
 
     @property
     def succeeded(self) -> bool:
@@ -99,16 +123,17 @@ def judge(flight: Flight, team: Team, *, formed: bool) -> Outcome:
     if flight.error is not None:
         time = flight.error.time if isinstance(flight.error, InvalidRunError) else np.nan
         where = (flight.error.where,) if isinstance(flight.error, InvalidRunError) else ()
-        failures.append(Failure("invalid", where, float(time), str(flight.error)))
-    clasps = _clasps(flight, team) if formed else ()
+        failures.append(Failure(INVALID, where, float(time), str(flight.error)))
+    clasps: tuple[Clasp, ...] = ()
     if flight.linking is not None:
+        clasps = _clasps(flight, flight.linking, team) if formed else ()
         failures += _wrong_links(flight, flight.linking, team, formed=formed)
         failures += [failure for clasp in clasps for failure in _weak(flight, clasp)]
     failures.sort(key=lambda failure: failure.time)
     return Outcome(clasps, tuple(failures))
 
 
-def _clasps(flight: Flight, team: Team) -> tuple[Clasp, ...]:
+def _clasps(flight: Flight, links: NDArray[np.int64], team: Team) -> tuple[Clasp, ...]:
     layout, record = team.layout, flight.record
     before, bearing = _mean_place(flight, flight.rested)
     after, _ = _mean_place(flight, flight.pulled)
@@ -116,19 +141,18 @@ def _clasps(flight: Flight, team: Team) -> tuple[Clasp, ...]:
     tested = record.t[-1] >= flight.pulled  # false where there is none: nan
     found = []
     for c, point in enumerate(layout.clasps):
-        pair = layout.behind[c], layout.ahead[c]
-        linking = 0 if flight.linking is None else int(flight.linking[pair])
+        linking = int(links[layout.behind[c], layout.ahead[c]])
         held = bool(moved[c] <= HELD) if tested else np.isnan(flight.pulled)
-        holds = abs(linking) == 1 and bool(np.isfinite(before[c, 0])) and bool(held)
-        found.append(
-            Clasp(
-                team.point_names[point],
-                linking,
-                float(bearing[c]),
-                float(moved[c]) if tested else float("nan"),
-                holds and flight.error is None,
-            )
+        clasp = Clasp(
+            team.point_names[point],
+            linking,
+            float(bearing[c]),
+            float(flight.least_bearing[c]),
+            float(moved[c]) if tested else float("nan"),
+            holds=False,
         )
+        holds = abs(linking) == 1 and clasp.bears and bool(held) and flight.error is None
+        found.append(replace(clasp, holds=holds))
     return tuple(found)
 
 
@@ -172,10 +196,15 @@ def _wrong_links(
 
 def _weak(flight: Flight, clasp: Clasp) -> list[Failure]:
     """Return what is wrong with a clasp that is linked."""
-    if clasp.holds or abs(clasp.linking) != 1:
+    if abs(clasp.linking) != 1:
         return []
+    if not clasp.bears:
+        words = (
+            f"{clasp.name}: its cables press with {clasp.bearing:.3f} N, less than the "
+            f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
+        )
+        return [Failure("lost", (clasp.name,), flight.rested, words)]
     if clasp.moved > HELD:
         words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
         return [Failure("slipped", (clasp.name,), flight.pulled, words)]
-    words = f"{clasp.name}: its cables do not bear on each other"
-    return [Failure("lost", (clasp.name,), flight.rested, words)]
+    return []

@@ -70,6 +70,8 @@ def _draw_plan(axes: Any, simulation: Simulation) -> None:
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     held = "every vertex holds" if simulation.outcome.hitched else "not hitched"
+    if simulation.flight.linking is None:
+        held = "not simulated to its end"
     axes.set_title(f"{held}; ×: the plan's vertices", fontsize=10)
 
 

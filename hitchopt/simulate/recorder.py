@@ -64,16 +64,17 @@ class Recorder:
         self._bearing.collect()
         self._peaks[:] = 0.0
 
-    def sample(self, time: float, told: Array) -> None:
+    def sample(self, time: float, told: Array, least_bearing: Array | float) -> None:
         """Add a row: what is now, and what was gathered since the last one.
 
         Parameters
         ----------
         time: [s]
         told: (2n, 3) [m], where the drones were told to be.
+        least_bearing: (clasps,) [N], the contact force from which on a clasp bears.
         """
         world = self._world
-        vertices, bearing = self._bearing.collect()
+        vertices, bearing = self._bearing.collect(least_bearing)
         means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
         self._rows.append(
             (

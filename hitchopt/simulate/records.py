@@ -86,6 +86,8 @@ class Flight:
     rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
     density: of the simulated cables [kg/m].
     error: what ended it early, or None.
+    least_bearing: (clasps,) [N], the contact force from which on a clasp bears in the end; zero
+        without a hitch.
     """
 
     record: Record
@@ -97,3 +99,4 @@ class Flight:
     pulled: float
     density: float
     error: HitchoptError | None
+    least_bearing: Array

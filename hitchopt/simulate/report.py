@@ -64,10 +64,11 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "format": FORMAT,
         "setpoints_sha256": simulation.task.digest,
         "settings": settings_summary(simulation.settings),
+        "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
-        "clasps": [asdict(clasp) for clasp in outcome.clasps],
+        "clasps": [{**asdict(clasp), "bears": clasp.bears} for clasp in outcome.clasps],
         "vertex_error": {
             "all": asdict(Spread.of(errors.errors)),
             "all_without_sag": asdict(Spread.of(errors.without_sag)),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root
+from scipy.optimize import brentq, root
 
 from hitchopt.errors import HitchoptError
 from hitchopt.hitch.layout import Layout
@@ -118,9 +118,7 @@ def _steps(corners: Array, count: int, length: float) -> Array:
 
 
 def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
-    """Return cables that hang between their drones, or lie between them where the ground is near.
-
-    A cable that would touch the ground starts in narrow folds between its drones, and falls.
+    """Return cables that hang between their drones, and lie on the ground where they reach it.
 
     Parameters
     ----------
@@ -137,6 +135,7 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     ShapeError: drones farther apart than their cable is long.
     """
     found = []
+    floor = ground + 0.5 * ropes.preset.diameter
     for k, (count, length) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         q, r = drones[2 * k], drones[2 * k + 1]
         if np.linalg.norm(r - q) > count * length * (1.0 + 1e-6):
@@ -145,8 +144,9 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
                 f"{count * length:.4g} m; lengthen it, or start closer"
             )
         chain = _hanging_chain(q, r, int(count), float(length))
-        if np.min(chain[:, 2]) < ground + ropes.preset.diameter:
-            chain = _folded(q, r, int(count), float(length))
+        if np.min(chain[:, 2]) < floor:
+            lying = _lying_chain(q, r, int(count), float(length), floor)
+            chain = chain if lying is None else lying
         found.append(chain)
     return found
 
@@ -158,8 +158,7 @@ def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
     links hang down.
     """
     across = r - q
-    span = float(np.hypot(across[0], across[1]))
-    level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    level, span = _level(across)
     rank = np.arange(count) - 0.5 * (count - 1)
 
     def links(unknown: Array) -> tuple[Array, Array]:
@@ -182,17 +181,87 @@ def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
     return np.vstack([q, q + np.cumsum(steps, axis=0)])
 
 
-def _folded(q: Array, r: Array, count: int, length: float) -> Array:
-    """Return an even number of links that zigzag along the line from q to r, a link wide."""
-    across = r - q
-    span = float(np.linalg.norm(across))
-    along = across / span
-    side = np.cross(along, [0.0, 0.0, 1.0])
-    side = side / np.linalg.norm(side)
-    forward = min(span / (count * length), 1.0)
-    aside = np.sqrt(1.0 - forward**2) * (-1.0) ** np.arange(count)
-    steps = length * (forward * along + aside[:, None] * side)
-    return np.vstack([q, q + np.cumsum(steps, axis=0)])
+def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) -> Array | None:
+    """Return the chain of links that hangs from q down to the floor, lies on it, and rises to r.
+
+    None where no whole link lies: the cable just touches the floor.
+
+    The pull along the floor is alike at both ends. Where the cable is longer than it reaches with
+    none, the two ends hang down and what lies between them zigzags, a link wide.
+
+    Parameters
+    ----------
+    q, r: (3,) [m], the drones.
+    count, length: of the links, the latter [m].
+    floor: height of a cable that lies [m].
+    """
+    level, span = _level(r - q)
+    heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0) / length
+
+    def ends(log_pull: float) -> list[tuple[Array, Array]]:
+        return [_risen(float(np.exp(log_pull)), height) for height in heights]
+
+    def surplus(log_pull: float) -> float:
+        """Links that lie on the floor, less those that fit between the two ends."""
+        risen = ends(log_pull)
+        used = sum(len(x) - float(np.sum(x)) for x, _ in risen)
+        return count - used - span / length
+
+    log_pull, tightest = np.log(LEAST_PULL), np.log(MOST_PULL * count)
+    if surplus(log_pull) < 0.0 < surplus(tightest):
+        log_pull = brentq(surplus, log_pull, tightest)
+    (x_q, z_q), (x_r, z_r) = ends(log_pull)
+    lying = count - len(x_q) - len(x_r)
+    if lying < 0:
+        return None
+    zigzag = lying - lying % 2  # the odd one out lies straight
+    forward = span / length - float(np.sum(x_q) + np.sum(x_r)) - lying % 2
+    forward = min(max(forward / max(zigzag, 1), -1.0), 1.0)
+    aside = np.sqrt(1.0 - forward**2) * (-1.0) ** np.arange(zigzag)
+    x = np.concatenate([x_q[::-1], np.full(zigzag, forward), np.ones(lying % 2), x_r])
+    z = np.concatenate([-z_q[::-1], np.zeros(lying), z_r])
+    y = np.concatenate([np.zeros(len(x_q)), aside, np.zeros(lying % 2 + len(x_r))])
+    side = np.array([-level[1], level[0], 0.0])
+    steps = x[:, None] * level + y[:, None] * side + z[:, None] * np.array([0.0, 0.0, 1.0])
+    start = np.array([*q[:2], floor + length * heights[0]])
+    return np.vstack([start, start + length * np.cumsum(steps, axis=0)])
+
+
+LEAST_PULL, MOST_PULL = 1e-3, 1e3
+"""Along the floor, the former in weights of a link, the latter in weights of the cable: ends that
+hang down straight, and a cable that is all but taut."""
+
+
+def _risen(pull: float, height: float) -> tuple[Array, Array]:
+    """Return the links that hang over the floor, lowest first: along it and up, (links,) each.
+
+    The lowest of them carries part of a link's weight, every other one a whole link more.
+
+    Parameters
+    ----------
+    pull: along the floor, in weights of a link.
+    height: of the end, in links.
+    """
+    if height <= 0.0:
+        return np.zeros(0), np.zeros(0)
+    whole = np.arange(1.0, np.ceil(height + np.sqrt(2.0 * pull * height)) + 2.0)
+    reached = np.cumsum(whole / np.hypot(pull, whole))
+    count = int(np.searchsorted(reached, height)) + 1
+    rank = np.arange(count)
+
+    def missing(part: float) -> float:
+        return float(np.sum((rank + part) / np.hypot(pull, rank + part))) - height
+
+    carried = rank + brentq(missing, 0.0, 1.0)
+    size = np.hypot(pull, carried)
+    return pull / size, carried / size
+
+
+def _level(across: Array) -> tuple[Array, float]:
+    """Return the level direction (3,) of an offset and its length [m]; x where it is upright."""
+    span = float(np.hypot(across[0], across[1]))
+    level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    return level, span
 
 
 def _unit(vectors: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,9 @@ def test_one_flight_says_that_it_holds_and_writes_it(solved: Path, tmp_path: Pat
     assert result.exit_code == 0, result.output
     assert "hitched: every vertex is linked and held" in result.stdout
     assert "times real time" in result.stdout
+    for column in ("error [cm]", "without sag [cm]", "drones to their setpoints [cm]"):
+        assert column in result.stdout
+    assert re.search(r"p0 +-?1 +0\.\d{3} ≥ 0\.150 ", result.stdout)
     assert result.stderr == ""
     place = solved / "simulation"
     names = {path.name for path in place.iterdir()}
@@ -75,13 +79,34 @@ def test_a_campaign_says_how_often(solved: Path, tmp_path: Path) -> None:
     assert settings["perturbations"]["wind"] == 0.05
 
 
-def test_a_flight_that_fails_ends_with_3_and_says_what(solved: Path, tmp_path: Path) -> None:
-    result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point", "--wind", "3")
+def test_a_flight_that_fails_ends_with_3_and_says_what(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hitchopt.simulate.outcome.HELD", 1e-4)  # every vertex moves more
+    result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
     assert result.exit_code == 3, result.output
     assert "failed: t = " in result.stderr
+    assert "under the pull test" in result.stderr
+    assert "NOT hitched" in result.stdout
     summary = json.loads((tmp_path / "x" / "simulation.json").read_text(encoding="utf-8"))
     assert summary["succeeded"] is False
+    assert summary["verdict"] == "failed"
     assert summary["failures"]
+
+
+def test_a_run_that_means_nothing_is_not_simulated(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hitchopt.simulate.watch.MOST_STRAIN", -1.0)  # none can be believed
+    result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
+    assert result.exit_code == 3, result.output
+    assert "not simulated: t = -2.50 s, simulation: strain of" in result.stderr
+    assert "not simulated to its end: nothing is known of the hitch" in result.stdout
+    assert "failed" not in result.output
+    assert "NOT hitched" not in result.output
+    assert "p0" not in result.stdout  # no vertex was judged
+    summary = json.loads((tmp_path / "x" / "simulation.json").read_text(encoding="utf-8"))
+    assert (summary["verdict"], summary["clasps"]) == ("not simulated", [])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.cli.progress import LateProgress
-from hitchopt.cli.tables import certificate_table, number, phase_table
+from hitchopt.cli.tables import certificate_table, new_table, number, phase_table, rendered
 from hitchopt.model.motion import Phase
 
 CERTIFICATE = Certificate(
@@ -32,6 +32,15 @@ def test_phases_are_shown_with_their_times() -> None:
     assert ["phase", "step", "start", "end", "duration"] in rows
     assert ["morph", "0", "0.000 s", "1.250 s", "1.250 s"] in rows
     assert ["hold [b]", "1", "1.250 s", "12.500 s", "11.250 s"] in rows
+
+
+def test_brackets_are_text_in_every_part_of_a_table() -> None:
+    table = new_table("Errors [cm]", [("vertex [p]", "left")], ["error [cm]", "pull [N]"])
+    table.add_row("all [m]", "1.5 [/b]", ":cat: [red]2[/red]")
+    shown = rendered(table)
+    for text in ("Errors [cm]", "vertex [p]", "error [cm]", "pull [N]", "all [m]", "1.5 [/b]"):
+        assert text in shown
+    assert ":cat: [red]2[/red]" in shown
 
 
 def test_checks_are_shown_with_value_limit_place_and_verdict() -> None:

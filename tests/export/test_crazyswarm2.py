@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
-from collections.abc import Callable
+import re
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from cflib.crazyflie.mem.trajectory_memory import Poly4D
-from exported_plans import exported, hitch_plan, long_plan, restless_plan, swarm_of, swarm_plan
+from exported_plans import (
+    certificate_of,
+    exported,
+    hitch_plan,
+    long_plan,
+    restless_plan,
+    swarm_of,
+    swarm_plan,
+    task_of,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.export.exporting import export_plan
+from hitchopt.export.fleet import fleet_from_dict, placeholder_fleet, read_fleet
+from hitchopt.export.formats.crazyswarm2 import KIND
 from hitchopt.export.formats.poly_csv import (
     PIECE_BYTES,
     from_powers,
@@ -25,6 +35,7 @@ from hitchopt.export.formats.poly_csv import (
     to_powers,
     write_poly_csv,
 )
+from hitchopt.export.formats.registry import format_of
 from hitchopt.export.manifest import read_manifest
 from hitchopt.export.sampling import states_at
 from hitchopt.model.motion import Motion
@@ -109,66 +120,42 @@ def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
     assert settings["all"]["firmware_params"]["commander"]["enHighLevel"] == 1
 
 
-class FakeFleet:
-    """Stands for crazyflie_py: notes what is asked of which drone."""
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self.calls: list[tuple[str, str, tuple[object, ...], dict[str, object]]] = []
-        self.crazyfliesByName = {name: FakeDrone(self, name) for name in names}
-        self.allcfs = self
-        self.timeHelper = FakeDrone(self, "clock")
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(FakeDrone(self, "all"), name)
-
-
-class FakeDrone:
-    def __init__(self, fleet: FakeFleet, name: str) -> None:
-        self._fleet, self._name = fleet, name
-
-    def __getattr__(self, call: str) -> Callable[..., None]:
-        return lambda *args, **keys: self._fleet.calls.append((self._name, call, args, keys))
+def test_every_number_of_an_initial_position_is_a_float(tmp_path: Path) -> None:
+    """ROS refuses lists of integers and floats; a loader of YAML 1.1 wants a point in a float."""
+    starts = np.array([[1.0, -2.0, 1.0], [1e-5, -1e-9, 1.0], [123456.789, 0.1234567, 1.0]])
+    still = swarm_of(starts[None] + np.zeros((2, 1, 1)), np.array([0.0, 3.0]))
+    still = replace(still, arena=None)
+    exported(still, "crazyswarm2", tmp_path)
+    text = (tmp_path / "crazyflies.yaml").read_text()
+    found = re.findall(r"initial_position: \[(.*), (.*), (.*)\]", text)
+    assert len(found) == len(starts)
+    for numbers, start in zip(found, starts, strict=True):
+        assert all(re.fullmatch(r"-?[0-9]+\.[0-9]+", number) for number in numbers)
+        np.testing.assert_allclose([float(x) for x in numbers], [*start[:2], 0.0], atol=1e-6)
 
 
-class FakeTrajectory:
-    def loadcsv(self, path: Path) -> None:
-        self.rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(33))
-
-
-@pytest.mark.parametrize("arguments", [[], ["--from-here"]])
-def test_the_script_starts_all_in_step(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (part,) = exported(hitch_plan(), "crazyswarm2", tmp_path)
-    names = hitch_plan().team.drone_names
-    fleet = FakeFleet(names)
-    package, reader = ModuleType("crazyflie_py"), ModuleType("crazyflie_py.uav_trajectory")
-    monkeypatch.setattr(package, "Crazyswarm", lambda: fleet, raising=False)
-    monkeypatch.setattr(reader, "Trajectory", FakeTrajectory, raising=False)
-    monkeypatch.setitem(sys.modules, "crazyflie_py", package)
-    monkeypatch.setitem(sys.modules, "crazyflie_py.uav_trajectory", reader)
-    monkeypatch.setattr("builtins.input", lambda _: "")
-    monkeypatch.setattr(sys, "argv", ["fly.py", *arguments])
-    runpy.run_path(str(tmp_path / "fly.py"), run_name="__main__")
-    told = [(who, call) for who, call, _, _ in fleet.calls if who != "clock"]
-    uploads = [(name, "uploadTrajectory") for name in names]
-    ways = [(name, "goTo") for name in names]
-    takeoff = [] if arguments else [("all", "takeoff")]
-    assert told == [*uploads, *takeoff, *ways, ("all", "startTrajectory"), ("all", "land")]
-    for who, call, args, keys in fleet.calls:
-        if call == "uploadTrajectory":
-            assert args[:2] == (0, 0)  # trajectory 0 at offset 0
-        elif call == "goTo":
-            start = flown(tmp_path / f"{who}.csv", np.zeros(1))[0]
-            np.testing.assert_allclose(np.array(args[0]), start, atol=1e-5)
-        elif call == "startTrajectory":
-            assert keys["relative"] is False
-            started = fleet.calls.index((who, call, args, keys))
-    waits = [args[0] for _, call, args, _ in fleet.calls[started:] if call == "sleep"]
-    assert float(str(waits[0])) >= part.verdict.duration
-    note = (tmp_path / "README.txt").read_text(encoding="utf-8")
-    assert "relative=False" in note
-    assert "placeholders" in note
+def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> None:
+    kind = format_of("crazyswarm2")
+    motion = swarm_plan()
+    drones = {
+        role: {"name": f"cf{i}", "uri": f"radio://0/80/2M/E7E7E7E70{i}", "type": "cf21"}
+        for i, role in enumerate(reversed(motion.team.drone_names))
+    }
+    data = {"drones": drones, "types": {"cf21": {"big_quad": True}}, "settings": {"a": {"b": 1}}}
+    fleets = [fleet_from_dict(data, motion.team.drone_names)]
+    texts = []
+    for turn in ("first", "second"):
+        task = replace(task_of(motion, "crazyswarm2"), fleet=fleets[-1])
+        export_plan(kind, task, certificate_of(motion), tmp_path / turn)
+        path = tmp_path / turn / "crazyflies.yaml"
+        fleets.append(read_fleet(path, motion.team.drone_names))
+        texts.append(path.read_text())
+    assert fleets[1] == fleets[0]
+    assert texts[1] == texts[0]
+    exported(motion, "crazyswarm2", tmp_path / "placeholders")
+    again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", motion.team.drone_names)
+    assert again.members == placeholder_fleet(motion.team.drone_names).members
+    assert not again.given
 
 
 def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
@@ -178,21 +165,28 @@ def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
     manifest = read_manifest(tmp_path)
     assert manifest is not None
     assert manifest["parts"] == [part.folder.name for part in parts]
-    began = 0.0
+    spans = manifest["plan_spans"]
+    assert [begins for begins, _ in spans] == [part.begins for part in parts]
+    assert [0.0, *(end for _, end in spans)] == [*(begins for begins, _ in spans), motion.duration]
+    assert manifest["duration"] == motion.duration
     end = None
-    for part in parts:
-        assert any("cut into" in note for note in part.notes)
+    for part, (begins, ends) in zip(parts, spans, strict=True):
+        assert any("cut into" in note and "only then upload" in note for note in part.notes)
+        own = read_manifest(part.folder)
+        assert own is not None
+        assert own["plan_span"] == [begins, ends]
+        # What is flown lasts as long, rounded up to the format's clock.
+        assert 0.0 <= part.verdict.duration - (ends - begins) < KIND.quantum
         first = flown(part.folder / "q0.csv", np.zeros(1))[0]
         if end is not None:
             np.testing.assert_allclose(first, end, atol=1e-6)
         t = np.array([0.0, 0.7])
-        places = states_at(motion, began + t).positions[:, 0]
-        np.testing.assert_allclose(flown(part.folder / "q0.csv", t), places, atol=2e-3)
+        places = states_at(motion, begins + t).positions[:, 0]
+        np.testing.assert_allclose(flown(part.folder / "q0.csv", t), places, atol=1e-3)
         end = flown(part.folder / "q0.csv", np.array([part.verdict.duration]))[0]
         for order in (1, 2):
             for at in (0.0, part.verdict.duration):
                 assert np.max(np.abs(flown(part.folder / "q0.csv", np.array([at]), order))) < 1e-4
-        began += part.verdict.duration
     # A shorter plan in the same folder leaves none of the parts behind.
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     assert [p for p in tmp_path.iterdir() if p.is_dir()] == []

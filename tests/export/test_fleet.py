@@ -65,6 +65,39 @@ def test_mistakes_are_told_by_key(data: dict[str, object], told: str) -> None:
         fleet_from_dict(data, ROLES)
 
 
+ROBOTS: dict[str, dict[str, object]] = {
+    "cf7": {"uri": "radio://0/80/2M/E7E7E7E707", "initial_position": [0, 0.5, 0], "role": "r0"},
+    "q0": {"enabled": True, "uri": "radio://0/80/2M/E7E7E7E709", "type": "cf21"},
+    "cf3": {"enabled": False, "uri": "radio://0/80/2M/E7E7E7E703", "type": "cf21"},
+}
+
+
+def test_robots_fly_their_roles_else_their_names() -> None:
+    data = {"fileversion": 3, "robots": ROBOTS, "robot_types": {"cf21": {}}, "all": {"a": 1}}
+    fleet = fleet_from_dict(data, ROLES)
+    assert [(m.role, m.name) for m in fleet.members] == [("q0", "q0"), ("r0", "cf7")]
+    assert [m.type for m in fleet.members] == ["cf21", "default"]
+    assert (fleet.types, fleet.settings) == ({"cf21": {}}, {"a": 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "told"),
+    [
+        ("cf3", {"enabled": True}, r"robots = 'cf3': .* a robot's role tells which it flies"),
+        ("cf3", {"enabled": True, "role": "r0"}, "robots.cf3.role = 'r0': .* and cf7 has it"),
+        ("cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
+        ("cf7", {"uri": ROBOTS["q0"]["uri"]}, r"robots\.\w+\.uri = .* must be of one drone only"),
+        ("cf7", {"uri": None}, "robots.cf7.uri"),
+    ],
+)
+def test_mistakes_in_settings_are_told_by_robot(
+    name: str, keys: dict[str, object], told: str
+) -> None:
+    robots = {**ROBOTS, name: {**ROBOTS[name], **keys}}
+    with pytest.raises(InputError, match=told):
+        fleet_from_dict({"robots": robots}, ROLES)
+
+
 def test_a_list_is_no_fleet(tmp_path: Path) -> None:
     path = tmp_path / "fleet.yaml"
     path.write_text("- q0\n")

@@ -14,10 +14,28 @@ from hitchopt import (
     Limits,
     Quadrotor,
     Separation,
+    SwapSettings,
     Team,
 )
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("angle", "words"),
+    [
+        (45, "tilt = 45.0: must be below π/2 rad; 45 degrees are 0.785 rad"),
+        (1.6, "tilt = 1.6: must be below π/2 rad; 1.6 degrees are 0.0279 rad"),
+        (100, "tilt = 100.0: must be below π/2 rad; 45 degrees are 0.785 rad"),
+    ],
+)
+@pytest.mark.parametrize("record", [Limits, SwapSettings])
+def test_angles_in_degrees_are_refused_in_radians(
+    record: type[Limits | SwapSettings], angle: float, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        record(tilt=angle)
+    assert str(caught.value) == words
 
 
 @pytest.mark.parametrize(

@@ -58,12 +58,14 @@ def forming(
     leg: float = 0.3,
     tilt: float = np.pi / 4.0,
     swap: float = 5.0,
+    swapped: bool = False,
 ) -> tuple[Setpoints, VertexTable]:
     """Drones that swap places and draw the hitch tight; one entry of turns per vertex.
 
     ``turns`` says by how many turns the pair at each vertex goes around, in two equal halves; a
     tuple of two says so for each half. ``tilt`` is that of the turning axis, the outward bisector,
-    upward.
+    upward. ``swapped``: it is drawn tight with every pair in each other's places, as half a turn
+    leaves it, so that cables run straight through each other's crossings.
     """
     team, layout = hitch.team, hitch.team.layout
     place, outward = hitch.drones, hitch.leg_directions
@@ -88,9 +90,14 @@ def forming(
     positions[:, q], positions[:, r] = middle + offset, middle - offset
     begin = 1.5 + 2.0 * swap
     tighten = smooth((t - begin) / 2.0)[:, None, None]
+    cable_pull = hitch.cable_forces + upward(team.cable_weight)
+    if swapped:
+        place, cable_pull = place.copy(), cable_pull.copy()
+        for values in (place, cable_pull):
+            values[np.concatenate([q, r])] = values[np.concatenate([r, q])]
     positions = positions + tighten * (place - positions)
     pull = smooth((t - begin - 1.0) / 1.5)[:, None, None]
-    forces = pull * (hitch.cable_forces + upward(team.cable_weight)) - upward(team.cable_weight)
+    forces = pull * cable_pull - upward(team.cable_weight)
     setpoints = table(positions, forces)
     formed = t >= begin + 2.5
     vertices = np.repeat(hitch.vertices[None], np.sum(formed), axis=0)

@@ -19,6 +19,7 @@ from hitchopt.simulate.campaign import (
     save_campaign,
     wilson_interval,
 )
+from hitchopt.simulate.outcome import NOT_SIMULATED
 from hitchopt.simulate.settings import Perturbations, Settings
 from hitchopt.simulate.simulation import Task, simulate
 
@@ -81,6 +82,7 @@ def test_processes_fly_what_one_would(task: Task, tmp_path: Path) -> None:
     with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["seed"] for row in rows] == ["40", "41"]
+    assert [row["verdict"] for row in rows] == ["succeeded", "succeeded"]
     done = simulate(task, BRIEF).errors
     moving = np.mean(done.without_sag[done.t > 0.035])
     assert float(rows[0]["moving_without_sag_mean"]) == pytest.approx(moving, rel=1e-5)
@@ -98,6 +100,8 @@ def test_flights_that_cannot_begin_are_failures_of_that_run(task: Task) -> None:
     campaign = run_campaign(Task(hitch.team, apart, free), BRIEF, 2, processes=1)
     assert campaign.successes == 0
     assert campaign.failures == {("start", ""): 2}
+    assert [run.verdict for run in campaign.runs] == [NOT_SIMULATED] * 2
+    assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     assert "its drones start" in campaign.runs[0].failures[0].words
     assert isinstance(campaign, Campaign)
     heavy = replace(BRIEF, density=1e-6)

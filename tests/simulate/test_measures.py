@@ -34,7 +34,7 @@ def flight_of(t: Array, vertices: Array, hitch: Hitch, duration: float) -> Fligh
         np.zeros((samples, 2 * n), dtype=np.bool_),
     )
     film = Film(t, np.zeros((samples, 4, 3), dtype=np.float32), np.array([0, 4]))
-    return Flight(record, film, (), None, duration, np.nan, np.nan, 0.01, None)
+    return Flight(record, film, (), None, duration, np.nan, np.nan, 0.01, None, np.zeros(n))
 
 
 def test_errors_are_distances_where_there_is_a_hitch() -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scripted import regular_hitch
 
-from hitchopt.simulate.outcome import Outcome, judge
+from hitchopt.simulate.outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
 from hitchopt.simulate.records import Film, Flight, Record, TouchEvent
 from hitchopt.simulate.watch import InvalidRunError
 
@@ -31,14 +31,16 @@ def judged(
     t = np.arange(0.0, 5.01, 0.1)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
     vertices[t > 3.05, 1] += [moved, 0.0, 0.0]
+    some = np.ones((len(t), 4))
+    bearing = some.copy()
     if lost is not None:
         vertices[:, lost] = np.nan
-    some = np.ones((len(t), 4))
+        bearing[:, lost] = 0.2
     many = np.ones((len(t), 8))
     drones = np.zeros((len(t), 8, 3))
-    record = Record(t, drones, drones, vertices, some, some, some, many, many > 2.0)
+    record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0)
     film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
-    flight = Flight(record, film, events, linking, 2.0, 3.0, pulled, 0.01, error)
+    flight = Flight(record, film, events, linking, 2.0, 3.0, pulled, 0.01, error, np.full(4, 0.3))
     return judge(flight, HITCH.team, formed=formed)
 
 
@@ -83,6 +85,7 @@ def test_cables_that_do_not_bear_have_lost_their_vertex() -> None:
     outcome = judged(lost=2)
     (failure,) = outcome.failures
     assert (failure.kind, failure.where) == ("lost", ("p2",))
+    assert "press with 0.200 N, less than the 0.300 N from which on a clasp bears" in failure.words
     assert [clasp.holds for clasp in outcome.clasps] == [True, True, False, True]
 
 
@@ -92,6 +95,18 @@ def test_a_plan_that_ends_without_a_hitch_has_to_end_untangled() -> None:
     assert {failure.kind for failure in outcome.failures} == {"tangled"}
     assert len(outcome.failures) == 4
     assert not outcome.hitched
+
+
+def test_a_run_that_left_its_range_is_not_a_failed_plan() -> None:
+    error = InvalidRunError("strain", 0.05, 0.02, "m/m", -1.25, "cable 3")
+    settling = judged(None, error=error, pulled=float("nan"))
+    assert (settling.verdict, settling.succeeded, settling.clasps) == (NOT_SIMULATED, False, ())
+    touched = TouchEvent(0.5, "q0", "cable 2")
+    assert judged(None, events=(touched,), error=error, pulled=float("nan")).verdict == FAILED
+    assert (judged().verdict, judged(lost=2).verdict) == (SUCCEEDED, FAILED)
+    pulling = judged(error=error, pulled=float("nan"))  # linked and bearing until then
+    assert pulling.verdict == NOT_SIMULATED
+    assert [(clasp.bears, clasp.holds) for clasp in pulling.clasps] == [(True, False)] * 4
 
 
 def test_touches_and_an_early_end_come_in_order_of_time() -> None:

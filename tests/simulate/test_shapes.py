@@ -99,19 +99,46 @@ def test_cables_between_drones_straight_above_each_other_hang_in_a_fold() -> Non
     assert np.min(cable[:, 2]) == pytest.approx(3.0 - 1.3, abs=0.05)
 
 
-def test_cables_near_the_ground_lie_in_narrow_folds() -> None:
-    ropes = Ropes(np.array([2.0, 2.0]), 0.01, 0.0, FAST)
-    drones = np.array([[0.0, 0.0, 0.1], [1.2, 0.5, 0.1], [0.0, 3.0, 0.1], [1.9, 3.0, 0.1]])
-    cables = hanging(ropes, drones, 0.0)
-    assert_exact(cables, ropes)
-    for k, cable in enumerate(cables):
-        np.testing.assert_allclose(cable[[0, -1]], drones[2 * k : 2 * k + 2], atol=1e-9)
-        np.testing.assert_allclose(cable[:, 2], 0.1)
-        across = drones[2 * k + 1] - drones[2 * k]
-        side = np.cross(across, [0.0, 0.0, 1.0])
-        off = (cable - drones[2 * k]) @ (side / np.linalg.norm(side))
-        assert np.min(off) > -1e-9
-        assert 0.001 < np.max(off) < FAST.segment
+@pytest.mark.parametrize("preset", [FAST, ACCURATE], ids=lambda preset: preset.name)
+@pytest.mark.parametrize(
+    ("q", "r", "length"),
+    [
+        ((0.0, 0.0, 1.0), (0.7, 0.3, 1.0), 3.1),  # longer than what hangs and lies straight
+        ((0.0, 0.0, 1.0), (0.7, 0.3, 0.6), 2.2),
+        ((0.0, 0.0, 1.0), (-1.9, 0.3, 0.05), 2.6),
+        ((0.0, 0.0, 0.1), (1.2, 0.5, 0.1), 2.0),
+        ((0.0, 0.0, 0.0), (1.9, 0.0, 0.0), 2.0),  # drones that stand on the ground
+    ],
+)
+def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
+    q: tuple[float, ...], r: tuple[float, ...], length: float, preset: Preset
+) -> None:
+    ropes = Ropes(np.array([length]), 0.01, 0.0, preset)
+    (cable,) = hanging(ropes, np.array([q, r]), -0.03)
+    assert_exact([cable], ropes)
+    np.testing.assert_allclose(cable[[0, -1]], [q, r], atol=1e-6)
+    floor = -0.03 + 0.5 * preset.diameter
+    lying = np.flatnonzero(cable[:, 2] < floor + 1e-9)
+    assert np.min(cable[:, 2]) == pytest.approx(floor, abs=1e-9)
+    np.testing.assert_array_equal(np.diff(lying), 1)  # all of it in one piece
+    assert len(lying) > 0.1 * len(cable)
+    along = np.subtract(r, q)[:2] / np.hypot(*np.subtract(r, q)[:2])
+    off = (cable[:, :2] - np.array(q)[:2]) @ [-along[1], along[0]]
+    assert np.max(np.abs(off)) < 1.01 * float(ropes.segment_lengths[0])
+    for rising in (cable[lying[-1] :], cable[lying[0] :: -1]):  # a catenary: an even pull
+        steps = np.diff(rising, axis=0)
+        slopes = steps[:, 2] / np.maximum(np.hypot(*steps[:, :2].T), 1e-12)
+        assert np.all(np.diff(slopes) > 0.0)
+        np.testing.assert_allclose(np.diff(slopes[:6], n=2), 0.0, atol=1e-6 * slopes[-1])
+
+
+def test_a_cable_that_just_touches_the_ground_hangs() -> None:
+    ropes = Ropes(np.array([2.0]), 0.01, 0.0, FAST)
+    drones = np.array([[0.0, 0.0, 1.0], [0.8, 0.0, 1.0]])
+    (free,) = hanging(ropes, drones, -5.0)
+    lowest = float(np.min(free[:, 2])) - 0.5 * FAST.diameter
+    (cable,) = hanging(ropes, drones, lowest + 1e-4)
+    np.testing.assert_allclose(cable, free, atol=1e-2)
 
 
 def test_drones_too_far_apart_are_told() -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from scripted import regular_hitch, standing
+from scripted import regular_hitch, standing, table
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulate.settings import FAST, Perturbations, Settings
@@ -89,6 +90,24 @@ def test_a_chain_holds_at_its_clasps() -> None:
     done = simulate(Task(team, *standing(hitch, 0.3)), Settings(body="point"))
     assert done.outcome.failures == ()
     assert [clasp.name for clasp in done.outcome.clasps] == ["p1", "p2"]
+
+
+def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
+    """As problems/form_hanging_to_the_floor begins; folded in the air they tore as they fell."""
+    team = Team(4, [2.6, 2.8, 2.6, 2.9], tension=0.6)
+    q = np.array([[1.35, -0.4], [-2.0, 0.6], [-0.35, 0.6], [-2.0, -0.4]])
+    places = np.ones((8, 3))
+    places[0::2, :2], places[1::2, :2] = q, q + [0.7, 0.0]
+    still = np.repeat(places[None], 31, axis=0)
+    none = VertexTable(np.empty(0), np.empty((0, 4, 3)), np.empty((0, 4)))
+    done = simulate(Task(team, table(still, np.zeros_like(still)), none), Settings())
+    assert done.outcome.verdict == "succeeded"
+    for film in (done.flight.film.nodes[0], done.flight.film.nodes[-1]):
+        for begin, end in pairwise(done.flight.film.cables):
+            heights = film[begin:end, 2]
+            assert np.min(heights) == pytest.approx(0.006, abs=0.004)
+            assert 0.1 < np.mean(heights < 0.015) < 0.5  # so much of it lies
+    assert np.max(done.flight.record.peak_tensions) < 3.0 * GRAVITY * 0.01 * 1.0
 
 
 def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:

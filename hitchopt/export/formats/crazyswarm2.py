@@ -84,13 +84,15 @@ class Crazyswarm2:
         powers = np.zeros((curves.pieces, len(task.names), 4, KIND.degree + 1))
         powers[:, :, :3] = to_powers(curves.coefficients, curves.durations)
         powers[:, :, 3, 0] = task.room.heading
-        first, _ = curves.ends()
+        starts, ends = curves.ends()
+        first, last = starts[0], ends[-1]
         writers: dict[str, Writer] = {
             f"{name}.csv": _writer(curves.durations, powers[:, i], task.room.frame)
             for i, name in enumerate(task.names)
         }
-        writers["crazyflies.yaml"] = lambda path: _write(path, settings_text(task, first[0]))
-        writers["fly.py"] = lambda path: _write(path, fly_script(task, first[0], curves.duration))
+        writers["crazyflies.yaml"] = lambda path: _write(path, settings_text(task, first))
+        script = fly_script(task, first, last, curves.duration)
+        writers["fly.py"] = lambda path: _write(path, script)
         writers["README.txt"] = lambda path: _write(path, note_text(task, curves.duration))
         used = curves.pieces * PIECE_BYTES
         note = f"{curves.pieces} pieces, {used} of {memory.BYTES} bytes of each drone's memory"

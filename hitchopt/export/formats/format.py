@@ -33,6 +33,8 @@ class Task:
     rate: samples a second of the formats that sample [Hz].
     storage: of a bag, mcap or sqlite3.
     rate_given: whether the user asked for that rate; else a format may sample more often.
+    begins: when in the plan the motion begins [s]; 0 unless the plan was cut.
+    number, count: which part of how many the motion is, from 1 on.
     """
 
     motion: Motion
@@ -42,11 +44,27 @@ class Task:
     rate: float
     storage: str = "mcap"
     rate_given: bool = False
+    begins: float = 0.0
+    number: int = 1
+    count: int = 1
 
     @property
     def names(self) -> tuple[str, ...]:
         """(D,) what the files call the drones, in the plan's order."""
         return tuple(member.name for member in self.fleet.members)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """When in the plan the motion begins and ends [s]; parts follow without a gap."""
+        return self.begins, self.begins + self.motion.duration
+
+    @property
+    def place(self) -> str:
+        """Which part of the plan this is, in words; nothing for the whole."""
+        if self.count == 1:
+            return ""
+        begins, ends = self.span
+        return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
     def pulls(self, t: Array) -> Array:
         """Return the cables' pull over each drone's mass, (S, D, 3) [m/s²], in the file's axes."""

@@ -13,6 +13,9 @@ from hitchopt.model.motion import Motion
 BYTES = 4096
 """For all trajectories of one drone."""
 
+UPLOAD_LAST = "goTo the point where each hovers and wait, only then upload the next"
+"""A finished trajectory is evaluated from the memory that an upload overwrites; goTo is not."""
+
 CLOSER = 0.3
 """Of the accuracy, that parts are refitted within where coarser ones lose a limit."""
 
@@ -47,7 +50,7 @@ def arrangements(
         return
     before = 1
     for share in (1.0, CLOSER):
-        parts = []
+        parts: list[Task] = []
         first = 0
         while first < len(at) - 1:
             last = first + 1
@@ -57,16 +60,18 @@ def arrangements(
                 raise _left_to_streaming(needed(cut(motion, at[first], at[last])))
             while _more(first, last, len(at)) and fits(cut(motion, at[first], at[last + 1]), share):
                 last += 1
-            parts.append(replace(task, motion=cut(motion, at[first], at[last])))
+            part = cut(motion, at[first], at[last])
+            begins = float(motion.drones.breaks[at[first]])
+            parts.append(replace(task, motion=part, begins=begins, number=len(parts) + 1))
             first = last
         if len(parts) > before:
             before = len(parts)
             why = "loses a limit in so few pieces" if whole else "does not fit"
             yield Arrangement(
-                tuple(parts),
+                tuple(replace(part, count=len(parts)) for part in parts),
                 f"the plan is cut into {len(parts)} parts at rests, since as a whole it {why} "
-                f"(a drone's memory holds {BYTES} bytes): fly one, upload the next while the "
-                "drones hover, go on",
+                f"(a drone's memory holds {BYTES} bytes): fly one and let the drones hover, "
+                f"{UPLOAD_LAST}, go on",
             )
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
-from hitchopt.values import finite, positive
+from hitchopt.values import acute, not_negative, positive
 
 
 @dataclass(frozen=True)
@@ -31,10 +30,6 @@ class SwapSettings:
         if self.seconds is not None:
             object.__setattr__(self, "seconds", positive("seconds", self.seconds))
         if self.tilt is not None:
-            tilt = finite("tilt", self.tilt)
-            if not 0.0 <= tilt < 0.5 * math.pi:
-                raise InputError(
-                    "tilt", math.degrees(tilt), "from 0 to below 90 degrees", "45 is usual"
-                )
+            object.__setattr__(self, "tilt", acute("tilt", not_negative("tilt", self.tilt)))
         if self.sense not in {-1, 0, 1}:
             raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")
