@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from hitchopt.export.exporting import Export
 from hitchopt.mission.loading import load_problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import Motion
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "tie_carry_untie.yaml"
 
@@ -23,7 +23,7 @@ CONTINUOUS = 2e-3
 
 
 @lru_cache
-def whole_mission() -> Flying:
+def whole_mission() -> Motion:
     return solve_problem(load_problem(PROBLEM)).motion
 
 
