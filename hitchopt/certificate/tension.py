@@ -35,7 +35,8 @@ def check(motion: Motion) -> Check:
       the team's tension are: the plan's file is believed in what was asked for, never in whether it
       is kept. It holds within its phase only; at both of the phase's ends tensions are the team's.
     - A ramp, in which a tension is from 0 to the team's. No file names it: it is next to a span of
-      time without a hitch, nothing moves in it, and it ends where the tension comes to the team's.
+      time without a hitch, nothing moves in it, and it ends where the tension comes to the team's,
+      which it has to.
     - Legs pull with up to ``e^{μ θ}`` times the range's upper end, and down to ``e^{-μ θ}`` times
       its lower one, for the angle θ that the cable wraps at its clasp.
 
@@ -160,27 +161,32 @@ def _off_at_ends(motion: Motion) -> Check:
 
 def _ramps(motion: Motion) -> Mask:
     """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch."""
-    resting = np.ones(motion.drones.pieces, dtype=np.bool_)
+    resting = motion.formed
     for part in (motion.drones, motion.vertices):
-        resting &= np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL
-    c, formed = motion.tensions.coefficients, motion.formed
-    up = _rising(formed, resting, c[..., 0], motion.team.tension)
-    down = _rising(formed[::-1], resting[::-1], c[::-1, :, -1], motion.team.tension)
-    return up | down[::-1]
+        resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)
+    c = motion.tensions.coefficients
+    full = motion.team.tension[:, None] - c[..., [0, -1]] <= LIMIT
+    free = ~motion.formed
+    up = _rising(free, resting, full)
+    return up | _rising(free[::-1], resting[::-1], full[::-1, :, ::-1])[::-1]
 
 
-def _rising(formed: Mask, resting: Mask, first: Array, team: Array) -> Mask:
-    """Return (pieces, n) which pieces follow one without a hitch at rest, below the team's tension.
+def _rising(free: Mask, resting: Mask, full: Mask) -> Mask:
+    """Return (pieces, n) the pieces at rest from one without a hitch to the team's tension.
 
     Parameters
     ----------
-    formed, resting: (pieces,)
-    first: (pieces, n) [N], tensions where each piece begins.
-    team: (n,) [N]
+    free, resting: (pieces,) without a hitch; with one, and nothing moves.
+    full: (pieces, n, 2), whether the team's tension is reached where a piece begins and ends.
     """
-    pieces = np.arange(len(formed))[:, None]
-    begins = formed & resting & ~np.concatenate([[True], formed[:-1]])
-    over = ~(formed & resting)[:, None] | (team - first <= LIMIT)
-    begun = np.maximum.accumulate(np.where(begins[:, None], pieces, -1), axis=0)
-    ended = np.maximum.accumulate(np.where(over, pieces, -1), axis=0)
-    return begun > ended
+    begins = resting & np.concatenate([[False], free[:-1]])
+    begun, stopped = _latest(begins[:, None]), _latest(~resting[:, None] | full[..., 0])
+    reached = _latest(full[::-1, :, 1])[::-1]
+    left = _latest(~resting[::-1, None])[::-1]
+    return (begun > stopped) & (reached > left)
+
+
+def _latest(mask: Mask) -> NDArray[np.intp]:
+    """Return (pieces, …) the index of the latest piece so far for which the mask holds, or -1."""
+    pieces = np.arange(len(mask))[:, None]
+    return np.maximum.accumulate(np.where(mask, pieces, -1), axis=0)
