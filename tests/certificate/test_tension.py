@@ -181,7 +181,7 @@ def _middle(part: PiecewisePolynomial) -> PiecewisePolynomial:
 
 
 def test_a_hitch_that_forms_at_once_jumps() -> None:
-    """Of its full tension, and of the weight that the cables had pulled with."""
+    """The jump is that of the full tension; a hitch that never pulls fails as well."""
     motion = tied()
     full = motion.team.tension[:, None] * np.ones((motion.drones.pieces, 1, 8))
     at_once = pulling(motion, lambda _: np.where(motion.formed[:, None, None], full, 0.0))
@@ -286,8 +286,22 @@ def test_a_stated_range_begins_and_ends_with_the_teams_tension() -> None:
     found = check(replace(motion, phases=half))
     assert found.worst == pytest.approx(0.06, abs=2e-6)
     assert found.time == pytest.approx(1.0)
-    late = (replace(motion.phases[0], end=0.5), replace(motion.phases[0], start=0.5))
-    assert not check(replace(motion, phases=late)).holds  # nor of a part of a piece
+
+
+def test_a_range_does_not_hold_on_pieces_that_lie_partly_within_its_phase() -> None:
+    motion = swinging(0.3, 0.5)
+
+    def once(c: Array) -> Array:
+        x = bernstein.nodes(bernstein.degree(c))
+        c[0] = bernstein.interpolate(0.4 - 0.06 * np.sin(np.pi * x) ** 2)
+        c[1] = 0.4
+        return c
+
+    motion = pulling(motion, once)
+    for end, worst in ((1.0, 0.0), (0.6, 0.06)):
+        phases = (replace(motion.phases[0], end=end), Phase("hold", 1, end, 2.0))
+        found = check(replace(motion, phases=phases))
+        assert found.worst == pytest.approx(worst, abs=1e-3 * worst + 1e-9)
 
 
 def test_a_morph_that_eases_its_cables_states_its_range_in_the_file(tmp_path: Path) -> None:
@@ -372,6 +386,27 @@ def test_a_jump_within_the_range_is_found(part: str) -> None:
     assert found.time == pytest.approx(1.0)
 
 
+def test_a_pull_that_jumps_is_found_where_the_thrust_does_not() -> None:
+    """The drone accelerates at the same time, by as much as its leg pulls harder."""
+    motion = swinging(0.2, 0.6)
+    pulls = np.repeat(motion.tensions.coefficients[:, :, None], 2, axis=2)
+    pulls[1, 2, 1, 0] += 0.003
+    leg = motion.drones.at(1.0)[5] - motion.vertices.at(1.0)[3]
+    c = motion.drones.coefficients.copy()
+    c[1, 5, :, 2] -= 0.003 / 0.132 / 72.0 * leg / np.linalg.norm(leg)
+    motion = replace(
+        motion,
+        team=Team(**{**_given(motion.team), "cable_friction": 1.0}),
+        drones=PiecewisePolynomial(motion.drones.breaks, c),
+        leg_tensions=PiecewisePolynomial(motion.drones.breaks, pulls),
+    )
+    states = states_at(motion, [1.0 - 1e-9, 1.0])
+    assert np.max(np.abs(np.diff(states.thrusts(motion.team), axis=0))) < 1e-6
+    found = check(motion)
+    assert found.worst == pytest.approx(0.003, rel=1e-6)
+    assert found.where == ("r2",)
+
+
 def test_thrusts_that_jump_with_accelerations_are_found() -> None:
     motion = moving(
         Team(4, [2.9, 2.8, 2.7, 3.0], cable_density=0.004),
@@ -391,4 +426,5 @@ def test_thrusts_that_jump_with_accelerations_are_found() -> None:
 
 def test_what_a_plan_says_of_free_cables_tensions_does_not_count() -> None:
     motion = free_motion(*random_flight(0))
-    assert check(motion).worst == pytest.approx(check(pulling(motion, lambda c: c + 3.0)).worst)
+    told = pulling(motion, lambda c: c + np.arange(len(c))[:, None, None])
+    assert check(told).worst == pytest.approx(check(motion).worst)
