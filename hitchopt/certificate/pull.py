@@ -100,7 +100,7 @@ def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclo
         parts.append(hanging.coefficients)
         radius = radius + hanging.radius
     order = max(bernstein.degree(part) for part in parts)
-    thrust: Array = sum(bernstein.elevate(part, order) for part in parts)
+    thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
     return enclosure.Enclosure(thrust, radius)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,8 +76,8 @@ def times_of(motion: Motion, name: str) -> tuple[float, float]:
 def pulling(motion: Motion, change: Callable[[Array], Array], part: str = "tensions") -> Motion:
     """Return the motion with coefficients of tensions changed."""
     given = getattr(motion, part)
-    changed = change(given.coefficients.copy())
-    return replace(motion, **{part: PiecewisePolynomial(given.breaks, changed)})
+    changed: Any = PiecewisePolynomial(given.breaks, change(given.coefficients.copy()))
+    return replace(motion, **{part: changed})
 
 
 def later_half(c: Array) -> Array:
@@ -115,7 +116,7 @@ def test_a_plan_that_ties_and_unties_is_no_excuse(change: Callable[[Array], Arra
 def test_forces_of_cables_do_not_jump_where_a_hitch_forms_and_lets_go() -> None:
     """Steps of forces and thrusts between samples become smaller as these become denser."""
     motion = tied()
-    steps = {}
+    steps: dict[int, list[float]] = {}
     for count in (1_001, 8_001):
         for name in ("tension", "relax"):
             start, end = times_of(motion, name)
@@ -177,7 +178,7 @@ def _middle(part: PiecewisePolynomial) -> PiecewisePolynomial:
     """Return the middle fifth of a single piece."""
     start, h = part.breaks[0], part.duration
     c = bernstein.restrict(part.coefficients, 0.4, 0.6)
-    return PiecewisePolynomial([start + 0.4 * h, start + 0.6 * h], c)
+    return PiecewisePolynomial(np.array([start + 0.4 * h, start + 0.6 * h]), c)
 
 
 def test_a_hitch_that_forms_at_once_jumps() -> None:
@@ -199,7 +200,7 @@ def test_a_ramp_rests_beside_a_span_without_a_hitch() -> None:
     (piece,) = np.flatnonzero(ramp)
     assert check(motion).holds
 
-    def shaken(part: PiecewisePolynomial) -> PiecewisePolynomial:
+    def shaken(part: PiecewisePolynomial) -> Any:
         c = part.elevated(7).coefficients.copy()
         c[piece, ..., 4] += 1e-6
         return PiecewisePolynomial(part.breaks, c)
@@ -222,7 +223,8 @@ def test_a_ramp_rests_beside_a_span_without_a_hitch() -> None:
 
     held = pulling(motion, again)
     found = check(held)
-    t = np.linspace(*motion.tensions.breaks[piece + 1 : piece + 3], 20_001)
+    start, end = motion.tensions.breaks[piece + 1 : piece + 3]
+    t = np.linspace(start, end, 20_001)
     lost = np.max(motion.team.tension - held.tensions.at(t))
     assert found.worst == pytest.approx(lost, rel=1e-3)
 
@@ -356,13 +358,12 @@ def test_legs_may_pull_with_what_friction_makes_of_the_range() -> None:
         found = check(changed)
         assert worst <= found.worst <= worst * 1.001 + 1e-6
         assert found.where[0] in team.drone_names
-    within = replace(changed, team=Team(**{**_given(team), "cable_friction": 1.0}))
+    within = replace(changed, team=rough(team))
     assert check(within).holds
 
 
-def _given(team: Team) -> dict[str, object]:
-    names = ("robots", "cable_length", "cable_friction", "tension")
-    return {name: getattr(team, name) for name in names}
+def rough(team: Team) -> Team:
+    return Team(team.robots, team.cable_length, tension=team.tension, cable_friction=1.0)
 
 
 @pytest.mark.parametrize("part", ["tensions", "leg_tensions"])
@@ -371,7 +372,7 @@ def test_a_jump_within_the_range_is_found(part: str) -> None:
     pulls = np.repeat(motion.tensions.coefficients[:, :, None], 2, axis=2)
     motion = replace(
         motion,
-        team=Team(**{**_given(motion.team), "cable_friction": 1.0}),
+        team=rough(motion.team),
         leg_tensions=PiecewisePolynomial(motion.drones.breaks, pulls),
     )
     assert check(motion).holds
@@ -396,7 +397,7 @@ def test_a_pull_that_jumps_is_found_where_the_thrust_does_not() -> None:
     c[1, 5, :, 2] -= 0.003 / 0.132 / 72.0 * leg / np.linalg.norm(leg)
     motion = replace(
         motion,
-        team=Team(**{**_given(motion.team), "cable_friction": 1.0}),
+        team=rough(motion.team),
         drones=PiecewisePolynomial(motion.drones.breaks, c),
         leg_tensions=PiecewisePolynomial(motion.drones.breaks, pulls),
     )
