@@ -26,6 +26,7 @@ from hitchopt.certificate import (
     separation,
     span,
     speed,
+    tension,
     thrust,
     tilt,
     vertex_speed,
@@ -68,6 +69,9 @@ FREE: dict[str, Callable[[Motion], Check | None]] = {
 }
 """Checks of free cables, for as long as there is no hitch."""
 
+CABLES: dict[str, Callable[[Motion], Check | None]] = {"tension": tension.check}
+"""Checks of drones on cables, for all of the time, with a hitch or without."""
+
 WHOLE: dict[str, Callable[[Motion], Check | None]] = {"interlacing": interlacing.check}
 """Checks of how free cables become a hitch, and the other way around."""
 
@@ -88,6 +92,7 @@ CHECKS = (
     "convexity",
     "arena",
     "keep_out",
+    "tension",
     "continuity",
     "interlacing",
     "duration",
@@ -129,6 +134,7 @@ def _applying(motion: Flying) -> Iterator[str]:
     here = set(DRONES)
     if isinstance(motion, Motion):
         formed = motion.formed
+        here |= set(CABLES)
         here |= set(HITCH) if np.any(formed) else set()
         here |= set() if np.all(formed) else {*FREE, *WHOLE}
     else:
@@ -141,8 +147,9 @@ def _result(name: str, motion: Flying) -> Check | None:
         return DRONES[name](motion)
     if isinstance(motion, SwarmMotion):
         return SWARM[name](motion)
-    if name in WHOLE:
-        return WHOLE[name](motion)
+    whole = CABLES | WHOLE
+    if name in whole:
+        return whole[name](motion)
     results = []
     for checks, formed in ((HITCH, True), (FREE, False)):
         if name in checks:

@@ -129,15 +129,11 @@ def _shape(start: Hitch, step: ShapeStep, i: int, kept: Kept) -> Planned:
         )
         return _moving(flight, end.hitch, step, i, kept)
 
-    task = WayTask(
-        start, end.hitch, kept, Phase(step.name, i, 0.0, 0.0), step.duration, *_options(step)
-    )
+    optimize, tension = (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
+    phase = Phase(step.name, i, 0.0, 0.0, tension=tension)
+    task = WayTask(start, end.hitch, kept, phase, step.duration, optimize)
     found = best_way(own, task)
     return Planned(found.motion, end.hitch, found.certificate)
-
-
-def _options(step: ShapeStep) -> tuple[bool, tuple[float, float] | None]:
-    return (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
 
 
 def _follow(start: Hitch, step: FollowVertex, i: int, kept: Kept) -> Planned:
