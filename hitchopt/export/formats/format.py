@@ -20,6 +20,11 @@ from hitchopt.model.motion import Flying
 Array = NDArray[np.float64]
 
 
+ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
+"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
+stop at 9, whose profiles of quality of service are lists."""
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """What is to be exported.
@@ -33,6 +38,7 @@ class Task:
     rate: samples a second of the formats that sample [Hz].
     storage: of a bag, mcap or sqlite3.
     rate_given: whether the user asked for that rate; else a format may sample more often.
+    ros_distro: the ROS 2 release that a bag is for, one of ROS_DISTROS.
     """
 
     motion: Flying
@@ -42,6 +48,7 @@ class Task:
     rate: float
     storage: str = "mcap"
     rate_given: bool = False
+    ros_distro: str = "humble"
 
     @property
     def names(self) -> tuple[str, ...]:
