@@ -74,7 +74,8 @@ def test_a_show_is_the_plan(motion: Flying, tmp_path: Path) -> None:
             assert settings["landAt"] == points[-1][1]
             found = np.array([bezier(points, float(at)) for at in t])
             apart = np.max(np.linalg.norm(found - places[:, i], axis=-1))
-            assert apart <= part.verdict.position.worst + 1e-9
+            # Points lie a micrometre beyond what is stored of them, along every axis.
+            assert apart <= part.verdict.position.worst + 2e-6
 
 
 def as_stored(points: Any) -> tuple[Array, Array]:

@@ -3,8 +3,8 @@
 A zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y, z], control
 points]``, t in seconds from takeoff, north-west-up, the control points leading into their point.
 Skybrush's server stores whole milliseconds and whole millimetres (multiples of s millimetres from
-32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, together, which
-costs little velocity, and what is read back and certified are the curves that the server stores.
+32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
+back and certified are the curves that the server stores.
 
 Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
 their own; the format has no place for accelerations, so the cable's pull is not in it.
@@ -84,22 +84,33 @@ class SkybrushShow(Whole):
             fit = task.room.placed(fitted(lasted(curves, float(breaks[-1])), breaks, KIND))
             quantum = MILLI * storage_scale(fit)
             keeping = keeping_of(task, breaks, self.accuracy)
-            whole = settled(rounded(fit, quantum, ROUNDING), fit, quantum, keeping)
-            notes = (
-                f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush",
-                f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores them; "
-                f"velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments join",
-            )
-            points = whole.coefficients
-            yield Candidate(
-                {FILE: partial(write_show, task=task, breaks=breaks, points=points)}, notes
-            )
+            for rounding in _roundings(fit, quantum):
+                whole = settled(rounding, fit, quantum, keeping)
+                notes = (
+                    f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to "
+                    "Skybrush",
+                    f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
+                    f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
+                    "join",
+                )
+                write = partial(write_show, task=task, breaks=breaks, points=whole.coefficients)
+                yield Candidate({FILE: write}, notes)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the show as Skybrush's server stores them."""
         drones = drones_of_show(folder / FILE)
         curves = [stored(curve) for curve in drones.values()]
         return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
+
+
+def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
+    """Return the curves rounded together and one point at a time, the smoother ones first.
+
+    The former costs less velocity in short pieces, the latter less place where drones rest.
+    """
+    nearest = np.rint(curves.coefficients / quantum) * quantum
+    each = PiecewisePolynomial(curves.breaks, nearest)
+    return sorted([rounded(curves, quantum, ROUNDING), each], key=_jump)
 
 
 def _jump(curves: PiecewisePolynomial) -> float:
