@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,10 +73,12 @@ class Candidate:
     ----------
     writers: for each file's name, what writes it.
     notes: what the user should know of them.
+    receiver: what must be set where they are flown, for the manifest; empty for nothing.
     """
 
     writers: Mapping[str, Writer]
     notes: tuple[str, ...] = field(default=())
+    receiver: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
