@@ -112,7 +112,7 @@ def test_metadata_are_what_a_release_reads(
 ) -> None:
     """Humble and Iron read profiles of quality of service as text: a list stops them. What is
     written if nobody says which release is read by all of them."""
-    asked = {} if distro is None else {"ros_distro": distro}
+    asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
     wish = Wish("ros2bag", rate=RATE, storage=storage, **asked)
     export_motion(swarm_plan(), "A plan", wish, tmp_path / "bag")
     content = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")

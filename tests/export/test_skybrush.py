@@ -21,8 +21,9 @@ from hitchopt.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.export.exporting import export_plan
 from hitchopt.export.formats.registry import format_of
+from hitchopt.export.formats.skybrush import write_show
 from hitchopt.export.formats.skybrush_csv import HEADER, lines_of, read_zip
-from hitchopt.export.formats.skybrush_show import drones_of_show
+from hitchopt.export.formats.skybrush_show import drones_of_show, storage_scale, stored
 from hitchopt.export.judging import flown_checks
 from hitchopt.export.sampling import states_at
 from hitchopt.hitch import Limits, Separation, Swarm
@@ -122,6 +123,21 @@ def test_what_the_server_stores_is_what_was_certified(
             slopes = 3.0 * np.diff(pieces, axis=1) / (1e-3 * lasting[:, None, None])
             jumps.append(np.max(np.linalg.norm(slopes[1:, 0] - slopes[:-1, 2], axis=-1)))
     assert 1e3 * max(jumps) == pytest.approx(float(declared), rel=6e-3)
+
+
+def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -> None:
+    """1.001 m times 1000 is 1000.99… in binary."""
+    numbers = np.array([1001, -1003, 2002, 0, 1, 32766, -1023, 1005, 4011, -2006, 999, 1007])
+    assert any(int(k / 1000 * 1000) != k for k in numbers.tolist())
+    points = 1e-3 * np.broadcast_to(numbers.reshape(1, 1, 3, 4), (1, 3, 3, 4))
+    path = tmp_path / "show.skyc"
+    write_show(path, task_of(swarm_plan(), "skybrush"), np.array([0.0, 0.7]), points)
+    with zipfile.ZipFile(path) as archive:
+        _, pieces = as_stored(json.loads(archive.read(FIRST))["points"])
+    assert np.array_equal(np.rint(1e3 * pieces[0]).T, numbers.reshape(3, 4))
+    curve = stored(drones_of_show(path)["d0"])
+    assert (storage_scale(curve), storage_scale(curve, 2e-3)) == (1, 2)
+    np.testing.assert_allclose(curve.coefficients[0], points[0, 0], rtol=0.0, atol=1e-9)
 
 
 def test_segments_are_long_enough_for_whole_millimetres(tmp_path: Path) -> None:

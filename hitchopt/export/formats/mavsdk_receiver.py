@@ -75,7 +75,7 @@ class Receiver:
         ------
         FileError: a value of another type, or a number that is not finite.
         """
-        values = {}
+        values: dict[str, Any] = {}
         for field in fields(cls):
             name = NAMES[field.name]
             value = settings.get(name, field.default)

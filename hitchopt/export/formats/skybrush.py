@@ -82,7 +82,7 @@ class SkybrushShow(Whole):
             if breaks is None:
                 continue
             fit = task.room.placed(fitted(lasted(curves, float(breaks[-1])), breaks, KIND))
-            quantum = MILLI * storage_scale(fit)
+            quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
             keeping = keeping_of(task, breaks, self.accuracy)
             for rounding in _roundings(fit, quantum):
                 whole = settled(rounding, fit, quantum, keeping)

@@ -60,12 +60,13 @@ def drones_of_show(path: Path) -> dict[str, PiecewisePolynomial]:
         raise FileError(f"{path}: is no Skybrush show: {error!r} where a drone is told") from error
 
 
-def storage_scale(curves: PiecewisePolynomial) -> int:
+def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
     """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
 
-    Every drone's curve is stored in multiples of its own, by how far its points reach.
+    Every drone's curve is stored in multiples of its own, by how far its points reach; rounding may
+    move them farther by ``beyond`` [m].
     """
-    reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1))
+    reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
     scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
     return int(np.lcm.reduce(np.atleast_1d(scales)))
 
