@@ -99,6 +99,7 @@ class Plan:
         rate: float | None = None,
         stretch: float = 1.0,
         storage: str = "mcap",
+        ros_distro: str = "humble",
         progress: Progress | None = None,
     ) -> tuple[Export, ...]:
         """Write the plan as a fleet reads it; return what was written, one entry per part.
@@ -117,6 +118,8 @@ class Plan:
         rate: samples a second [Hz], where the format samples; None for its usual rate.
         stretch: how many times as slowly to fly, from 1 on.
         storage: of a bag, mcap or sqlite3.
+        ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones read
+            bags for earlier ones.
         progress: called with what is being done now.
 
         Raises
@@ -126,7 +129,7 @@ class Plan:
             the plan, or it loses a limit; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage)
+        wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage, ros_distro)
         return export_motion(self.motion, self.title, wish, folder, progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:

@@ -26,6 +26,7 @@ from hitchopt.certificate import (
     separation,
     span,
     speed,
+    tension,
     thrust,
     tilt,
     vertex_speed,
@@ -66,6 +67,9 @@ FREE: dict[str, Callable[[Motion], Check | None]] = {
 }
 """Checks of free cables, for as long as there is no hitch."""
 
+CABLES: dict[str, Callable[[Motion], Check | None]] = {"tension": tension.check}
+"""Checks of drones on cables, for all of the time, with a hitch or without."""
+
 WHOLE: dict[str, Callable[[Motion], Check | None]] = {"interlacing": interlacing.check}
 """Checks of how free cables become a hitch, and the other way around."""
 
@@ -86,6 +90,7 @@ CHECKS = (
     "convexity",
     "arena",
     "keep_out",
+    "tension",
     "continuity",
     "interlacing",
     "duration",
@@ -127,6 +132,7 @@ def _applying(motion: Motion) -> Iterator[str]:
     here = set(DRONES)
     if motion.team.has_cables:
         formed = motion.formed
+        here |= set(CABLES)
         here |= set(HITCH) if np.any(formed) else set()
         here |= set() if np.all(formed) else {*FREE, *WHOLE}
     yield from (name for name in CHECKS if name in here)
@@ -135,8 +141,9 @@ def _applying(motion: Motion) -> Iterator[str]:
 def _result(name: str, motion: Motion) -> Check | None:
     if name in DRONES:
         return DRONES[name](motion)
-    if name in WHOLE:
-        return WHOLE[name](motion)
+    whole = CABLES | WHOLE
+    if name in whole:
+        return whole[name](motion)
     results = []
     for checks, formed in ((HITCH, True), (FREE, False)):
         if name in checks:

@@ -29,15 +29,20 @@ def beyond_friction(motion: Motion, leg_tensions: PiecewisePolynomial) -> Extrem
     motion: the plan.
     leg_tensions: its legs' pulls, of shape (n, 2) [N].
     """
-    edges, pieces = edge_vectors(motion), motion.drones.pieces
-    away = np.stack([edges, -edges], axis=2).reshape(pieces, -1, *edges.shape[2:])
-    rows = np.concatenate([pull_vectors(motion), away], axis=2)
+    pieces = motion.drones.pieces
     order = max(leg_tensions.degree, motion.tensions.degree)
     pulls = bernstein.elevate(leg_tensions.coefficients, order).reshape(pieces, -1, order + 1)
     tension = np.repeat(bernstein.elevate(motion.tensions.coefficients, order), 2, axis=1)
     both = np.stack([pulls, tension], axis=2)
     bound = partial(_bound, friction=motion.team.cable_friction, noise=position_margin(motion))
-    return largest(Cells.over(motion.drones.breaks, [rows, both]), bound)
+    return largest(Cells.over(motion.drones.breaks, [wrapping_vectors(motion), both]), bound)
+
+
+def wrapping_vectors(motion: Motion) -> Array:
+    """Return (pieces, 2n, 6, degree + 1) [m]: to each drone along its leg, and along its edge."""
+    edges = edge_vectors(motion)
+    away = np.stack([edges, -edges], axis=2).reshape(len(edges), -1, *edges.shape[2:])
+    return np.concatenate([pull_vectors(motion), away], axis=2)
 
 
 def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate:
@@ -52,13 +57,19 @@ def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate
     alone = np.all(pull == tension, axis=-1)  # as where the tension rises from zero
     bound = np.where(pulling | alone, bound, np.inf)
     middle = np.full(len(rows), 0.5)
-    a, b = np.split(bernstein.evaluate(rows, middle[:, None]), 2, axis=-1)
-    sizes = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    angle = np.pi - np.arccos(np.clip(np.sum(a * b, axis=-1) / sizes, -1.0, 1.0))
+    angle = angles_at(rows, middle)
     here, there = bernstein.evaluate(pull, middle), bernstein.evaluate(tension, middle)
     ratio = np.divide(here, there, out=np.ones_like(here), where=here != there)
     value = np.maximum(ratio - np.exp(friction * angle), np.exp(-friction * angle) - ratio)
     return Estimate(bound, np.where(pulling | alone, value, np.inf), middle)
+
+
+def angles_at(rows: Array, x: Array) -> Array:
+    """Return (cells,) [rad] the angle between ``-a`` and ``b`` of ``wrapped`` at x (cells,)."""
+    a, b = np.split(bernstein.evaluate(rows, x[:, None]), 2, axis=-1)
+    sizes = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    angles: Array = np.pi - np.arccos(np.clip(np.sum(a * b, axis=-1) / sizes, -1.0, 1.0))
+    return angles
 
 
 def wrapped(rows: Array, noise: float) -> Array:

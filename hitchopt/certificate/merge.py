@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hitchopt.certificate import continuity, interlacing
+from hitchopt.certificate import continuity, interlacing, tension
 from hitchopt.certificate.certify import CHECKS
 from hitchopt.certificate.duration import check as duration_check
 from hitchopt.certificate.report import Certificate, Check
 from hitchopt.model.motion import Motion
 
-WHOLE = ("continuity", "interlacing", "duration")
+WHOLE = ("tension", "continuity", "interlacing", "duration")
 """Checks of the whole, which say more than those of its parts."""
 
 
@@ -20,8 +20,9 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
 
     A bound for all of the time is the worst of the bounds for its spans. Joining moves times and
     raises degrees, which changes coefficients by units in the last place; the margins of rounding,
-    a thousand times these, are already in every ``worst``. Continuity is looked at anew, joints
-    included, and so are the duration and what cables have become interlaced to.
+    a thousand times these, are already in every ``worst``. Continuity and
+    tensions are looked at anew, joints included, and so are the duration and what cables have
+    become interlaced to.
 
     Parameters
     ----------
@@ -40,6 +41,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
             if known is None or _pressure(check) > _pressure(known):
                 found[check.name] = replace(check, time=begin + check.time)
     for name, whole in (
+        ("tension", tension.check(motion)),
         ("continuity", continuity.check(motion)),
         ("interlacing", interlacing.check(motion)),
         ("duration", duration_check(motion)),

@@ -4,7 +4,8 @@ It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg (a
 the edge) and down by half of the cable's weight. That direction is no polynomial; it is enclosed by
 one. A cable that hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ)
 / 2`` more than half of it (w its weight per length; see ``hitchopt.hitch.catenary``): enclosed by
-the range of its steepness σ.
+the range of its steepness σ. While a cable is drawn taut that part fades with its tautness, a
+polynomial (see ``hitchopt.model.tensions``).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from hitchopt.certificate.rounding import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.model.motion import Motion
+from hitchopt.model.tensions import tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
 
@@ -58,14 +60,19 @@ def thrust_cells(motion: Motion, unit: Array) -> Cells:
 
 
 def _hanging_blocks(motion: Motion, unit: Array) -> list[Array]:
-    """Return, per piece and drone, the way to its partner, and weight per length with length."""
+    """Return, per piece and drone, its partner's offset, its cable's weight per length, and length.
+
+    The weight is that of the share that still hangs free. Nothing is returned where no cable does.
+    """
     c, team = motion.drones.coefficients, motion.team
     across = c.reshape(len(c), team.robots, 2, *c.shape[2:])
     partner = across[:, :, ::-1].reshape(c.shape) - c
-    hanging = ~motion.formed[:, None]
-    weight = np.where(hanging, GRAVITY * team.cable_density / unit, 0.0)
-    length = np.broadcast_to(np.repeat(team.cable_length, 2), weight.shape)
-    return [partner, np.stack([weight, length], axis=-1)[..., None]]
+    hanging = np.repeat(1.0 - lowered(tautness(motion)), 2, axis=1)
+    if not np.any(hanging):
+        return []
+    weight = hanging * (GRAVITY * team.cable_density / unit)[:, None]
+    length = np.broadcast_to(np.repeat(team.cable_length, 2), weight.shape[:2])
+    return [partner, weight[:, :, None], length[..., None, None]]
 
 
 def lowered(coefficients: Array) -> Array:
@@ -86,26 +93,27 @@ def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclo
     free, legs, tension, slop = blocks[:4]
     along = enclosure.direction(legs, noise)
     pull = bernstein.multiply(along.coefficients, tension)
-    order = max(bernstein.degree(pull), bernstein.degree(free))
-    thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)
+    parts = [free, pull]
     radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
     if len(blocks) > 4:
-        weight = _hanging_weight(blocks[4], blocks[5])
-        thrust = thrust + bernstein.elevate(weight.coefficients, order)
-        radius = radius + weight.radius
+        hanging = _hanging_weight(*blocks[4:])
+        parts.append(hanging.coefficients)
+        radius = radius + hanging.radius
+    order = max(bernstein.degree(part) for part in parts)
+    thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
     return enclosure.Enclosure(thrust, radius)
 
 
-def _hanging_weight(partner: Array, cable: Array) -> enclosure.Enclosure:
+def _hanging_weight(partner: Array, weight: Array, length: Array) -> enclosure.Enclosure:
     """Enclose what free cables add to the thrust (cells, 3), half of their weight left out."""
-    weight, length = cable[:, 0, 0], cable[:, 1, 0]
-    lower, upper = steepness_range(partner, length)
+    lower, upper = steepness_range(partner, length[:, 0, 0])
     most, least = (np.array(pull_terms(sigma)) for sigma in (lower, upper))  # both fall with σ
-    middle, spread = 0.5 * weight * (most + least), 0.5 * weight * (most - least)
+    middle, spread = 0.5 * (most + least), 0.5 * (most - least)
     factors = np.stack([-middle[0], -middle[0], -middle[1]], axis=1)
     size = np.max(np.abs(partner), axis=-1)
     radius = spread[0] * np.hypot(size[:, 0], size[:, 1]) + spread[1] * size[:, 2]
-    return enclosure.Enclosure(0.5 * factors[..., None] * partner, 0.5 * radius)
+    pull = bernstein.multiply(weight, 0.5 * factors[..., None] * partner)
+    return enclosure.Enclosure(pull, 0.5 * np.max(np.abs(weight), axis=(-2, -1)) * radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +137,6 @@ def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
     known = length > NO_DIRECTION
     pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
     if len(blocks) > 4:
-        partner = bernstein.evaluate(blocks[4], x[:, None])
-        free = free + _hanging_weight(partner[..., None], blocks[5]).coefficients[..., 0]
+        there = [bernstein.evaluate(block, x[:, None])[..., None] for block in blocks[4:]]
+        free = free + _hanging_weight(*there).coefficients[..., 0]
     return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

@@ -65,6 +65,12 @@ if TYPE_CHECKING:
     default="mcap",
     help="Of a ros2bag.",
 )
+@click.option(
+    "--ros-distro",
+    type=click.Choice(["humble", "iron", "jazzy"]),
+    default="humble",
+    help="The release that a ros2bag is for; later ones read bags for earlier ones.",
+)
 def export(
     directory: Path,
     name: str,
@@ -76,6 +82,7 @@ def export(
     rate: float | None,
     stretch: float,
     storage: str,
+    ros_distro: str,
 ) -> None:
     """Write the plan in DIR as fleets read it, and certify what was written.
 
@@ -89,7 +96,8 @@ def export(
 
     format_of(name)  # a wrong name before a long read
     path = directory / PLAN_FILE
-    wish = Wish(name, frame, origin, math.radians(yaw_deg), fleet_file, rate, stretch, storage)
+    yaw = math.radians(yaw_deg)
+    wish = Wish(name, frame, origin, yaw, fleet_file, rate, stretch, storage, ros_distro)
     place = _place(directory, name) if folder is None else folder
     with LateProgress(sys.stderr, "certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), wish, place, progress)

@@ -12,7 +12,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.export.cutting import stretched
 from hitchopt.export.exporting import Export, export_plan
 from hitchopt.export.fleet import placeholder_fleet, read_fleet
-from hitchopt.export.formats.format import Format, Task
+from hitchopt.export.formats.format import ROS_DISTROS, Format, Task
 from hitchopt.export.formats.registry import format_of
 from hitchopt.export.room import Room
 from hitchopt.export.single_file import ENDINGS, export_file
@@ -39,6 +39,8 @@ class Wish:
     rate: samples a second [Hz], where the format samples; None for its usual rate.
     stretch: how many times as slowly to fly, from 1 on.
     storage: of a bag, mcap or sqlite3.
+    ros_distro: the ROS 2 release that a bag is for: humble, iron or jazzy. Every later one reads
+        bags for the earlier ones.
     """
 
     format: str
@@ -49,6 +51,7 @@ class Wish:
     rate: float | None = None
     stretch: float = 1.0
     storage: str = "mcap"
+    ros_distro: str = "humble"
 
 
 def export_motion(
@@ -80,6 +83,8 @@ def export_motion(
     rate = _rate(kind, wish.rate)
     if wish.storage not in STORAGES:
         raise InputError("--storage", wish.storage, " or ".join(STORAGES), "mcap is usual")
+    if wish.ros_distro not in ROS_DISTROS:
+        raise InputError("--ros-distro", wish.ros_distro, ", ".join(ROS_DISTROS), "humble is usual")
     roles = motion.team.drone_names
     fleet = placeholder_fleet(roles) if wish.fleet is None else read_fleet(wish.fleet, roles)
     room = Room(wish.frame or kind.frames[0], wish.origin, wish.yaw)
@@ -91,6 +96,7 @@ def export_motion(
         rate,
         wish.storage,
         wish.rate is not None,
+        ros_distro=wish.ros_distro,
     )
     place = Path(folder)
     if place.suffix.lower() in ENDINGS and not place.is_dir():

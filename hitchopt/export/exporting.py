@@ -182,7 +182,10 @@ def _written(
         verdict = judge(task.motion, kind.read(path.parent, task), task.room, task.names)
         if verdict.lost or verdict.position.worst > kind.accuracy:
             raise _LostError(verdict)
-        write_manifest(path, manifest_of(kind, task, files, verdict, candidate.notes))
+        content = manifest_of(kind, task, files, verdict, candidate.notes)
+        if candidate.receiver:
+            content["receiver"] = dict(candidate.receiver)
+        write_manifest(path, content)
         verdicts.append(verdict)
 
     writers: dict[str, Writer] = {**candidate.writers, FILE: check}

@@ -18,7 +18,7 @@ from hitchopt.hitch.assignment import Assignment
 from hitchopt.model.motion import JOINT, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import finite
+from hitchopt.values import finite, positive
 
 Array = NDArray[np.float64]
 
@@ -225,6 +225,7 @@ def _phase(
     end: float,
     remark: object = "",
     formed: object = True,
+    tension: object = None,
 ) -> Phase:
     if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
         raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
@@ -232,9 +233,19 @@ def _phase(
         raise InputError("phases", remark, "a remark in words", "do not edit them")
     if not isinstance(formed, bool):
         raise InputError("phases", formed, "formed as true or false", "do not edit them")
-    return Phase(
-        name, step, finite("phases.start", start), finite("phases.end", end), remark, formed
-    )
+    times = finite("phases.start", start), finite("phases.end", end)
+    return Phase(name, step, *times, remark, formed, _tension_range(tension))
+
+
+def _tension_range(given: object) -> tuple[float, float] | None:
+    """Return a phase's range of tensions [N]; None of a phase that states none."""
+    if given is None:
+        return None
+    if isinstance(given, list) and len(given) == 2:
+        least, most = (positive("phases.tension", value) for value in given)
+        if least <= most:
+            return least, most
+    raise InputError("phases.tension", given, "[smallest, largest] or null", "do not edit them")
 
 
 def _reason(error: BaseException) -> str:

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.hanging import hanging_forces
+from hitchopt.hitch.hanging import cable_forces
 from hitchopt.model.motion import Motion
+from hitchopt.model.tensions import tautness
 from hitchopt.trajectory import bernstein
 from hitchopt.values import not_negative, positive
 
@@ -41,7 +42,8 @@ class States:
         pieces join, those of the later piece.
     cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: what its leg (its edge, at a
         chain's end) pulls with, ``T_k`` but for friction, and down by half of the cable's weight;
-        while there is no hitch, what a hanging cable pulls with.
+        while there is no hitch, what a hanging cable pulls with. As tensions rise from zero or fall
+        to it, the one passes continuously into the other (``hitchopt.model.tensions``).
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
@@ -129,20 +131,25 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     A block lies within one piece, so that its values are one matrix product per quantity.
     """
     starts = motion.drones.breaks - motion.drones.breaks[0]
-    formed, pulls = motion.formed, motion.pulls.coefficients
+    formed, taut = motion.formed, tautness(motion)
+    pulls = np.where(formed[:, None, None], motion.pulls.coefficients, 0.0)
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
     for piece in np.flatnonzero(np.diff(bounds)):
         for first in range(bounds[piece], bounds[piece + 1], size):
             t = times[first : min(first + size, bounds[piece + 1])]
             elapsed = t - starts[piece]
-            yield _states_within(motion, int(piece), t, elapsed, bool(formed[piece]), pulls[piece])
+            cables = bool(formed[piece]), pulls[piece], taut[piece]
+            yield _states_within(motion, int(piece), t, elapsed, *cables)
 
 
 def _states_within(
-    motion: Motion, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array
+    motion: Motion, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array, taut: Array
 ) -> States:
-    """Return the states at times t within a piece; ``pulls`` (2n, degree + 1) are those on it."""
+    """Return the states at times t within a piece.
+
+    Its cables' ``pulls`` (2n, degree + 1) and tautness ``taut`` (n, degree + 1) are given.
+    """
     h = motion.drones.durations[piece]
     x = np.clip(elapsed / h, 0.0, 1.0)
     drones = motion.drones.coefficients[piece]
@@ -151,11 +158,7 @@ def _states_within(
     jerks = bernstein.differentiate(accelerations) / h
     positions = _values(drones, x)
     p = _values(motion.vertices.coefficients[piece], x)
-    forces = (
-        _cable_forces(motion.team, positions, p, _values(pulls, x))
-        if formed
-        else hanging_forces(motion.team, positions)
-    )
+    forces = cable_forces(motion.team, positions, p, _values(pulls, x), _values(taut, x))
     return States(
         t,
         np.full(len(t), formed),
@@ -176,14 +179,3 @@ def _values(coefficients: Array, x: Array) -> Array:
     order = bernstein.degree(coefficients)
     flat = bernstein.basis(x, order) @ coefficients.reshape(-1, order + 1).T
     return flat.reshape(len(x), *coefficients.shape[:-1])
-
-
-def _cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array) -> Array:
-    outward = drones - vertices[..., team.layout.pulled_to, :]
-    lengths = np.linalg.norm(outward, axis=-1, keepdims=True)
-    # A leg without length has no direction: no force rather than nan (certified plans have none).
-    forces: Array = -pulls[..., None] * np.divide(
-        outward, lengths, out=np.zeros_like(outward), where=lengths > 0.0
-    )
-    forces[..., 2] -= team.cable_weight
-    return forces

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.export.sampling import iterate_states, sample_times
 from hitchopt.model.motion import Motion
 
 HEADER = "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
 
-NUMBER = "%.12g"
-"""Twelve significant digits: below a nanometre over a kilometre."""
+NUMBER = "%#.12g"
+"""Twelve significant digits: below a nanometre over a kilometre. Always with a decimal point, since
+readers such as polars take a column for whole numbers that begins with one."""
+
+NOTHING = "%.1f"
+"""Of numbers that are zero throughout a block: ``0.0``."""
 
 ROWS = 2000
 """Rows that are formatted at once: more are slower, since they leave the processor's cache."""
@@ -41,9 +47,6 @@ def write_setpoints(
     """
     times = sample_times(motion.duration, rate)
     names = motion.team.drone_names
-    numbers = ",".join([NUMBER] * 12)
-    forces = ",".join([NUMBER] * 3)
-    rows = "".join(f"{NUMBER},{name},{numbers},0,{forces}\n" for name in names)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
         for states in iterate_states(motion, times, max(1, ROWS // len(names))):
@@ -53,9 +56,34 @@ def write_setpoints(
                 states.velocities,
                 states.accelerations,
                 states.jerks,
+                np.zeros((len(states.t), len(names), 1)),  # yaw
                 states.cable_forces,
             )
-            values = np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
-            file.write(rows * len(values) % tuple(values.ravel().tolist()))
+            file.write(lines_of(names, np.concatenate(parts, axis=-1) + 0.0))  # no negative zeros
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
+
+
+def lines_of(names: tuple[str, ...], values: NDArray[np.float64]) -> str:
+    """Return one line per sample and drone: its first number, the drone's name, the others.
+
+    Parameters
+    ----------
+    names: (D,) of the drones.
+    values: (S, D, C)
+    """
+    zero = np.all(values == 0.0, axis=0)
+    lines = _layout(names, zero.tobytes()) * len(values)
+    return lines % tuple(values.ravel().tolist())
+
+
+@lru_cache(maxsize=4)
+def _layout(names: tuple[str, ...], zero: bytes) -> str:
+    """Return the lines of one sample, given which of their numbers are zero, (D, C) booleans."""
+    count = len(zero) // len(names)
+    formats = [NOTHING if nothing else NUMBER for nothing in zero]
+    lines = []
+    for i, name in enumerate(names):
+        first, *others = formats[i * count : (i + 1) * count]
+        lines.append(",".join([first, name.replace("%", "%%"), *others]) + "\n")
+    return "".join(lines)

@@ -28,10 +28,9 @@ class WayTask:
     ----------
     start, end: at one altitude, both within all limits at rest.
     kept: what every step has to keep.
-    phase: the step's name and index.
+    phase: the step's name and index, and within what tensions may change on the way.
     duration: exactly that long [s], or None.
     optimize: look for a faster way even where the step's own one will do.
-    tension: smallest and largest [N] where tensions may change on the way.
     optimiser: whether the optimiser may be used.
     """
 
@@ -41,7 +40,6 @@ class WayTask:
     phase: Phase
     duration: float | None = None
     optimize: bool = False
-    tension: tuple[float, float] | None = None
     optimiser: bool = True
 
 
@@ -62,7 +60,7 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
     refusal: HitchoptError | None = None
     try:
         motion = own()
-        if not (task.optimize or task.tension is not None):
+        if not (task.optimize or task.phase.tension is not None):
             return _sound(motion, task)
     except HitchoptError as error:
         motion, refusal = None, error
@@ -106,7 +104,8 @@ class _Judge:
     def __call__(self, path: ShapePath) -> Flight | None:
         task = self.task
         flight = fly_unhurried(path, task.requirements.limits)
-        found = certified(flying(flight, task.start.team, task.requirements, [task.phase]))
+        phase = replace(task.phase, end=flight.duration)
+        found = certified(flying(flight, task.start.team, task.requirements, [phase]))
         if not found.certificate.certified:
             return None
         self.passed.append(_Passed(path, flight, found.certificate))
@@ -116,7 +115,7 @@ class _Judge:
 def _optimised(task: WayTask) -> Certified | None:
     """Return the fastest optimised motion in the step's duration; None where there is none."""
     judge = _Judge(task)
-    found = candidates(task.start, task.end, task.requirements, judge, task.tension)
+    found = candidates(task.start, task.end, task.requirements, judge, task.phase.tension)
     if not found:
         return None
     passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)

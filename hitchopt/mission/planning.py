@@ -136,21 +136,11 @@ def _shape(
         flight = straight_morph(start, end.hitch, requirements, step.duration)
         return _moving(flight, end.hitch, step, i, requirements)
 
-    task = WayTask(
-        start,
-        end.hitch,
-        requirements,
-        Phase(step.name, i, 0.0, 0.0),
-        step.duration,
-        *_options(step),
-        optimiser=optimiser,
-    )
+    optimize, tension = (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
+    phase = Phase(step.name, i, 0.0, 0.0, tension=tension)
+    task = WayTask(start, end.hitch, requirements, phase, step.duration, optimize, optimiser)
     found = best_way(own, task)
     return Planned(found.motion, end.hitch, found.certificate)
-
-
-def _options(step: ShapeStep) -> tuple[bool, tuple[float, float] | None]:
-    return (step.optimize, step.tension) if isinstance(step, Morph) else (False, None)
 
 
 def _follow(start: Hitch, step: FollowVertex, i: int, requirements: Requirements) -> Planned:

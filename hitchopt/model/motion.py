@@ -29,8 +29,10 @@ class Phase:
     step: index of the mission's step that it belongs to.
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
-    formed: whether the hitch exists; else cables hang free, or slack in one another, or there are
-        none.
+    formed: whether the hitch exists; else the cables hang free, or slack in one another.
+    tension: smallest and largest [N] that the step states for tensions on the way; None where all
+        keep the team's. Like the limits it is part of the problem, not of what is proved: the check
+        ``tension`` holds tensions to it within the phase and to the team's at both of its ends.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Phase:
     end: float
     remark: str = ""
     formed: bool = True
+    tension: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hitchopt.certificate import Certificate, Check, certify
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -31,6 +31,7 @@ ORDER = [
     "equilibrium",
     "convexity",
     "arena",
+    "tension",
     "continuity",
     "duration",
 ]
@@ -81,7 +82,7 @@ def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: i
         around(vertices),
         PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
         PiecewisePolynomial(breaks, rng.uniform(0.2, 0.8, (pieces, n, 3))),
-        (),
+        (Phase("morph", 0, 0.0, float(breaks[-1]), tension=(0.2, 0.8)),),  # taut all the time
     )
     found = sampled(motion, np.linspace(0.0, motion.duration, 2001))
     for check in certify(motion).checks:
@@ -147,6 +148,7 @@ def test_limits_and_senses_are_those_of_the_problem() -> None:
         "equilibrium": ("max", 5e-3),
         "convexity": ("min", 0.0),
         "arena": ("min", 0.0),
+        "tension": ("max", 1e-4),
         "continuity": ("max", 1e-6),
         "duration": ("max", 9.0),
     }

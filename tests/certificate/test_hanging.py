@@ -10,12 +10,13 @@ from free_cases import cable_points, free_motion, random_flight, through
 
 from hitchopt.certificate import certify, hanging_clearance, hanging_crossing, span
 from hitchopt.certificate.hanging import chains, cut
+from hitchopt.certificate.pull import thrust_cells, thrust_enclosure
 from hitchopt.export.sampling import states_at
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.segments import differences
 from hitchopt.hitch import Team
 from hitchopt.requirements import Arena
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 CLOSE = 6e-3
 """[m] What bounds may leave: links of cables, and the search's tolerance."""
@@ -118,6 +119,22 @@ def test_thrust_and_tilt_take_the_cables_pull_along(seed: int) -> None:
     for name, sampled in (("thrust", np.max(sizes)), ("tilt", np.max(tilts))):
         assert certificate[name].worst >= sampled - 1e-9
         assert certificate[name].worst <= sampled * 1.002
+
+
+def test_before_it_is_halved_an_enclosure_of_thrusts_holds_as_well() -> None:
+    """The radius is needed: the pull of a cable that moves is no polynomial."""
+    team, drones = random_flight(1)
+    motion = free_motion(Team(4, team.cable_length, cable_density=0.03), drones)
+    cells = thrust_cells(motion, np.ones(8))
+    found = thrust_enclosure(cells.blocks, 1e-12)
+    off = []
+    for x in np.linspace(0.0, 1.0, 21)[1:-1]:
+        t = motion.drones.breaks[:-1] + x * motion.drones.durations
+        middle = bernstein.evaluate(found.coefficients, np.full((len(cells), 1), x))
+        thrusts = states_at(motion, t).thrusts(motion.team).reshape(-1, 3)
+        off.append(np.linalg.norm(middle - thrusts, axis=-1))
+    assert np.all(np.max(off, axis=0) <= found.radius)
+    assert np.max(off) > 1e-3
 
 
 @pytest.mark.parametrize("told", [-0.3, 0.2, 5.0])

@@ -53,6 +53,13 @@ def test_every_format_there_and_back(name: str, plan: Path) -> None:
     assert "0 errors, 0 warnings" in again.stdout
 
 
+def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
+    done = run("export", plan, "--format", "ros2bag", "-o", "bag", "--ros-distro", "jazzy")
+    assert done.exit_code == 0, done.output
+    assert "version: 9" in Path("bag/metadata.yaml").read_text()
+    assert run("export", plan, "--format", "ros2bag", "--ros-distro", "foxy").exit_code == 2
+
+
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ from handmade import made_motion, made_swarm
 from hitchopt.errors import InputError
 from hitchopt.export import setpoints
 from hitchopt.export.sampling import sample_times
-from hitchopt.export.setpoints import write_setpoints
+from hitchopt.export.setpoints import lines_of, write_setpoints
 from hitchopt.export.vertices import write_vertices
 from hitchopt.model.motion import Motion
 
@@ -40,7 +40,32 @@ def test_setpoints_rows_are_by_time_then_drone(motion: Motion, tmp_path: Path) -
     assert [row["drone"] for row in rows] == names * len(times)
     t = np.array([float(row["t"]) for row in rows])
     np.testing.assert_allclose(t, np.repeat(times, 8), atol=1e-11, rtol=1e-11)
-    assert {row["yaw"] for row in rows} == {"0"}
+    assert {row["yaw"] for row in rows} == {"0.0"}
+
+
+def test_numbers_are_told_from_whole_ones(motion: Motion, tmp_path: Path) -> None:
+    """A reader that takes a column for integers by its first rows fails on the first fraction."""
+    write_setpoints(tmp_path / "s.csv", motion, RATE)
+    write_vertices(tmp_path / "v.csv", motion, RATE)
+    for name, label in (("s.csv", "drone"), ("v.csv", "vertex")):
+        rows = rows_of(tmp_path / name)
+        for column in rows[0]:
+            if column != label:
+                cells = {row[column] for row in rows} - {""}
+                assert all("." in cell for cell in cells), column
+                assert all(np.isfinite(float(cell)) for cell in cells), column
+
+
+def test_zeros_are_short_and_percent_signs_are_themselves() -> None:
+    values = np.array(
+        [[[0.0, 0.0, 1.0], [0.0, 2.0, 0.0]], [[0.5, 0.0, 1.0 / 3.0], [0.5, 0.0, 0.0]]]
+    )
+    assert lines_of(("a%d", "b"), values).splitlines() == [
+        "0.00000000000,a%d,0.0,1.00000000000",
+        "0.00000000000,b,2.00000000000,0.0",
+        "0.500000000000,a%d,0.0,0.333333333333",
+        "0.500000000000,b,0.00000000000,0.0",
+    ]
 
 
 def test_setpoints_are_the_polynomials_values(motion: Motion, tmp_path: Path) -> None:
@@ -122,7 +147,7 @@ def test_a_swarm_pulls_at_nothing(tmp_path: Path) -> None:
     write_setpoints(tmp_path / "s.csv", swarm, RATE)
     rows = rows_of(tmp_path / "s.csv")
     assert [row["drone"] for row in rows[:9]] == [*(f"d{i}" for i in range(8)), "d0"]
-    assert {row[f"cable_{axis}"] for row in rows for axis in "xyz"} == {"0"}
+    assert {row[f"cable_{axis}"] for row in rows for axis in "xyz"} == {"0.0"}
     table = np.array([[float(row[c]) for c in ("x", "y", "z")] for row in rows])
     times = sample_times(swarm.duration, RATE)
     np.testing.assert_allclose(table, swarm.drones.at(times).reshape(-1, 3), atol=1e-9)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -82,6 +83,21 @@ def test_breaks_are_whole_quanta_and_each_span_keeps_the_bound() -> None:
     for start, end in pairwise(breaks):
         assert error(start, end) <= 0.5 or end - start < 1.5 * CUBIC.quantum
     assert greedy_breaks(error, curves.duration, CUBIC, 0.5, len(breaks) - 2) is None
+
+
+@pytest.mark.parametrize("duration", [0.05, 0.15, 0.25, 1.0, 3.021])
+def test_no_piece_is_shorter_than_it_may_be(duration: float) -> None:
+    """However large the error, and whatever remains at the end; a shorter curve is one piece."""
+    kind = replace(CUBIC, shortest=0.1)
+
+    def hopeless(start: float, end: float) -> float:
+        return 9.0 + end - start
+
+    breaks = greedy_breaks(hopeless, duration, kind, 0.5, 10_000)
+    assert breaks is not None
+    assert breaks[0] == 0.0
+    assert breaks[-1] == pytest.approx(duration, abs=CUBIC.quantum)
+    assert np.min(np.diff(breaks)) >= min(0.1, duration) - 1e-9
 
 
 def test_more_pieces_fit_better() -> None:

@@ -14,9 +14,11 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 from rosbags.rosbag2 import Writer
+from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, InputError
+from hitchopt.export.asking import Wish, export_motion
 from hitchopt.export.exporting import export_plan
 from hitchopt.export.formats.attitude import attitudes_of
 from hitchopt.export.formats.registry import format_of
@@ -101,6 +103,46 @@ def test_sqlite_holds_the_same(tmp_path: Path) -> None:
     assert count == 3 * (2 + len(sample_times(motion.duration, RATE)))
     verdict = judge(motion, bag_recording(tmp_path), task.room, task.names)
     assert verdict.position.worst < 1e-6
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("distro", [None, "humble", "iron", "jazzy"])
+def test_metadata_are_what_a_release_reads(
+    distro: str | None, storage: str, tmp_path: Path
+) -> None:
+    """Humble and Iron read profiles of quality of service as text: a list stops them. What is
+    written if nobody says which release is read by all of them."""
+    asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
+    wish = Wish("ros2bag", rate=RATE, storage=storage, **asked)
+    export_motion(swarm_plan(), "A plan", wish, tmp_path / "bag")
+    content = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
+    bag = content["rosbag2_bagfile_information"]
+    topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]
+    assert len(topics) == 9
+    profiles = [topic["offered_qos_profiles"] for topic in topics]
+    if distro == "jazzy":
+        assert (bag["version"], profiles) == (9, [[]] * 9)
+    else:
+        assert (bag["version"], profiles) == (8, [""] * 9)
+    # What the readers of all three convert to numbers, text, lists and maps, without asking.
+    for topic in topics:
+        assert all(isinstance(topic[key], str) for key in ("name", "type", "type_description_hash"))
+        assert topic["serialization_format"] == "cdr"
+    assert bag["storage_identifier"] == storage
+    assert bag["relative_file_paths"] == [file["path"] for file in bag["files"]]
+    assert all((tmp_path / "bag" / file).exists() for file in bag["relative_file_paths"])
+    assert sum(file["message_count"] for file in bag["files"]) == bag["message_count"]
+    assert bag["duration"]["nanoseconds"] >= 0
+    assert bag["starting_time"]["nanoseconds_since_epoch"] == 0
+    assert (bag["compression_format"], bag["compression_mode"]) == ("", "")
+    assert isinstance(bag["custom_data"], dict | None)
+    assert isinstance(bag["ros_distro"], str)
+
+
+def test_another_release_is_refused(tmp_path: Path) -> None:
+    wish = Wish("ros2bag", ros_distro="foxy")
+    with pytest.raises(InputError, match="--ros-distro = 'foxy': must be humble, iron, jazzy"):
+        export_motion(swarm_plan(), "A plan", wish, tmp_path / "bag")
 
 
 def test_attitudes_turn_as_their_rates_say() -> None:

@@ -139,6 +139,42 @@ def test_tables_are_read_in_windows(name: str, tmp_path: Path) -> None:
     assert max(pieces) <= 100
 
 
+def test_row_groups_are_for_readers_that_work_by_groups(tmp_path: Path) -> None:
+    """168,000 rows of two pieces in blocks of at most 100,000: one group, not one a block."""
+    path = tmp_path / "setpoints.parquet"
+    write_parquet(path, task_of(many_drones(), "parquet", 100.0))
+    file = pq.ParquetFile(path)
+    groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+    assert groups == [141 * 1200]
+    write_parquet(path, task_of(many_drones(), "parquet", 500.0))
+    file = pq.ParquetFile(path)
+    groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+    assert sum(groups) == 701 * 1200
+    assert all(100_000 <= rows <= 200_000 for rows in groups[:-1])
+    assert all(rows % 1200 == 0 for rows in groups)
+
+
+def test_few_samples_of_many_pieces_are_one_group(tmp_path: Path) -> None:
+    exported(hitch_plan(), "parquet", tmp_path, **ROOM)
+    file = pq.ParquetFile(tmp_path / "setpoints.parquet")
+    assert file.num_row_groups == 1
+    room = json.loads(file.schema_arrow.metadata[b"hitchopt.room"])
+    assert room == {
+        "frame": "ned",
+        "origin_enu": [2.0, -1.0, 0.5],
+        "yaw_deg": pytest.approx(np.degrees(0.4)),
+    }
+
+
+def test_csv_numbers_are_told_from_whole_ones(tmp_path: Path) -> None:
+    """Readers such as polars take a column that begins with 0 for integers."""
+    exported(swarm_plan(), "csv", tmp_path, rate=10.0)
+    with (tmp_path / "setpoints_enu.csv").open() as file:
+        for row in csv.DictReader(file):
+            row.pop("drone")
+            assert all("." in cell for cell in row.values())
+
+
 def damaged(name: str, folder: Path, how: str) -> Path:
     exported(swarm_plan(), name, folder, rate=20.0)
     path = next(p for p in folder.iterdir() if p.name != "export.json")

@@ -124,21 +124,23 @@ def compressed(task: Task, bound: float = BOUNDS[0]) -> dict[str, bytes]:
         raise FileError("compressed: a plan of no duration has no pieces")
     fit = fitted(lasted(curves, float(breaks[-1])), breaks, KIND)
     placed = task.room.placed(fit)
-    whole = settled(rounded(placed, MILLI, SCALE), placed, MILLI, _keeping(task, breaks))
+    whole = settled(
+        rounded(placed, MILLI, SCALE), placed, MILLI, keeping_of(task, breaks, ACCURACY)
+    )
     durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
     points = np.rint(whole.coefficients / MILLI).astype(np.int64)
     heading = task.room.heading
     return {n: encoded(durations, points[:, i], heading) for i, n in enumerate(task.names)}
 
 
-def _keeping(task: Task, breaks: Array) -> Keeping:
+def keeping_of(task: Task, breaks: Array, accuracy: float) -> Keeping:
     """Return the limits that rounding may break: speed and thrust, in the file's axes."""
     motion = task.motion
     t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
     mass = motion.team.mass
     weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
     load = task.room.vectors(weight - states_at(motion, t).cable_forces)
-    return Keeping(motion.requirements.limits.speed, mass, motion.team.max_thrust, load, ACCURACY)
+    return Keeping(motion.requirements.limits.speed, mass, motion.team.max_thrust, load, accuracy)
 
 
 def read_compressed(path: Path) -> PiecewisePolynomial:

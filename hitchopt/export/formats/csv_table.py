@@ -21,7 +21,7 @@ from hitchopt.export.formats.long_table import (
     recording_of_rows,
 )
 from hitchopt.export.recording import Recording
-from hitchopt.export.setpoints import NUMBER
+from hitchopt.export.setpoints import lines_of
 
 HEADER = ",".join(("t", "drone", *COLUMNS))
 
@@ -55,14 +55,11 @@ def write_csv(path: Path, task: Task) -> None:
     ------
     OSError: the file cannot be written.
     """
-    numbers = ",".join([NUMBER] * len(COLUMNS))
-    rows = "".join(f"{NUMBER},{name},{numbers}\n" for name in task.names)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
         for block in blocks_of(task, ROWS):
             t = np.broadcast_to(block.t[:, None, None], (*block.values.shape[:2], 1))
-            values = np.concatenate([t, block.values], axis=-1)
-            file.write(rows * len(values) % tuple(values.ravel().tolist()))
+            file.write(lines_of(task.names, np.concatenate([t, block.values], axis=-1)))
 
 
 def read_csv(path: Path, frame: str = "") -> Recording:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,11 @@ from hitchopt.export.sampling import States, states_at
 from hitchopt.model.motion import Motion
 
 Array = NDArray[np.float64]
+
+
+ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
+"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
+stop at 9, whose profiles of quality of service are lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,7 @@ class Task:
     rate_given: whether the user asked for that rate; else a format may sample more often.
     begins: when in the plan the motion begins [s]; 0 unless the plan was cut.
     number, count: which part of how many the motion is, from 1 on.
+    ros_distro: the ROS 2 release that a bag is for, one of ROS_DISTROS.
     """
 
     motion: Motion
@@ -47,6 +53,7 @@ class Task:
     begins: float = 0.0
     number: int = 1
     count: int = 1
+    ros_distro: str = "humble"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,10 +91,12 @@ class Candidate:
     ----------
     writers: for each file's name, what writes it.
     notes: what the user should know of them.
+    receiver: what must be set where they are flown, for the manifest; empty for nothing.
     """
 
     writers: Mapping[str, Writer]
     notes: tuple[str, ...] = field(default=())
+    receiver: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

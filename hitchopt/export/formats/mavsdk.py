@@ -1,8 +1,9 @@
 """Format mavsdk_drone_show: ``Drone N.csv``, setpoints for PX4 through MAVSDK, north-east-down.
 
 ``idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb`` at 20 Hz, mode 70 (manoeuvring), yaw in
-degrees as MAVSDK takes it. All drones share one frame; the show's own configuration tells where
-each one is launched.
+degrees as MAVSDK takes it. Before the plan's rows the drones wait on the ground and rise to their
+first places; `mavsdk_receiver` has the rules by which rows are flown, and the manifest the settings
+with which all of them are.
 
 Feed-forward: PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
 cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
@@ -12,10 +13,11 @@ then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError
 from hitchopt.export.atomic import Writer
 from hitchopt.export.formats.format import Candidate, Task, Whole, pull_of
+from hitchopt.export.formats.mavsdk_lead_in import LeadIn, lead_in, receiver_for
+from hitchopt.export.formats.mavsdk_receiver import LATE
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
 from hitchopt.export.sampling import states_at
 
@@ -58,22 +62,59 @@ class MavsdkDroneShow(Whole):
     )
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the files, numbered from 1 in the plan's order."""
+        """Give the files, numbered from 1 in the plan's order.
+
+        Raises
+        ------
+        InfeasibleError: drones that begin above one another cannot take off.
+        """
+        lead = lead_in(task)
+        settings = receiver_for(task).settings()
         names = file_names(len(task.names))
         writers: dict[str, Writer] = dict.fromkeys(names, _written_already)
-        writers[names[0]] = lambda path: write_files(path.parent, task)
+        writers[names[0]] = lambda path: write_files(path.parent, task, lead)
         notes = (
+            f"the plan begins {lead.duration:g} s after the show (row {lead.rows}): until then the "
+            "drones wait on the ground and rise straight up, with their cables not looked at",
+            "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: set "
+            + ", ".join(f"{name} = {value}" for name, value in settings.items())
+            + " in its src/params.py",
+            "at the end PX4 lands every drone from its last row",
             "Drone N.csv in the plan's order: "
             + ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
             + (", …" if len(task.names) > 6 else ""),
-            "one north-east-down frame for all: tell the show where each drone is launched in it",
+            "launch every drone below its first place, px and py of its first row: its rows are "
+            "counted from there",
         )
-        yield Candidate(writers, notes)
+        receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": lead.duration}
+        if lead.check is not None:
+            receiver["separation_before"] = lead.check.worst
+        yield Candidate(writers, notes, receiver)
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return the curves through the setpoints, the cables' pull taken out of accelerations."""
-        tables = [read_table(folder / name) for name in file_names(len(task.names))]
-        return recording_of_tables(task.names, tables, task)
+        """Return the curves through the plan's setpoints as the receiver flies them.
+
+        The cables' pull is taken out of accelerations.
+        """
+        files = file_names(len(task.names))
+        lead, receiver = lead_in(task), receiver_for(task)
+        tables = [read_table(folder / name) for name in files]
+        if len({len(table) for table in tables}) > 1 or len(tables[0]) <= lead.rows + 1:
+            raise FileError(f"{folder}: its drones have not as many rows as the plan")
+        places = np.stack([table[:, 1:4] for table in tables], axis=1)
+        lost = ~receiver.followed(tables[0][:, 0], places, LATE)[lead.rows :]
+        if np.any(lost):
+            row, drone = np.argwhere(lost)[0]
+            t = tables[0][lead.rows + row, 0]
+            raise FileError(
+                f"{folder / files[drone]}: mavsdk_drone_show does not fly its row at t = {t:g} s"
+            )
+        # Altitudes are counted from the first row, and that is on the ground.
+        ground = task.room.points(lead.ground)[:, 2]
+        for table, lower, down in zip(tables, receiver.lowered(places), ground, strict=True):
+            table[:, 0] -= lead.duration
+            table[:, 3] += lower + down
+        return recording_of_tables(task.names, [table[lead.rows :] for table in tables], task)
 
 
 def file_names(drones: int) -> tuple[str, ...]:
@@ -81,8 +122,14 @@ def file_names(drones: int) -> tuple[str, ...]:
     return tuple(f"Drone {i + 1}.csv" for i in range(drones))
 
 
-def write_files(folder: Path, task: Task) -> None:
+def write_files(folder: Path, task: Task, lead: LeadIn) -> None:
     """Write all drones' files, block by block of the samples.
+
+    Parameters
+    ----------
+    folder: where to.
+    task: the plan.
+    lead: what the drones do before it.
 
     Raises
     ------
@@ -93,28 +140,43 @@ def write_files(folder: Path, task: Task) -> None:
     size = max(1, BLOCK // len(names))
     for name in names:
         (folder / name).write_text(COLUMNS + "\n", encoding="ascii", newline="\n")
-    for first in range(0, samples, size):
-        index = np.arange(first, min(first + size, samples))
-        states = states_at(task.motion, index / task.rate)
-        room = task.room
-        parts = (
-            room.points(states.positions),
-            room.vectors(states.velocities),
-            room.vectors(states.accelerations) - pull_of(task, states),
-        )
-        values = np.concatenate(parts, axis=-1) + 0.0
-        for start in range(0, len(names), OPEN):
-            with ExitStack() as stack:
-                for i, name in enumerate(names[start : start + OPEN], start):
-                    file = stack.enter_context((folder / name).open("a", newline="\n"))
-                    file.write(_rows(index, index / task.rate, values[:, i], room.heading))
+    parts: tuple[tuple[int, int, Callable[[Task, Array], Array]], ...] = (
+        (0, lead.rows, lead.values),
+        (lead.rows, samples, _plan_values),
+    )
+    for before, count, values_at in parts:
+        for first in range(0, count, size):
+            index = np.arange(first, min(first + size, count))
+            values = values_at(task, index / task.rate) + 0.0
+            _append(folder, names, before + index, values, task)
+
+
+def _plan_values(task: Task, t: Array) -> Array:
+    """Return positions, velocities and accelerations to feed forward, (S, D, 9)."""
+    states, room = states_at(task.motion, t), task.room
+    parts = (
+        room.points(states.positions),
+        room.vectors(states.velocities),
+        room.vectors(states.accelerations) - pull_of(task, states),
+    )
+    return np.concatenate(parts, axis=-1)
+
+
+def _append(
+    folder: Path, names: tuple[str, ...], index: NDArray[np.int64], values: Array, task: Task
+) -> None:
+    for start in range(0, len(names), OPEN):
+        with ExitStack() as stack:
+            for i, name in enumerate(names[start : start + OPEN], start):
+                file = stack.enter_context((folder / name).open("a", newline="\n"))
+                file.write(_rows(index, index / task.rate, values[:, i], task.room.heading))
 
 
 def _rows(index: NDArray[np.int64], t: Array, values: Array, heading: float) -> str:
-    yaw = f"{math.degrees(heading):.6g}"
+    yaw = f"{math.degrees(heading):#.6g}"  # with a decimal point, as all that are no counts
     lines = [
-        f"{i},{at:.9g},"
-        + ",".join(f"{value:.9g}" for value in row)
+        f"{i},{at:#.9g},"
+        + ",".join(f"{value:#.9g}" for value in row)
         + f",{yaw},{MODE},255,255,255\n"
         for i, at, row in zip(index.tolist(), t.tolist(), values.tolist(), strict=True)
     ]

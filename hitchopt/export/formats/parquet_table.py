@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,12 @@ from hitchopt.export.room import AXES
 
 FILE = "setpoints.parquet"
 
-FRAME = b"hitchopt.frame"
-"""Key of the schema's metadata."""
+FRAME, ROOM = b"hitchopt.frame", b"hitchopt.room"
+"""Keys of the schema's metadata: the frame's name, and where the plan lies in it, as JSON."""
+
+GROUP = 200_000
+"""Rows of a row group at most, or one sample: readers skip and share work by groups. 35 MB of
+numbers wait until one is full."""
 
 
 class ParquetTable(Table):
@@ -60,9 +65,10 @@ def write_parquet(path: Path, task: Task) -> None:
     fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
     fields += [(column, number) for column in COLUMNS]
     room = task.room
-    metadata = {FRAME: room.frame.encode(), b"hitchopt.room": repr(room.to_dict()).encode()}
-    schema = arrow.schema(fields, metadata=metadata)
+    place = json.dumps(room.to_dict(), allow_nan=False)
+    schema = arrow.schema(fields, metadata={FRAME: room.frame.encode(), ROOM: place.encode()})
     with parquet.ParquetWriter(path, schema) as writer:
+        waiting: list[Any] = []
         for block in blocks_of(task):
             samples, drones = block.values.shape[:2]
             who = np.tile(np.arange(drones, dtype=np.int32), samples)
@@ -71,7 +77,18 @@ def write_parquet(path: Path, task: Task) -> None:
                 arrow.DictionaryArray.from_arrays(who, names),
                 *(arrow.array(block.values[..., i].ravel()) for i in range(len(COLUMNS))),
             ]
-            writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
+            if sum(map(len, waiting)) + samples * drones > GROUP:
+                _write_group(writer, waiting)
+            waiting.append(arrow.Table.from_arrays(columns, schema=schema))
+        _write_group(writer, waiting)
+
+
+def _write_group(writer: Any, tables: list[Any]) -> None:
+    """Write the tables, if there are any, as one row group, and forget them."""
+    if tables:
+        whole = needed("pyarrow").concat_tables(tables)
+        writer.write_table(whole, row_group_size=len(whole))
+        tables.clear()
 
 
 def read_parquet(path: Path) -> Recording:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hitchopt.export.atomic import Writer
 from hitchopt.export.formats.attitude import attitudes_of
 from hitchopt.export.formats.extras import needed
-from hitchopt.export.formats.format import Candidate, Task, Whole, pull_of
+from hitchopt.export.formats.format import ROS_DISTROS, Candidate, Task, Whole, pull_of
 from hitchopt.export.formats.ros2_messages import Messages, bag_recording
 from hitchopt.export.recording import Recording
 from hitchopt.export.sampling import iterate_states, sample_times
@@ -88,7 +88,8 @@ def write_bag(path: Path, task: Task) -> None:
     bags = needed("rosbags.rosbag2")
     kind = bags.StoragePlugin.MCAP if task.storage == "mcap" else bags.StoragePlugin.SQLITE3
     stage = path.parent / STEM  # the library makes a directory, and calls the data by its name
-    with bags.Writer(stage, version=9, storage_plugin=kind) as bag:
+    version = ROS_DISTROS[task.ros_distro]
+    with bags.Writer(stage, version=version, storage_plugin=kind) as bag:
         _write_messages(bag, Messages(FRAME_IDS[task.room.frame]), task)
     shutil.move(stage / path.name, path)
     shutil.move(stage / METADATA, path.parent / METADATA)

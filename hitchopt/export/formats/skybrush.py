@@ -2,8 +2,9 @@
 
 A zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y, z], control
 points]``, t in seconds from takeoff, north-west-up, the control points leading into their point.
-Durations are whole milliseconds. What Skybrush sends to the drones is rounded to millimetres once
-more, which is not in these numbers.
+Skybrush's server stores whole milliseconds and whole millimetres (multiples of s millimetres from
+32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
+back and certified are the curves that the server stores.
 
 Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
 their own; the format has no place for accelerations, so the cable's pull is not in it.
@@ -23,28 +24,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.export.formats.compressed import keeping_of
 from hitchopt.export.formats.format import Candidate, Task, Whole
-from hitchopt.export.formats.skybrush_show import drones_of_show
+from hitchopt.export.formats.skybrush_show import MILLI, drones_of_show, storage_scale, stored
 from hitchopt.export.recording import Recording, lasted, recording_of_curves
 from hitchopt.export.refit.breaks import greedy_breaks, span_error
 from hitchopt.export.refit.pieces import Kind, Scale, fitted
+from hitchopt.export.refit.rounding import rounded
+from hitchopt.export.refit.settling import settled
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 FILE = "show.skyc"
 
-KIND = Kind(degree=3, match=2, quantum=1e-3, longest=60.0)
-"""Positions and velocities are continuous."""
+KIND = Kind(degree=3, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
+"""From 1.001 s on the server's arithmetic loses a millisecond of some durations; a millimetre of a
+control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
 SMOOTH = 1
+"""After rounding, acceleration jumps; so does velocity, by as much as the note tells."""
 
 SCALE = Scale(position=1e-3, velocity=3e-2, acceleration=0.5)
 
-BOUNDS = (1.0, 0.3, 0.1, 0.03)
-"""Of the refit over SCALE: as few points as will do."""
+BOUNDS = (1.0, 1.4, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2)
+"""Of the refit over SCALE, the best first: long segments fit worse and suffer less from rounding;
+below the last one rounding costs more than the refit gains."""
 
-DECIMALS = 6
-"""Of metres in the file."""
+ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
+"""Errors of rounding that weigh alike."""
+
+NUDGE = 1e-6
+"""[m] By which points in the file lie beyond their whole millimetres: the server cuts digits off,
+and in binary most of them lie just below."""
 
 
 class SkybrushShow(Whole):
@@ -70,16 +82,41 @@ class SkybrushShow(Whole):
             if breaks is None:
                 continue
             fit = task.room.placed(fitted(lasted(curves, float(breaks[-1])), breaks, KIND))
-            points = np.round(fit.coefficients, DECIMALS) + 0.0
-            note = f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush"
-            yield Candidate(
-                {FILE: partial(write_show, task=task, breaks=breaks, points=points)}, (note,)
-            )
+            quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
+            keeping = keeping_of(task, breaks, self.accuracy)
+            for rounding in _roundings(fit, quantum):
+                whole = settled(rounding, fit, quantum, keeping)
+                notes = (
+                    f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to "
+                    "Skybrush",
+                    f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
+                    f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
+                    "join",
+                )
+                write = partial(write_show, task=task, breaks=breaks, points=whole.coefficients)
+                yield Candidate({FILE: write}, notes)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the curves of the show."""
+        """Return the curves of the show as Skybrush's server stores them."""
         drones = drones_of_show(folder / FILE)
-        return recording_of_curves(tuple(drones), tuple(drones.values()), "nwu", SMOOTH)
+        curves = [stored(curve) for curve in drones.values()]
+        return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
+
+
+def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
+    """Return the curves rounded together and one point at a time, the smoother ones first.
+
+    The former costs less velocity in short pieces, the latter less place where drones rest.
+    """
+    nearest = np.rint(curves.coefficients / quantum) * quantum
+    each = PiecewisePolynomial(curves.breaks, nearest)
+    return sorted([rounded(curves, quantum, ROUNDING), each], key=_jump)
+
+
+def _jump(curves: PiecewisePolynomial) -> float:
+    """Return the largest jump of velocity where pieces join [m/s]."""
+    left, right = curves.ends(1)
+    return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
 
 
 def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
@@ -90,13 +127,14 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
     path: of the zip.
     task: with title, names and limits.
     breaks: (pieces + 1,) [s]
-    points: (pieces, D, 3, 4) Bézier control points [m], north-west-up.
+    points: (pieces, D, 3, 4) Bézier control points [m], north-west-up, of whole millimetres.
 
     Raises
     ------
     OSError: the file cannot be written.
     """
     times = [round(t, 3) for t in breaks.tolist()]
+    points = np.round(points + np.copysign(NUDGE, points) * (points != 0.0), 6) + 0.0
     drones = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for i, name in enumerate(task.names):

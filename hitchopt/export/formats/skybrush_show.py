@@ -21,6 +21,12 @@ Array = NDArray[np.float64]
 MAX_UNPACKED = 500_000_000
 """[bytes] Of one file in the zip."""
 
+MILLI = 1e-3
+"""[m], [s] Skybrush's server stores whole ones."""
+
+REACH = 32768
+"""Numbers that 16 bits with a sign tell from zero, on either side."""
+
 MAX_DRONES = 20_000
 
 DEGREE = 3
@@ -52,6 +58,26 @@ def drones_of_show(path: Path) -> dict[str, PiecewisePolynomial]:
         raise FileError(f"{path}: is no Skybrush show, or a damaged one: {error}") from error
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise FileError(f"{path}: is no Skybrush show: {error!r} where a drone is told") from error
+
+
+def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
+    """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
+
+    Every drone's curve is stored in multiples of its own, by how far its points reach; rounding may
+    move them farther by ``beyond`` [m].
+    """
+    reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
+    scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
+    return int(np.lcm.reduce(np.atleast_1d(scales)))
+
+
+def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the curve (3,) of one drone as the server stores it: digits beyond are cut off."""
+    scale = storage_scale(curve)
+    points = np.trunc(curve.coefficients * (1000.0 / scale)) * (scale * MILLI)
+    lasting = np.floor(np.round(curve.durations, 3) * 1000.0) * MILLI
+    first = float(np.round(curve.breaks[0], 3))
+    return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
 def _json(archive: zipfile.ZipFile, name: str) -> Any:

@@ -15,6 +15,7 @@ from hitchopt.export.formats.mavsdk import read_table, recording_of_tables
 from hitchopt.export.formats.skybrush_csv import lines_of, read_zip
 from hitchopt.export.formats.skybrush_show import drones_of_show
 from hitchopt.export.lint.findings import ERROR, WARNING, DroneFacts, Finding, Loaded
+from hitchopt.export.lint.receiving import receiver_findings
 from hitchopt.export.recording import Recording, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -126,6 +127,7 @@ def setpoint_files(files: Sequence[Path]) -> Loaded:
             )
         )
         tables = [_rested(table, max(tables, key=len)[:, 0]) for table in tables]
+    findings += receiver_findings(files[0].parent, names, tables)
     facts = tuple(DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
     recording = recording_of_tables(names, tables, None)
     return Loaded("mavsdk_drone_show", recording, facts, tuple(findings), streamed=True)

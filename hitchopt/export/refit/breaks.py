@@ -29,7 +29,7 @@ def greedy_breaks(
 ) -> Array | None:
     """Return breaks from 0 to ``duration``, rounded up to a quantum; None if they are too many.
 
-    Every piece lasts as long as its error stays within ``bound``, or one quantum.
+    Every piece lasts as long as its error stays within ``bound``, or as short as it may.
 
     Parameters
     ----------
@@ -41,6 +41,7 @@ def greedy_breaks(
     """
     last = max(1, ceil(duration / kind.quantum - 1e-9))
     longest = max(1, floor(kind.longest / kind.quantum))
+    shortest = max(1, ceil(kind.shortest / kind.quantum - 1e-9))
     ticks = [0]
     stride = max(1, last // 8)
     while ticks[-1] < last:
@@ -48,7 +49,10 @@ def greedy_breaks(
             return None
         here = ticks[-1]
         limit = min(last, here + longest)
-        stride = _farthest(error, kind.quantum, here, limit, bound, stride)
+        stride = max(shortest, _farthest(error, kind.quantum, here, limit, bound, stride))
+        remaining = last - here
+        if remaining - stride < shortest:  # the last piece would be too short
+            stride = remaining - shortest if stride < remaining >= 2 * shortest else remaining
         ticks.append(here + stride)
     return np.array(ticks) * kind.quantum
 

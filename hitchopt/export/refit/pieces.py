@@ -33,12 +33,14 @@ class Kind:
     match: how many derivatives, from the position on, are the plan's at both ends.
     quantum: durations are whole multiples of it [s].
     longest: that a piece may last [s].
+    shortest: that a piece may last, whatever its error [s]; whole curves may be shorter.
     """
 
     degree: int
     match: int
     quantum: float
     longest: float
+    shortest: float = 0.0
 
     def __post_init__(self) -> None:
         if self.degree + 1 < 2 * self.match:
