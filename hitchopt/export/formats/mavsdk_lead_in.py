@@ -94,7 +94,7 @@ def lead_in(task: Task) -> LeadIn:
     motion = task.motion
     first = motion.drones.coefficients[0, ..., 0]
     ground = first.copy()
-    ground[:, 2] = floor_of(motion.requirements.arena)
+    ground[:, 2] = motion.requirements.floor
     height = first[:, 2] - ground[:, 2]
     highest = float(np.max(np.abs(height)))
     speed = min(SPEED, motion.requirements.limits.speed)
