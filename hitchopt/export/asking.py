@@ -96,7 +96,7 @@ def export_motion(
         rate,
         wish.storage,
         wish.rate is not None,
-        wish.ros_distro,
+        ros_distro=wish.ros_distro,
     )
     place = Path(folder)
     if place.suffix.lower() in ENDINGS and not place.is_dir():
