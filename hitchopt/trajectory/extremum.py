@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -206,6 +207,7 @@ class Search:
 
     def _bounds(self, batch: Cells) -> Array:
         """Return the lower bounds (cells,), having noted the smallest value."""
+        check_time()
         self.looked_at += len(batch)
         with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
             estimate = self.bound(batch.blocks)
