@@ -50,9 +50,9 @@ def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
     }
     assert met.certified, met.violated
     assert met["legs"].worst < exact["leg"]  # a bound still, rounding included
-    for name in exact:
+    for name, value in exact.items():
         off = 1e-6 if name == "leg" else -1e-6
-        broken = rest(ho.Limits(**{name: exact[name] * (1.0 + off)}), ho.Separation(), None)
+        broken = rest(ho.Limits(**{name: value * (1.0 + off)}), ho.Separation(), None)
         assert not broken.certified
 
 
@@ -113,7 +113,7 @@ def test_the_slowest_limits_are_planned(limits: dict[str, float]) -> None:
 
 
 def test_what_a_double_does_not_resolve_is_said_to_be_so() -> None:
-    with pytest.raises(ho.InputError, match="altitude = 1000000000.0: must be within"):
+    with pytest.raises(ho.InputError, match=r"altitude = 1000000000\.0: must be within"):
         ho.Hitch.spread(TEAM, ho.regular_polygon(3, 1.0), altitude=1e9)
     with pytest.raises(ho.InputError, match=r"start\[0\]"):
         ho.SwarmProblem(ho.Swarm(1), [[0.0, 0.0, 1e9]], [[0.0, 0.0, 1.0]])  # type: ignore[arg-type]
