@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         HitchoptError,
         InfeasibleError,
         InputError,
+        TimeLimitError,
         UnsupportedError,
         Violation,
     )
@@ -101,6 +102,7 @@ _HOMES = {
     "SwarmMotion": "model.motion",
     "SwarmProblem": "mission.swarm",
     "Team": "hitch",
+    "TimeLimitError": "errors",
     "Transport": "mission.problem",
     "UnsupportedError": "errors",
     "Violation": "errors",
@@ -171,6 +173,7 @@ __all__ = [
     "SwarmMotion",
     "SwarmProblem",
     "Team",
+    "TimeLimitError",
     "Transport",
     "UnsupportedError",
     "Violation",

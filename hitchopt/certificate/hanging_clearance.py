@@ -21,8 +21,8 @@ from hitchopt.certificate.hanging import (
     plan_points,
 )
 from hitchopt.certificate.proximity import smallest_distance
-from hitchopt.certificate.report import Check, most_pressing
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, most_pressing, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.limits import floor_of
@@ -63,6 +63,7 @@ def _of_phase(part: FreePhase) -> list[Check]:
             plan_chords(motion),
             foreign,
             position_margin(motion),
+            within(motion.separation.cable, "min", magnitude(motion), 0.5),
         )
         return [_told(motion, seen)]
     drones = cut(motion.drones)
@@ -75,7 +76,8 @@ def _told(motion: Motion, found: Extremum) -> Check:
     name = GROUND if who == 2 * n else motion.team.drone_names[who]
     worst = max(found.worst, 0.0) if who < 2 * n else found.worst
     where = (name, f"cable {cable}")
-    return Check.of("cable_clearance", worst, limit, "min", "m", found.time, where)
+    size = magnitude(motion)
+    return Check.of("cable_clearance", worst, limit, "min", "m", found.time, where, size)
 
 
 def _to_drones(motion: Motion, drones: PiecewisePolynomial) -> Extremum:

@@ -21,6 +21,7 @@ from hitchopt.hitch.sharing_program import (
     sharing_program,
 )
 from hitchopt.hitch.sharing_task import Sharing, SharingTask
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -88,6 +89,7 @@ def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
     """Return the sharing that repeated convex approximation reaches from ``start``."""
     d = start
     for _ in range(ROUNDS):
+        check_time()
         x = solve_qp(sharing_program(task, bodies, d))
         if x is None:
             break

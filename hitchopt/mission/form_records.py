@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.values import finite, positive
+from hitchopt.hitch.values import coordinate, positive
 from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.planners.forming.settings import SwapSettings
 
@@ -39,7 +39,7 @@ class Form:
     duration: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "altitude", finite("altitude", self.altitude))
+        object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
         if self.assign not in {"auto", "fixed"}:
             raise InputError("assign", self.assign, "auto or fixed", "write assign: auto")
         _check_duration(self)

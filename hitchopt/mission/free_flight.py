@@ -44,7 +44,25 @@ def check_start(before: Situation, kept: Kept) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     rest = PiecewisePolynomial.constant([0.0, 1.0], before.drones)
     stage = Stage(_resting_name(before, kept), rest)
-    check_part(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
+    try:
+        check_part(_free([stage], before.team, 0, kept), kept, "at the start (t = 0)")
+    except InfeasibleError as error:
+        found = [_span(v, before) if v.constraint == "span" else v for v in error.violations]
+        found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
+        raise InfeasibleError(found, error.note) from None
+
+
+def _span(violation: Violation, before: Situation) -> Violation:
+    """Return the violation with the drones named that are too far apart, and by how much."""
+    k = int(violation.where[0].removeprefix("cable "))
+    apart = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
+    length = float(before.team.cable_length[k])
+    return replace(
+        violation,
+        where=(f"robot {k}", f"q{k}", f"r{k}"),
+        when=f"({apart:.6g} m apart on a cable of {length:.6g} m) {violation.when}",
+        remedy=f"move q{k} and r{k} of start.drones closer together, or use a longer cable",
+    )
 
 
 def check_above_ground(motion: Motion) -> None:

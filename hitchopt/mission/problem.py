@@ -12,7 +12,7 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Arena, Limits, Separation, Team
 from hitchopt.hitch.fitting import fitting_polygon
-from hitchopt.hitch.values import finite
+from hitchopt.hitch.values import coordinate
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
 from hitchopt.mission.outlines import fitting_steps
@@ -70,7 +70,7 @@ class HitchStart:
     legs: LegSharing = "spread"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "altitude", finite("altitude", self.altitude))
+        object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
 
 
 @dataclass(frozen=True, eq=False)

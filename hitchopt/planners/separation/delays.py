@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.planners.separation.ways import Ways
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -53,6 +54,7 @@ def departures(ways: Ways, shares: Array, ramps: Array, scale: Array) -> Array:
     flown = np.zeros((n, SAMPLES, 3))
     done: list[int] = []
     for i in np.argsort(-shares, kind="stable"):
+        check_time()
         delays = np.linspace(0.0, 1.0 - shares[i], CHOICES if shares[i] < 1.0 else 1)
         s = (time - delays[:, None]) / shares[i]
         points = ways.of(int(i), progress_along(s, float(ramps[i]))) * scale

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.planners.separation.course import SAMPLES, Course, inside
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -70,6 +71,7 @@ def pushed_apart(course: Course, manners: Manners) -> Array:
     coefficients = course.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
+        check_time()
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))

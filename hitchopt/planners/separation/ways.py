@@ -17,6 +17,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Arena
 from hitchopt.hitch.keep_out import Prism
 from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -87,6 +88,7 @@ def ways_around(task: SeparationTask) -> Ways:
         blocked |= _Solid.around(prism, radius * (1.0 - TIGHT)).cuts(task.start, task.goal)
     lengths = np.linalg.norm(task.goal - task.start, axis=1)
     for i in np.flatnonzero(blocked).tolist():
+        check_time()
         start, goal = task.start[i], task.goal[i]
         way = _way(task, start, goal, STAND_OFF * radius)
         if way is None:
