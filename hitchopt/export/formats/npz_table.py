@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.export.archive import MAX_HEADER, read_arrays
+from hitchopt.export.archive import BROKEN, read_arrays, read_header
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     FEED_FORWARD,
@@ -28,7 +28,6 @@ from hitchopt.export.formats.long_table import (
     blocks_of,
     sample_count,
 )
-from hitchopt.export.plan_file import BROKEN
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
 from hitchopt.export.room import AXES
 
@@ -134,9 +133,7 @@ def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
 
 
 def _check_header(name: str, file: IO[bytes], shape: tuple[int, ...]) -> None:
-    if npy.read_magic(file) != (1, 0):
-        raise FileError(f"array {name!r} is in an unknown version of its format")
-    found, fortran, dtype = npy.read_array_header_1_0(file, max_header_size=MAX_HEADER)
+    found, fortran, dtype, _ = read_header(name, file.read)
     if found != shape or fortran or dtype != np.float64:
         raise FileError(f"array {name!r} is {found} of {dtype}, not {shape} of float64")
 
