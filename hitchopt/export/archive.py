@@ -84,11 +84,14 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 def refuse_bomb(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
     """Raise FileError if the members of a file of ``packed`` bytes unpack to far more than that."""
-    size = sum(member.file_size for member in members)
+    refuse_expansion(sum(member.file_size for member in members), packed)
+
+
+def refuse_expansion(size: int, packed: int) -> None:
+    """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can mean."""
     if size > MODEST and size > MAX_EXPANSION * packed:
         raise FileError(
-            f"its members would unpack to {size:.3g} bytes, far more than the file "
-            f"({packed:.3g} bytes)"
+            f"it would unpack to {size:.3g} bytes, far more than the file ({packed:.3g} bytes)"
         )
 
 

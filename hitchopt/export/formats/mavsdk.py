@@ -134,17 +134,20 @@ def read_table(path: Path) -> Array:
     FileError: another header, rows of other lengths, fewer than two rows.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot be read: {error}") from error
+    lines = [line for line in text.splitlines() if line.strip()]
     header = lines[0].split(",") if lines else []
     wanted = COLUMNS.split(",")[1:11]
     missing = [name for name in wanted if name not in header]
     if missing:
         raise FileError(f"{path}: its first line has no column {missing[0]!r}, not {COLUMNS}")
     columns = [header.index(name) for name in wanted]
+    if len(lines) < 2:
+        raise FileError(f"{path}: has no rows; two are the least")
     try:
-        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, usecols=columns)
+        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, usecols=columns, comments=None)
     except (ValueError, IndexError) as error:
         raise FileError(f"{path}: {error}; it is truncated or damaged") from error
     if len(table) < 2:

@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.export.archive import BROKEN, read_arrays, read_header
+from hitchopt.export.archive import BROKEN, read_arrays, read_header, refuse_bomb
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     FEED_FORWARD,
@@ -109,6 +109,8 @@ def read_npz(path: Path) -> Recording:
         head = read_arrays(path, ("frame", "drones", "t"))
     except BROKEN as error:
         raise FileError(f"{path}: not an archive that hitchopt wrote: {error}") from error
+    if head["t"].dtype.kind not in "iuf":
+        raise FileError(f"{path}: its times are of type {head['t'].dtype}, not numbers")
     names = tuple(str(name) for name in np.atleast_1d(head["drones"]))
     t = np.asarray(head["t"], dtype=np.float64).ravel()
     frame = str(head["frame"])
@@ -121,7 +123,9 @@ def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
     size = max(1, ROWS // max(1, drones))
     try:
         with zipfile.ZipFile(path) as archive:
-            files = [archive.open(f"{name}.npy") for name in FLOWN]
+            members = [archive.getinfo(f"{name}.npy") for name in FLOWN]
+            refuse_bomb(members, path.stat().st_size)
+            files = [archive.open(member) for member in members]
             for name, file in zip(FLOWN, files, strict=True):
                 _check_header(name, file, (len(t), drones, 3))
             for first in range(0, len(t), size):

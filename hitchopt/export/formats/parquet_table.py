@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.export.archive import BROKEN, refuse_expansion
 from hitchopt.export.formats.extras import needed
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
@@ -99,7 +100,8 @@ def _opened(path: Path) -> Any:
     try:
         file = parquet.ParquetFile(path)
         missing = [name for name in ("t", "drone", *FLOWN) if name not in file.schema_arrow.names]
-    except (arrow.ArrowException, OSError) as error:
+        refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
+    except (arrow.ArrowException, *BROKEN) as error:
         raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
     if missing:
         raise FileError(
@@ -116,6 +118,10 @@ def _rows(path: Path) -> Iterator[Rows]:
             for batch in file.iter_batches(columns=wanted):
                 values = np.column_stack([batch[name].to_numpy(False) for name in FLOWN])
                 t = batch["t"].to_numpy(False).astype(np.float64)
-                yield Rows(t, [str(name) for name in batch["drone"].to_pylist()], values)
-    except (arrow.ArrowException, OSError, ValueError, TypeError) as error:
+                if len(t):
+                    names = [str(name) for name in batch["drone"].to_pylist()]
+                    yield Rows(t, names, values.astype(np.float64))
+    except FileError:
+        raise
+    except (arrow.ArrowException, *BROKEN) as error:
         raise FileError(f"{path}: is damaged: {error}") from error

@@ -16,7 +16,15 @@ from hitchopt.export.formats.compressed import read_bytes
 from hitchopt.export.formats.compressed_bytes import LARGEST, LONGEST, MILLI, decoded
 from hitchopt.export.formats.memory import BYTES
 from hitchopt.export.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, DroneFacts, Finding, Loaded
+from hitchopt.export.lint.findings import (
+    ERROR,
+    FARTHEST,
+    NOTE,
+    WARNING,
+    DroneFacts,
+    Finding,
+    Loaded,
+)
 from hitchopt.export.recording import recording_of_curves
 from hitchopt.export.room import AXES
 from hitchopt.hitch import Separation
@@ -260,4 +268,5 @@ def _is_point(value: object) -> TypeGuard[list[float]]:
         isinstance(value, list)
         and len(value) == 3
         and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+        and all(abs(x) <= FARTHEST for x in value)
     )

@@ -11,6 +11,10 @@ ERROR, WARNING, NOTE = "error", "warning", "note"
 """It will go wrong; it may; it is good to know."""
 
 
+FARTHEST = 1e6
+"""[m] No drone is farther from its origin: sums and squares of such numbers stay finite."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """One thing to be said.
