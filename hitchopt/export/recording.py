@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import SAME_BREAK, merged_breaks, on_breaks
 
 Array = NDArray[np.float64]
@@ -23,6 +23,9 @@ WINDOW = 20_000
 
 MAX_SPANS = 20_000_000
 """Pieces times drones, once all drones' breaks are merged: more is no show that anyone flies."""
+
+SILENT = 1e-6
+"""[m], [m/s], [m/s²] Samples that are all smaller are zero but for rounding."""
 
 SAME_TIME = 1e-9
 """[s] Samples closer than this are of one time."""
@@ -131,6 +134,36 @@ def recording_of_samples(
             raise FileError("has fewer than two samples; nothing moves between them")
 
     return Recording(tuple(names), frame, smooth, windows)
+
+
+def orders_told(recording: Recording) -> int:
+    """Return the highest derivative that a recording of samples holds.
+
+    A derivative that is zero at all samples while the drones move is not held: files of positions
+    alone often have columns of zeros, and curves that rest at every sample are not what is flown.
+    """
+    told, moved = np.zeros(recording.smooth + 1, dtype=np.bool_), False
+    told[0] = True
+    for window in recording.windows():
+        starts, ends = window.ends()
+        moved |= bool(np.max(np.abs(ends - starts)) > SILENT)
+        for order in np.flatnonzero(~told).tolist():
+            told[order] = any(np.max(np.abs(end)) > SILENT for end in window.ends(order))
+        if np.all(told):
+            break
+    return recording.smooth if np.all(told) or not moved else int(np.argmin(told)) - 1
+
+
+def with_orders(recording: Recording, orders: int) -> Recording:
+    """Return the recording through the same samples with derivatives up to ``orders`` alone."""
+
+    def windows() -> Iterator[PiecewisePolynomial]:
+        for window in recording.windows():
+            ends = zip(*(window.ends(order) for order in range(orders + 1)), strict=True)
+            starts, stops = (np.stack(values) for values in ends)
+            yield PiecewisePolynomial.hermite(window.breaks, starts, stops)
+
+    return Recording(recording.names, recording.frame, orders, windows)
 
 
 def check_times(t: Array, source: str = "") -> None:

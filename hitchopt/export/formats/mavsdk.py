@@ -129,6 +129,8 @@ def _written_already(path: Path) -> None:
 def read_table(path: Path) -> Array:
     """Return the rows (S, 10) of one drone: t, positions, velocities, accelerations as they stand.
 
+    Columns of velocities and accelerations that are not there are zero.
+
     Raises
     ------
     FileError: another header, rows of other lengths, fewer than two rows.
@@ -140,10 +142,11 @@ def read_table(path: Path) -> Array:
     lines = [line for line in text.splitlines() if line.strip()]
     header = lines[0].split(",") if lines else []
     wanted = COLUMNS.split(",")[1:11]
-    missing = [name for name in wanted if name not in header]
+    missing = [name for name in wanted[:4] if name not in header]
     if missing:
         raise FileError(f"{path}: its first line has no column {missing[0]!r}, not {COLUMNS}")
-    columns = [header.index(name) for name in wanted]
+    told = [i for i, name in enumerate(wanted) if name in header]
+    columns = [header.index(wanted[i]) for i in told]
     if len(lines) < 2:
         raise FileError(f"{path}: has no rows; two are the least")
     try:
@@ -152,7 +155,9 @@ def read_table(path: Path) -> Array:
         raise FileError(f"{path}: {error}; it is truncated or damaged") from error
     if len(table) < 2:
         raise FileError(f"{path}: has {len(table)} rows; two are the least")
-    return np.asarray(table, dtype=np.float64)
+    whole = np.zeros((len(table), len(wanted)))
+    whole[:, told] = table
+    return whole
 
 
 def recording_of_tables(
