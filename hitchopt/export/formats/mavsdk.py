@@ -142,7 +142,9 @@ def read_table(path: Path) -> Array:
     lines = [line for line in text.splitlines() if line.strip()]
     header = lines[0].split(",") if lines else []
     wanted = COLUMNS.split(",")[1:11]
-    missing = [name for name in wanted[:4] if name not in header]
+    vectors = [wanted[:4], wanted[4:7], wanted[7:]]
+    needed = vectors[:1] + [v for v in vectors[1:] if any(name in header for name in v)]
+    missing = [name for vector in needed for name in vector if name not in header]
     if missing:
         raise FileError(f"{path}: its first line has no column {missing[0]!r}, not {COLUMNS}")
     told = [i for i, name in enumerate(wanted) if name in header]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.export.directory import PLAN
 from hitchopt.export.formats.poly_csv import COLUMNS as POLY_COLUMNS
 from hitchopt.export.lint import crazyflie, shows
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, Finding, Loaded, Report
@@ -113,6 +114,8 @@ def load(path: Path) -> Loaded:
     """
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
+    if path.name == PLAN or (path / PLAN).is_file():
+        raise FileError(f"{path}: holds a plan; `hitchopt check` is for that, lint for exports")
     if not path.is_dir():
         return _load_files(path, [path])
     if (path / "metadata.yaml").is_file():
@@ -120,8 +123,6 @@ def load(path: Path) -> Loaded:
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name != FILE)
     if len(files) > MAX_FILES:
         raise FileError(f"{path}: holds {len(files)} files; {MAX_FILES} are the most")
-    if (path / "plan.npz").is_file():
-        raise FileError(f"{path}: holds a plan; `hitchopt check` is for that, lint for exports")
     if not files:
         others = [p for p in path.iterdir() if p.is_file()]
         held = f"; it holds {_named(others)}" if others else ""
