@@ -30,13 +30,13 @@ def rules_of(found: Report, level: str) -> set[str]:
 
 def two_drones(path: Path, validation: dict[str, Any]) -> Path:
     """Write a show: d0 climbs at 4 m/s to 9 m and rests, d1 moves across at 5 m/s, 3 m from it."""
-    ways = {
+    routes: dict[str, list[list[Any]]] = {
         "d0": [[0, [0, 0, 1], []], [2, [0, 0, 9], []], [4, [0, 0, 9], []]],
         "d1": [[0, [0, 3, 1], []], [2, [10, 3, 1], []], [4, [10, 3, 1], []]],
     }
     drones = [
         {"settings": {"name": name, "home": points[0][1][:2], "trajectory": {"points": points}}}
-        for name, points in ways.items()
+        for name, points in routes.items()
     ]
     show = {"swarm": {"drones": drones}, "settings": {"validation": validation}}
     with zipfile.ZipFile(path, "w") as archive:
@@ -70,7 +70,10 @@ def test_each_limit_of_a_show(
 ) -> None:
     assert report(two_drones(tmp_path / "a.skyc", {**WIDE, key: held})).sound
     found = report(two_drones(tmp_path / "b.skyc", {**WIDE, key: broken}))
-    assert [(f.rule, f.where) for f in found.findings if f.level == ERROR] == [(key, where)]
+    (finding,) = (f for f in found.findings if f.level == ERROR)
+    assert (finding.rule, finding.where) == (key, where)
+    remedies = {"maxAltitude": "fly lower", "minDistance": "move them apart"}
+    assert finding.message.endswith(remedies.get(key, "fly it more slowly"))
 
 
 def test_upwards_its_own_limit_takes_precedence(tmp_path: Path) -> None:

@@ -119,9 +119,10 @@ def _json(archive: zipfile.ZipFile, name: str, path: Path) -> Any:
 
 def _file(trajectory: Any) -> str | None:
     """Return the zip's file that a trajectory is in; None where it stands in the show itself."""
-    if isinstance(trajectory, dict) and isinstance(trajectory.get("$ref"), str):
-        return posixpath.normpath(trajectory["$ref"].partition("#")[0])
-    return None
+    reference = trajectory.get("$ref") if isinstance(trajectory, dict) else None
+    if not isinstance(reference, str):
+        return None
+    return posixpath.normpath(reference.partition("#")[0])
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:

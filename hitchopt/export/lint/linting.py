@@ -14,8 +14,9 @@ from hitchopt.export.directory import PLAN
 from hitchopt.export.formats.poly_csv import COLUMNS as POLY_COLUMNS
 from hitchopt.export.lint import crazyflie, shows
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, Finding, Loaded, Report
+from hitchopt.export.lint.flight import flown_together
 from hitchopt.export.lint.places import flown_from_places
-from hitchopt.export.lint.together import Rules, flown_together
+from hitchopt.export.lint.together import Rules
 from hitchopt.export.manifest import FILE, part_folders, read_manifest
 from hitchopt.export.recording import orders_told, with_orders
 

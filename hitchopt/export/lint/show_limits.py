@@ -22,7 +22,8 @@ Size = Callable[[Array], Array]
 
 
 def _across(vectors: Array) -> Array:
-    return np.linalg.norm(vectors[:, :2], axis=1)
+    sizes: Array = np.linalg.norm(vectors[:, :2], axis=1)
+    return sizes
 
 
 def _up(vectors: Array) -> Array:
