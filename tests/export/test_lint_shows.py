@@ -13,6 +13,7 @@ import pytest
 from exported_plans import exported, swarm_plan
 
 from hitchopt.errors import FileError
+from hitchopt.export import recording
 from hitchopt.export.formats.mavsdk import COLUMNS
 from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, Report
 from hitchopt.export.lint.linting import lint
@@ -172,7 +173,12 @@ def settled(folder: Path, offsets: dict[str, float]) -> None:
     (folder / "crazyflies.yaml").write_text(text)
 
 
-def test_relative_trajectories_are_flown_from_their_places(tmp_path: Path) -> None:
+@pytest.mark.parametrize("window", [6, 20_000])
+def test_relative_trajectories_are_flown_from_their_places(
+    window: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a flight is looked at in several windows, of two pieces each."""
+    monkeypatch.setattr(recording, "WINDOW", window)
     settled(tmp_path / "a", {"d0": 0.0, "d1": 2.0, "d2": 4.0})
     assert "start" in rules_of(report(tmp_path / "a"), WARNING)
     found = report(tmp_path / "a", relative=True)
