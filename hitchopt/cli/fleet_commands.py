@@ -136,9 +136,17 @@ def _show(part: Export) -> None:
 
 @main.command()
 @click.argument("path", metavar="PATH", type=GivenPath())
-@click.option("--speed", metavar="M/S", type=float, default=3.0, show_default=True, help="Limit.")
 @click.option(
-    "--acceleration", metavar="M/S²", type=float, default=10.0, show_default=True, help="Limit."
+    "--speed",
+    metavar="M/S",
+    type=float,
+    help="Limit; by default the show's own, or 3 where it has none.",
+)
+@click.option(
+    "--acceleration",
+    metavar="M/S²",
+    type=float,
+    help="Limit; by default the show's own, or 10 where it has none.",
 )
 @click.option(
     "--radius",
@@ -156,10 +164,23 @@ def _show(part: Export) -> None:
     show_default=True,
     help="Of a drone's ellipsoid, up.",
 )
-def lint(path: Path, speed: float, acceleration: float, radius: float, height: float) -> None:
+@click.option(
+    "--relative",
+    is_flag=True,
+    help="Every drone flies from where it stands (initial_position, home), not in one frame.",
+)
+def lint(
+    path: Path,
+    speed: float | None,
+    acceleration: float | None,
+    radius: float,
+    height: float,
+    relative: bool,
+) -> None:
     """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
 
-    PATH is a file or a folder of any format that `export` writes. Ends with 3 if there are errors.
+    PATH is a file or a folder of any format that `export` writes. The limits that a show sets
+    itself are always held. Ends with 3 if there are errors.
     """
     from hitchopt.cli.lint_report import say_report
     from hitchopt.export.lint.linting import lint as linted
@@ -168,12 +189,12 @@ def lint(path: Path, speed: float, acceleration: float, radius: float, height: f
     from hitchopt.hitch.values import positive
 
     rules = Rules(
-        positive("--speed", speed),
-        positive("--acceleration", acceleration),
+        None if speed is None else positive("--speed", speed),
+        None if acceleration is None else positive("--acceleration", acceleration),
         Separation(positive("--radius", radius), positive("--height", height)),
     )
-    reports = linted(path, rules)
+    reports = linted(path, rules, relative=relative)
     for report in reports:
-        say_report(report, rules)
+        say_report(report)
     if not all(report.sound for report in reports):
         click.get_current_context().exit(UNMET)

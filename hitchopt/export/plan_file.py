@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError, HitchoptError, InputError
-from hitchopt.export.archive import read_arrays
+from hitchopt.errors import FileError, InputError
+from hitchopt.export.archive import BROKEN, read_arrays
 from hitchopt.hitch import Arena, Limits, Quadrotor, Separation, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.keep_out import Prism
@@ -35,23 +33,6 @@ PER_ROBOT = ("mass", "max_thrust", "cable_length", "tension")
 """(n,) each, of the team; of a swarm the first two, (N,)."""
 
 SWARM_POLYNOMIALS, PER_DRONE = POLYNOMIALS[:1], PER_ROBOT[:2]
-
-BROKEN = (
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    EOFError,
-    OverflowError,
-    RuntimeError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-    HitchoptError,
-)
-"""All that a file which is not a plan makes its readers raise."""
-
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""

@@ -4,9 +4,10 @@ import dataclasses
 import io
 import json
 import random
+import re
 import tracemalloc
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -289,4 +290,62 @@ def test_formed_is_yes_or_no(path: Path) -> None:
 
     resettled(path, spoilt)
     with pytest.raises(FileError, match="formed"):
+        read_plan(path)
+
+
+def edits(whole: bytes, chance: random.Random) -> Iterator[bytes]:
+    """Yield damaged copies: flipped bytes, the arrays' headers above all, cuts, insertions."""
+    headers = [
+        at for m in re.finditer(b"\x93NUMPY", whole) for at in range(m.start(), m.end() + 90)
+    ]
+    for at in [*chance.sample(headers, 150), *chance.choices(range(len(whole)), k=150)]:
+        damaged = bytearray(whole)
+        damaged[at] = chance.randrange(256)
+        yield bytes(damaged)
+    for _ in range(60):
+        at = chance.randrange(len(whole))
+        yield whole[:at] + chance.randbytes(chance.randrange(1, 20)) + whole[at:]
+        yield whole[:at] + whole[at + chance.randrange(1, 50) :]
+        yield whole[:at]
+
+
+def test_every_byte_edit_is_the_same_plan_or_a_file_error(motion: Motion, path: Path) -> None:
+    refused = 0
+    for damaged in edits(path.read_bytes(), random.Random(13)):
+        path.write_bytes(damaged)
+        try:
+            read = read_plan(path)
+            assert read_title(path) == TITLE
+        except FileError:
+            refused += 1
+        else:
+            assert_same(read, motion)
+    assert refused > 250
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (4,), ",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': ((((((4,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (4L,), '''",
+        "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (4,), }",
+        "{'descr': '<f7', 'fortran_order': False, 'shape': (4,), }",
+        "[" * 9000,
+        "\\",
+        "",
+    ],
+)
+def test_headers_that_numpy_does_not_write_are_never_evaluated(path: Path, text: str) -> None:
+    """With their checksums right: nothing but the header gives them away."""
+    start = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little")
+    with_member(path, "mass", start + text.encode() + bytes(32), zipfile.ZIP_STORED)
+    with pytest.raises(FileError, match="array 'mass'"):
+        read_plan(path)
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_unusual_compression_is_refused(path: Path, compression: int) -> None:
+    with_member(path, "mass", header((4,)) + np.ones(4).tobytes(), compression)
+    with pytest.raises(FileError, match="packed in an unknown manner"):
         read_plan(path)
