@@ -30,8 +30,8 @@ near to its edges."""
 LEVEL = 1e-6
 """Normals whose upward components are smaller count as level."""
 
-LEAN = 1e-2
-"""Upward slope of level normals for every unit of separation that lacks: the first one goes up."""
+LEAN, LEAN_UNTIL = 1e-2, 2.0
+"""Upward slope of level normals, for every unit by which the separation falls short of this."""
 
 CURVE_SAMPLES = 17
 """Of a piece, to find about where it comes nearest."""
@@ -103,15 +103,16 @@ def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
     """Return the widest plane for every pair."""
     differences = scaled[pairs.piece, pairs.first] - scaled[pairs.piece, pairs.second]
     nearest = hull_points(differences)
-    lacking = np.maximum(1.0 - np.linalg.norm(nearest, axis=-1), 0.0)
+    lean = LEAN * np.maximum(LEAN_UNTIL - np.linalg.norm(nearest, axis=-1), 0.0)
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
     inside = np.linalg.norm(nearest, axis=-1) < 1e-6
     nearest[inside] = _nearest_of_curves(differences[inside])
     length = np.linalg.norm(nearest, axis=-1, keepdims=True)
     east = np.array([1.0, 0.0, 0.0])
     normals = np.where(length > 1e-9, nearest / np.maximum(length, 1e-9), east)
-    # Level pairs too close to each other could pass above as well as below: rounding would choose.
-    normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, LEAN * lacking, 0.0)
+    # Level pairs could pass above each other as well as below. The first one goes up: else
+    # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
+    normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return Planes(pairs, normals, np.einsum("md,mdk->mk", normals, differences))
 
