@@ -2,8 +2,8 @@
 
 Usage: python -m benchmarks.agreement [PROBLEM ...] [--again]
 
-Every problem is planned with the default kernels, with those of Haswell, and three times with noise
-of 1e-14 m on its points. The rows go to ``results/agreement.csv`` one by one; those that are there
+Every problem is planned with the default kernels, with those of Haswell and Sandybridge, and three times with
+noise of 1e-14 m on its points. The rows go to ``results/agreement.csv`` one by one; those that are there
 are not measured anew, except with ``--again``.
 """
 
@@ -37,8 +37,9 @@ NOISE = 1e-14
 SEEDS = (1, 2, 3)
 """Of the noise."""
 
-KERNELS = ("default", "Haswell")
-"""Values of OPENBLAS_CORETYPE; the default is what OpenBLAS chooses for the processor."""
+KERNELS = ("default", "Haswell", "Sandybridge")
+"""Values of OPENBLAS_CORETYPE; the default is what OpenBLAS chooses for the processor, which on
+AMD's and Intel's older ones is Haswell."""
 
 POINTS = frozenset({"polygon", "q", "r", "start", "goal", "to", "by"})
 """Keys of coordinates."""
@@ -198,7 +199,7 @@ def main() -> None:
         "# Agreement of durations",
         "",
         "`python -m benchmarks.agreement`: relative differences from a plan with the default kernels",
-        f"of OpenBLAS; under `kernels` with those of Haswell, under `noise` with {NOISE:g} m on all",
+        f"of OpenBLAS; under `kernels` with those of Haswell and Sandybridge, under `noise` with {NOISE:g} m on all",
         f"points ({len(SEEDS)} seeds). Durations agree up to {AGREED:g}.",
         "",
         f"- {environment()}",
