@@ -152,7 +152,10 @@ def write_runs(path: Path, runs: Sequence[Run]) -> None:
 def table(runs: Sequence[Run]) -> list[str]:
     """Return the lines of a table of relative differences from the default without noise."""
     first = {run.problem: run for run in runs if (run.kernels, run.noise) == ("default", 0)}
-    lines = ["| problem | duration [s] | kernels | noise | agrees |", "| --- | --- | --- | --- | --- |"]
+    lines = [
+        "| problem | duration [s] | kernels | noise | agrees |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     worst = 0.0
     for name, base in first.items():
         kernels, noise = (

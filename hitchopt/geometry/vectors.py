@@ -10,6 +10,9 @@ Array = NDArray[np.float64]
 TIE = 1e-9
 """Relative difference of values that tie: far above rounding, far below what matters."""
 
+GOLDEN = 0.6180339887498949
+"""The golden ratio's fraction: sums of a few of its multiples and powers do not tie again."""
+
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar products (…) of vectors (…, d); leading axes broadcast."""
@@ -24,7 +27,7 @@ def length(a: Array) -> Array:
 
 
 def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
-    """Return (…) the index of the smallest of values (…, k), the first one in a tie.
+    """Return the indices (…) of the smallest of values (…, k), the first one in a tie.
 
     Values tie that differ by less than what rounding makes of equal ones.
 
@@ -39,7 +42,7 @@ def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
 
 
 def tied_order(values: Array, scale: float) -> NDArray[np.intp]:
-    """Return (k,) the order that sorts values (k,); those that tie stay in their order.
+    """Return the order (k,) that sorts values (k,); those that tie stay in their order.
 
     Parameters
     ----------

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import TIE
+from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 
@@ -60,5 +58,4 @@ def _preference(robots: int) -> Array:
     """
     k = np.arange(robots)
     away = np.abs(k[:, None] - k) / robots
-    golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    return away + 0.1 * np.mod(golden * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
+    return away + 0.1 * np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
