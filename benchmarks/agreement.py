@@ -2,9 +2,9 @@
 
 Usage: python -m benchmarks.agreement [PROBLEM ...] [--again]
 
-Every problem is planned with the default kernels, with those of Haswell and Sandybridge, and three times with
-noise of 1e-14 m on its points. The rows go to ``results/agreement.csv`` one by one; those that are there
-are not measured anew, except with ``--again``.
+Every problem is planned with the default kernels, with those of Haswell and Sandybridge, and
+three times with noise of 1e-14 m on its points. The rows go to ``results/agreement.csv`` one by
+one; those that are there are not measured anew, except with ``--again``.
 """
 
 from __future__ import annotations
@@ -201,9 +201,9 @@ def main() -> None:
     head = [
         "# Agreement of durations",
         "",
-        "`python -m benchmarks.agreement`: relative differences from a plan with the default kernels",
-        f"of OpenBLAS; under `kernels` with those of Haswell and Sandybridge, under `noise` with {NOISE:g} m on all",
-        f"points ({len(SEEDS)} seeds). Durations agree up to {AGREED:g}.",
+        "`python -m benchmarks.agreement`: relative differences from a plan with the default",
+        "kernels of OpenBLAS; under `kernels` with those of Haswell and Sandybridge, under `noise` with",
+        f"up to {NOISE:g} m on all points ({len(SEEDS)} seeds). Durations agree up to {AGREED:g}.",
         "",
         f"- {environment()}",
         "",

@@ -86,7 +86,7 @@ def test_quadrature_is_exact_for_squares() -> None:
 
 
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float, j: float) -> None:
     asked = InputParameter(1)
     asked.target_position = [d]
