@@ -202,7 +202,7 @@ def main() -> None:
         "# Agreement of durations",
         "",
         "`python -m benchmarks.agreement`: relative differences from a plan with the default",
-        "kernels of OpenBLAS; under `kernels` with those of Haswell and Sandybridge, under `noise` with",
+        "kernels of OpenBLAS; `kernels`: with those of Haswell and Sandybridge, `noise`: with",
         f"up to {NOISE:g} m on all points ({len(SEEDS)} seeds). Durations agree up to {AGREED:g}.",
         "",
         f"- {environment()}",
