@@ -38,7 +38,8 @@ def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
     """
     smallest = np.min(values, axis=-1, keepdims=True)
     near = values <= smallest + TIE * np.asarray(scale)[..., None]
-    return np.argmax(near, axis=-1)
+    first: NDArray[np.intp] = np.argmax(near, axis=-1)
+    return first
 
 
 def tied_order(values: Array, scale: float) -> NDArray[np.intp]:

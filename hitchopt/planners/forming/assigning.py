@@ -58,4 +58,6 @@ def _preference(robots: int) -> Array:
     """
     k = np.arange(robots)
     away = np.abs(k[:, None] - k) / robots
-    return away + 0.1 * np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
+    apart = np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
+    preference: Array = away + 0.1 * apart
+    return preference
