@@ -206,6 +206,8 @@ def main() -> None:
         f"up to {NOISE:g} m on all points ({len(SEEDS)} seeds). Durations agree up to {AGREED:g}.",
         "",
         f"- {environment()}",
+        "- limitations: kernels that the processor chooses anyway count as a difference of zero;",
+        "  rows of other runs are kept, so the code of all rows is the same only after `--again`",
         "",
     ]
     (RESULTS / "agreement.md").write_text("\n".join([*head, *lines, ""]), encoding="utf-8")
