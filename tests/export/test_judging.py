@@ -46,7 +46,7 @@ def test_the_plan_itself_is_judged_as_its_certificate_says(motion: Flying) -> No
         assert flown_checks(motion)[check.name].worst == pytest.approx(planned.worst, rel=3e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000))
 def test_samples_never_beat_the_bounds(seed: int) -> None:
     motion = hitch_plan()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Arena
 from hitchopt.hitch.keep_out import Prism
 from hitchopt.planners.separation.task import SeparationTask
@@ -138,7 +139,11 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
         seen[at_end] &= ~narrow.cuts(nodes[i[at_end]], nodes[j[at_end]])
     i, j = i[seen], j[seen]
     length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
-    graph = sp.csr_matrix((length, (i, j)), shape=(len(nodes), len(nodes)))
+    # Of routes that are equally long, one is preferred by its places.
+    places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
+    places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
+    preferred = length + TIE * float(np.max(length)) * (places[i] + places[j])
+    graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
     distances, before = dijkstra(
         graph, directed=False, indices=np.array([0]), return_predecessors=True
     )
