@@ -22,7 +22,7 @@ from hitchopt.certificate import certify
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_problems import antipodal_circle, random_team
-from hitchopt.model.motion import CableState, Phase, SwarmMotion
+from hitchopt.model.motion import Phase, SwarmMotion
 from hitchopt.planners.separation.fastest import fastest_ramps
 
 CIRCLES = (6, 12, 24, 64, 200)
@@ -98,7 +98,7 @@ def measure_rival() -> None:
 
 def _rival_row(problem: SwarmProblem, found: RivalFlight) -> str:
     curves = found.curves
-    phase = Phase("fly", 0, 0.0, curves.duration, state=CableState.NONE)
+    phase = Phase("fly", 0, 0.0, curves.duration)
     motion = SwarmMotion(problem.team, problem.limits, problem.separation, None, curves, (phase,))
     certificate = certify(motion)
     points = curves.at(np.linspace(0.0, curves.duration, KNOTS)) * problem.separation.scale

@@ -23,7 +23,7 @@ from hitchopt.certificate.hanging_crossing import neighbours
 from hitchopt.certificate.report import Check
 from hitchopt.certificate.strands import entered
 from hitchopt.hitch.layout import Layout
-from hitchopt.model.motion import CableState, Motion
+from hitchopt.model.motion import JOINT, CableState, Motion
 
 NUMBERS = {
     CableState.GROUND: 0,
@@ -78,7 +78,7 @@ def _wrong(motion: Motion) -> Iterator[Wrong]:
         pairs = met.first * n + met.second
         known = np.isin(pairs, beside)
         bad = ~met.certain | (~known & (met.count != 0))
-        yield Wrong(pairs[bad], met.time[bad], first.phase)
+        in_part = np.searchsorted([part.end for part in parts[:-1]], met.time - JOINT)
         counted = np.zeros(len(beside), dtype=np.intp)
         counted[np.searchsorted(beside, pairs[known])] = met.count[known]
         numbers = numbers + counted
@@ -86,7 +86,9 @@ def _wrong(motion: Motion) -> Iterator[Wrong]:
             asked = 0
         if asked is not None:
             yield Wrong.at(beside[np.abs(numbers) != asked], last.end, last.phase)
-        for part in parts:
+        for i, part in enumerate(parts):
+            here = bad & (in_part == i)
+            yield Wrong(pairs[here], met.time[here], part.phase)
             yield from contradicted(part)
             inside = entered(part.motion)
             own = inside.drone // 2

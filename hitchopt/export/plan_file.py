@@ -239,9 +239,10 @@ def _phase(
         if formed is not None and not isinstance(formed, bool):
             raise InputError("phases", formed, "formed as true or false", "do not edit them")
         known = CableState.of_label(name, formed=formed is not False)
-        return Phase(name, step, *times, remark, CableState.NONE if swarm else known)
-    if formed is not None or state not in list(CableState):
-        words = f"one of {', '.join(CableState)}, without formed"
+        return Phase(name, step, *times, remark, known)
+    allowed = [each for each in CableState if (each is CableState.NONE) is swarm]
+    if formed is not None or state not in allowed:
+        words = f"one of {', '.join(allowed)}, without formed"
         raise InputError("phases.state", state, words, "do not edit them")
     return Phase(name, step, *times, remark, CableState(state))
 

@@ -14,7 +14,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.model.motion import CableState, Phase, SwarmMotion
+from hitchopt.model.motion import Phase, SwarmMotion
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
         names=problem.team.drone_names,
     )
     found = separate(task, progress)
-    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark, CableState.NONE)
+    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
     motion = SwarmMotion(
         problem.team,
         problem.limits,

@@ -171,13 +171,12 @@ class SwarmMotion:
     ----------
     team, limits, separation, arena: who flies, and what must be kept.
     drones: of shape (N, 3) [m], in the order d0, d1, ….
-    phases: one after the other, covering all of the time; in the state ``none``.
+    phases: one after the other, covering all of the time; their state becomes ``none``.
     keep_out: prisms that the drones stay out of.
 
     Raises
     ------
-    InputError: a shape that does not fit the team, phases that leave a gap or go back, or that
-        have cables.
+    InputError: a shape that does not fit the team, or phases that leave a gap or go back.
     """
 
     team: Swarm
@@ -193,9 +192,8 @@ class SwarmMotion:
         if self.drones.shape != shape:
             raise InputError("drones", self.drones.shape, f"of shape {shape}", "one row per drone")
         check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
-        for phase in self.phases:
-            if phase.state is not CableState.NONE:
-                raise InputError("phases.state", str(phase.state), "none", "drones have no cables")
+        none = tuple(replace(phase, state=CableState.NONE) for phase in self.phases)
+        object.__setattr__(self, "phases", none)
 
     @property
     def duration(self) -> float:

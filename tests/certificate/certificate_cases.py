@@ -142,10 +142,16 @@ def still(team: Team, polygon: Array, q_legs: ArrayLike, **given: object) -> Mot
 def with_parts(
     motion: Motion, change: Callable[[PiecewisePolynomial], PiecewisePolynomial]
 ) -> Motion:
-    """Return the motion, all of whose functions of time are changed alike."""
+    """Return the motion, all of whose functions of time are changed alike, and its phases."""
+    drones = change(motion.drones)
+    longer = drones.duration / motion.duration
     return replace(
         motion,
-        drones=change(motion.drones),
+        phases=tuple(
+            replace(phase, start=longer * phase.start, end=longer * phase.end)
+            for phase in motion.phases
+        ),
+        drones=drones,
         vertices=change(motion.vertices),
         legs=change(motion.legs),
         tensions=change(motion.tensions),

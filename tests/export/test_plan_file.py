@@ -17,7 +17,7 @@ from handmade import made_motion, made_swarm
 from hitchopt.errors import FileError
 from hitchopt.export.plan_file import read_plan, read_title, write_plan
 from hitchopt.hitch import Limits
-from hitchopt.model.motion import Flying, Motion, SwarmMotion
+from hitchopt.model.motion import CableState, Flying, Motion, SwarmMotion
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +278,7 @@ def test_the_plan_of_a_swarm_comes_back(tmp_path: Path) -> None:
 
 
 def test_whether_the_hitch_is_formed_comes_back(motion: Motion, tmp_path: Path) -> None:
-    phases = (dataclasses.replace(motion.phases[0], formed=False), motion.phases[1])
+    phases = (dataclasses.replace(motion.phases[0], state=CableState.FREE), motion.phases[1])
     write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, phases=phases))
     assert read_plan(tmp_path / "plan.npz").phases == phases
 

@@ -10,7 +10,7 @@ from hitchopt.certificate import certify
 from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Arena, Hitch, Limits, Quadrotor, Separation, Swarm, Team
-from hitchopt.model.motion import Motion, Phase, SwarmMotion
+from hitchopt.model.motion import CableState, Motion, Phase, SwarmMotion
 from hitchopt.trajectory import PiecewisePolynomial
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
@@ -28,7 +28,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         "tensions": team.tension,
     }
     phases = tuple(
-        Phase(f"part {i}", 0, a, b, formed=f)
+        Phase(f"part {i}", 0, a, b, state=CableState.of_label("", formed=f))
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
