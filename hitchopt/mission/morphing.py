@@ -103,7 +103,8 @@ class _Judge:
     def __call__(self, path: ShapePath) -> Flight | None:
         task = self.task
         flight = fly_unhurried(path, task.kept.limits)
-        found = certified(flying(flight, task.start.team, task.kept, [task.phase]))
+        phase = replace(task.phase, end=flight.duration)
+        found = certified(flying(flight, task.start.team, task.kept, [phase]))
         if not found.certificate.certified:
             return None
         self.passed.append(_Passed(path, flight, found.certificate))

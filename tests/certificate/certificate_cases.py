@@ -144,13 +144,18 @@ def with_parts(
 ) -> Motion:
     """Return the motion, all of whose functions of time are changed alike, and its phases."""
     drones = change(motion.drones)
-    longer = drones.duration / motion.duration
+    before, after = motion.drones.breaks[[0, -1]], drones.breaks[[0, -1]]
+    phases = tuple(
+        replace(
+            phase,
+            start=float(np.interp(phase.start, before, after)),
+            end=float(np.interp(phase.end, before, after)),
+        )
+        for phase in motion.phases
+    )
     return replace(
         motion,
-        phases=tuple(
-            replace(phase, start=longer * phase.start, end=longer * phase.end)
-            for phase in motion.phases
-        ),
+        phases=phases,
         drones=drones,
         vertices=change(motion.vertices),
         legs=change(motion.legs),
