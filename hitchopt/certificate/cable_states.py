@@ -101,7 +101,8 @@ def _not_clasped(motion: Motion) -> Indices:
         return pairs
     c = motion.drones.coefficients
     middles = 0.5 * (c[:, 2 * layout.ahead] + c[:, 2 * layout.behind + 1])
-    return pairs[np.max(np.ptp(middles, axis=(0, -1)), axis=-1) > CENTRED]
+    moving: Indices = pairs[np.max(np.ptp(middles, axis=(0, -1)), axis=-1) > CENTRED]
+    return moving
 
 
 def _taut_share(motion: Motion) -> float:

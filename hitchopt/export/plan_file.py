@@ -170,10 +170,10 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Flying
     parts = {name: PiecewisePolynomial(arrays["breaks"], arrays[name]) for name in names}
     limits, separation = Limits(**settings["limits"]), Separation(**settings["separation"])
     arena = None if settings["arena"] is None else Arena(**settings["arena"])
-    swarm = "vertices" not in parts
-    phases = tuple(_phase(**entry, swarm=swarm) for entry in settings["phases"])
+    alone = "vertices" not in parts
+    phases = tuple(_phase(**entry, alone=alone) for entry in settings["phases"])
     motion: Flying
-    if not swarm:
+    if not alone:
         robots = given.pop("robots")
         lengths, tensions = arrays["cable_length"], arrays["tension"]
         team = Team(robots, lengths, tension=tensions, quadrotor=kinds, **given)
@@ -227,9 +227,14 @@ def _phase(
     formed: object = None,
     state: object = None,
     *,
-    swarm: bool,
+    alone: bool,
 ) -> Phase:
-    """Return a phase as it is stored; files of before have ``formed`` in place of a state."""
+    """Return a phase as it is stored; files of before have ``formed`` in place of a state.
+
+    Parameters
+    ----------
+    alone: whether the drones carry no cables.
+    """
     if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
         raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
     if not isinstance(remark, str):
@@ -240,8 +245,8 @@ def _phase(
             raise InputError("phases", formed, "formed as true or false", "do not edit them")
         known = CableState.of_label(name, formed=formed is not False)
         return Phase(name, step, *times, remark, known)
-    allowed = [each for each in CableState if (each is CableState.NONE) is swarm]
-    if formed is not None or state not in allowed:
+    allowed = [each for each in CableState if (each is CableState.NONE) is alone]
+    if formed is not None or not isinstance(state, str) or state not in allowed:
         words = f"one of {', '.join(allowed)}, without formed"
         raise InputError("phases.state", state, words, "do not edit them")
     return Phase(name, step, *times, remark, CableState(state))
