@@ -170,6 +170,13 @@ def test_what_follows_a_swap_is_not_clasping() -> None:
     assert set(where[1:]) == {"p0", "p1", "p2"}
 
 
+def test_swaps_are_no_tightening() -> None:
+    motion = motion_of("tie_carry_untie")
+    swap = index_of(motion, "swap 1")
+    where = refused(merged(motion, swap, swap + 2, CableState.TIGHTENING))
+    assert set(where[1:]) == {"p0", "p1", "p2"}
+
+
 def test_what_is_at_full_length_is_not_being_tightened() -> None:
     """Whatever the plan says of legs and tensions, and wherever it puts the clasps."""
     motion = motion_of("tie_carry_untie")

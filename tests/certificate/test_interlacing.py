@@ -102,6 +102,13 @@ def test_swapping_only_once_holds_nothing(n: int) -> None:
     assert wrong(motion_of(hitch, [stages[0], stages[3]])) == everywhere
 
 
+@pytest.mark.parametrize("n", [3, 5])
+def test_a_hitch_that_nothing_tied_is_named(n: int) -> None:
+    hitch, stages = stages_of(n)
+    there = Stage("hold", stages[-1].drones)
+    assert wrong(motion_of(hitch, [there, stages[-1]])) == {f"p{k}" for k in range(n)}
+
+
 @pytest.mark.parametrize("left_out", [(0,), (2,), (1, 3)])
 def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
     """The pair there stays where it is while all others swap; then all go to the hitch."""
