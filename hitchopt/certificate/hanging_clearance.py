@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.certificate.free_phases import FreePhase, free_phases
+from hitchopt.certificate.free_phases import PhasePart, free_phases
 from hitchopt.certificate.hanging import (
     LINKS,
     boxes,
@@ -54,7 +54,7 @@ def check(motion: Motion) -> Check | None:
     return most_pressing(found)
 
 
-def _of_phase(part: FreePhase) -> list[Check]:
+def _of_phase(part: PhasePart) -> list[Check]:
     motion = part.motion
     if part.grounded:
         seen = smallest_distance(
@@ -67,7 +67,12 @@ def _of_phase(part: FreePhase) -> list[Check]:
         )
         return [_told(motion, seen)]
     drones = cut(motion.drones)
-    return [_told(motion, _to_drones(motion, drones)), _told(motion, _to_ground(motion, drones))]
+    return [_told(motion, _to_drones(motion, drones)), ground_clearance(motion)]
+
+
+def ground_clearance(motion: Motion) -> Check:
+    """Return the smallest height of a cable over the ground, all cables taken as hanging free."""
+    return _told(motion, _to_ground(motion, cut(motion.drones)))
 
 
 def _told(motion: Motion, found: Extremum) -> Check:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.free_phases import FreePhase, free_phases
+from hitchopt.certificate.free_phases import PhasePart, free_phases
 from hitchopt.certificate.hanging import plan_chords
 from hitchopt.certificate.proximity import smallest_distance
 from hitchopt.certificate.report import Check, most_pressing, within
@@ -37,7 +37,7 @@ def neighbours(layout: Layout, i: Indices, j: Indices) -> NDArray[np.bool_]:
     return ring if layout.closed else np.abs(j - i) == 1
 
 
-def _of_phase(part: FreePhase) -> Check:
+def _of_phase(part: PhasePart) -> Check:
     motion = part.motion
     n, layout = motion.team.robots, motion.team.layout
 

@@ -66,5 +66,5 @@ def stretched(motion: Flying, factor: float) -> Flying:
 def changed(motion: Flying, change: Change) -> Flying:
     """Return the motion with all its polynomials changed alike; phases are left to the caller."""
     if not isinstance(motion, Motion):
-        return replace(motion, drones=change(motion.drones))
+        return replace(motion, drones=change(motion.drones), phases=())
     return motion.changed(change, ())  # phases of the old times would not fit

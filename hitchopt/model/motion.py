@@ -13,35 +13,10 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Arena, Limits, Separation, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.keep_out import Prism
+from hitchopt.model.phases import JOINT, CableState, Phase, check_phases
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
-JOINT = 1e-6
-"""[s] Phases meet within this, and the hitch is formed or released within this of a break."""
-
-
-@dataclass(frozen=True)
-class Phase:
-    """A span of a plan's time.
-
-    Attributes
-    ----------
-    name: such as ``morph`` or ``hold``.
-    step: index of the mission's step that it belongs to.
-    start, end: [s]
-    remark: what happens that was not asked for, and why; mostly nothing.
-    formed: whether the hitch exists; else the cables hang free, or slack in one another.
-    tension: smallest and largest [N] that the step states for tensions on the way; None where all
-        keep the team's. Like the limits it is part of the problem, not of what is proved: the check
-        ``tension`` holds tensions to it within the phase and to the team's at both of its ends.
-    """
-
-    name: str
-    step: int
-    start: float
-    end: float
-    remark: str = ""
-    formed: bool = True
-    tension: tuple[float, float] | None = None
+__all__ = ["JOINT", "CableState", "Flying", "Motion", "Phase", "SwarmMotion", "joined_motions"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +40,8 @@ class Motion:
 
     Raises
     ------
-    InputError: shapes that do not fit the team, breaks that are not the same for all, or a hitch
-        that is formed or released within a piece.
+    InputError: shapes that do not fit the team, breaks that are not the same for all, phases that
+        leave a gap or go back, or cables that change their state within a piece.
     """
 
     team: Team
@@ -99,13 +74,16 @@ class Motion:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if not np.array_equal(part.breaks, self.drones.breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
+        check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
+        if any(phase.state is CableState.NONE for phase in self.phases):
+            raise InputError("phases.state", "none", "a state of cables", "give what cables do")
         changes = np.array(
-            [b.start for a, b in pairwise(self.phases) if a.formed != b.formed], dtype=np.float64
+            [b.start for a, b in pairwise(self.phases) if a.state != b.state], dtype=np.float64
         )
         apart = np.abs(changes[:, None] - self.drones.breaks)
         if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
             raise InputError(
-                "phases", changes.tolist(), "breaks where the hitch forms", "split the pieces there"
+                "phases", changes.tolist(), "breaks where states change", "split the pieces there"
             )
         if self.assignment is not None and len(self.assignment.robots) != n:
             raise InputError(
@@ -132,10 +110,15 @@ class Motion:
         """(pieces,): whether the hitch exists on each piece; it does where there are no phases."""
         if not self.phases:
             return np.ones(self.drones.pieces, dtype=np.bool_)
+        here: NDArray[np.bool_] = np.array([p.formed for p in self.phases])[self.phase_of_piece]
+        return here
+
+    @property
+    def phase_of_piece(self) -> NDArray[np.intp]:
+        """(pieces,): index of the phase in which the middle of each piece lies."""
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
-        states = np.array([phase.formed for phase in self.phases], dtype=np.bool_)
-        here: NDArray[np.bool_] = states[np.searchsorted(ends, middles)]
+        here: NDArray[np.intp] = np.searchsorted(ends, middles)
         return here
 
     def spans(self, *, formed: bool) -> tuple[Motion, ...]:
@@ -188,12 +171,12 @@ class SwarmMotion:
     ----------
     team, limits, separation, arena: who flies, and what must be kept.
     drones: of shape (N, 3) [m], in the order d0, d1, ….
-    phases: one after the other, covering all of the time.
+    phases: one after the other, covering all of the time; their state becomes ``none``.
     keep_out: prisms that the drones stay out of.
 
     Raises
     ------
-    InputError: a shape that does not fit the team.
+    InputError: a shape that does not fit the team, or phases that leave a gap or go back.
     """
 
     team: Swarm
@@ -208,6 +191,9 @@ class SwarmMotion:
         shape = (self.team.drones, 3)
         if self.drones.shape != shape:
             raise InputError("drones", self.drones.shape, f"of shape {shape}", "one row per drone")
+        check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
+        none = tuple(replace(phase, state=CableState.NONE) for phase in self.phases)
+        object.__setattr__(self, "phases", none)
 
     @property
     def duration(self) -> float:

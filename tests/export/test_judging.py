@@ -12,7 +12,7 @@ from hitchopt.errors import FileError
 from hitchopt.export.judging import CABLE_LENGTH, NOT_CARRIED, ORDER, Verdict, flown_checks, judge
 from hitchopt.export.recording import Recording, recording_of_curves
 from hitchopt.export.room import Room
-from hitchopt.model.motion import Flying
+from hitchopt.model.motion import CableState, Flying
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -161,7 +161,7 @@ def test_cables_are_judged_while_the_hitch_exists() -> None:
     """A drone far off its leg during a span without a hitch: only the drones' own checks see it."""
     motion = hitch_plan()
     first, pause, last = motion.phases
-    free = replace(motion, phases=(first, replace(pause, formed=False), last))
+    free = replace(motion, phases=(first, replace(pause, state=CableState.FREE), last))
     coefficients = np.array(motion.drones.coefficients)
     middles = 0.5 * (motion.drones.breaks[1:] + motion.drones.breaks[:-1])
     within = (middles > pause.start) & (middles < pause.end)

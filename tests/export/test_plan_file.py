@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from handmade import made_motion, made_swarm
 
+from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.export.plan_file import read_plan, read_title, write_plan
 from hitchopt.hitch import Limits
-from hitchopt.model.motion import Flying, Motion, SwarmMotion
+from hitchopt.model.motion import CableState, Flying, Motion, SwarmMotion
 
 
 @pytest.fixture(scope="module")
@@ -279,14 +281,42 @@ def test_the_plan_of_a_swarm_comes_back(tmp_path: Path) -> None:
 
 
 def test_whether_the_hitch_is_formed_comes_back(motion: Motion, tmp_path: Path) -> None:
-    phases = (dataclasses.replace(motion.phases[0], formed=False), motion.phases[1])
+    phases = (dataclasses.replace(motion.phases[0], state=CableState.FREE), motion.phases[1])
     write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, phases=phases))
     assert read_plan(tmp_path / "plan.npz").phases == phases
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [
+        [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]],
+        [[0.0, 0.5], [0.6, 1.0]],
+        [[0.0, 0.6], [0.5, 1.0]],
+        [[-0.5, 1.0]],
+        [[0.0, 1.5]],
+        [],
+    ],
+)
+def test_phases_cover_the_plan_once(motion: Motion, path: Path, spans: list[list[float]]) -> None:
+    def spoilt(settings: dict[str, Any]) -> None:
+        phase = settings["phases"][0]
+        settings["phases"] = [
+            phase | {"start": motion.duration * start, "end": motion.duration * end}
+            for start, end in spans
+        ]
+
+    resettled(path, spoilt)
+    with pytest.raises(FileError, match=r"phases = \["):
+        read_plan(path)
+    result = CliRunner().invoke(main, ["check", str(path.parent)])
+    assert result.exit_code == 2
+    assert "phases = [" in result.output
 
 
 def test_formed_is_yes_or_no(path: Path) -> None:
     def spoilt(settings: dict[str, Any]) -> None:
         settings["phases"][0]["formed"] = "yes"
+        del settings["phases"][0]["state"]
 
     resettled(path, spoilt)
     with pytest.raises(FileError, match="formed"):
