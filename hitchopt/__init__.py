@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         HitchoptError,
         InfeasibleError,
         InputError,
+        TimeLimitError,
         UnsupportedError,
         Violation,
     )
@@ -101,6 +102,7 @@ _HOMES = {
     "Swarm": "hitch",
     "SwarmProblem": "mission.swarm",
     "Team": "hitch",
+    "TimeLimitError": "errors",
     "Transport": "mission.problem",
     "UnsupportedError": "errors",
     "Violation": "errors",
@@ -170,6 +172,7 @@ __all__ = [
     "Swarm",
     "SwarmProblem",
     "Team",
+    "TimeLimitError",
     "Transport",
     "UnsupportedError",
     "Violation",

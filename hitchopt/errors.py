@@ -96,6 +96,10 @@ class InfeasibleError(HitchoptError):
         super().__init__("\n".join(lines))
 
 
+class TimeLimitError(InfeasibleError):
+    """Planning has been given up at its time limit: whether there is a plan is not known."""
+
+
 def broken_limit(
     name: str, value: float, limit: float, sense: str, unit: str, where: Sequence[str]
 ) -> str:

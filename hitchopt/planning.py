@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,51 +12,67 @@ from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.plan import Plan
+from hitchopt.time_limit import Progress, time_limit
+from hitchopt.values import positive
 
-Progress = Callable[[str], None]
 
-
-def solve(problem: Problem | SwarmProblem | str | Path, progress: Progress | None = None) -> Plan:
+def solve(
+    problem: Problem | SwarmProblem | str | Path,
+    progress: Progress | None = None,
+    *,
+    limit: float | None = None,
+) -> Plan:
     """Return the certified plan of a problem, or of the problem file at a path.
 
     Parameters
     ----------
     problem: what is to be flown.
     progress: called with what is being done now.
+    limit: gives up after so many seconds; None: takes as long as it takes.
 
     Raises
     ------
     InputError, FileError: a problem that is wrong in itself.
     InfeasibleError: it cannot be met; says what binds, where and when.
+    TimeLimitError: no plan within ``limit``.
     """
     if isinstance(problem, str | Path):
         from hitchopt.mission.loading import read_problem  # heavy, as of all files
 
         problem = read_problem(problem)
     if isinstance(problem, SwarmProblem):
-        return separate(problem, progress)
-    found = solve_problem(problem, progress)
+        return separate(problem, progress, limit=limit)
+    with time_limit(_seconds(limit), progress) as tell:
+        found = solve_problem(problem, tell)
     return Plan(found.motion, found.certificate, problem.title)
 
 
-def separate(problem: SwarmProblem | str | Path, progress: Progress | None = None) -> Plan:
+def separate(
+    problem: SwarmProblem | str | Path,
+    progress: Progress | None = None,
+    *,
+    limit: float | None = None,
+) -> Plan:
     """Return the certified plan of single drones that keep out of each other's downwash.
 
     Parameters
     ----------
     problem: who flies from where to where, or the path of such a problem's file.
     progress: called with what is being done now.
+    limit: gives up after so many seconds; None: takes as long as it takes.
 
     Raises
     ------
     InputError, FileError: a problem that is wrong in itself.
     InfeasibleError: it cannot be met; says which drones, where and when.
+    TimeLimitError: no plan within ``limit``.
     """
     if isinstance(problem, str | Path):
         from hitchopt.mission.loading import load_swarm
 
         problem = load_swarm(problem)
-    found = solve_swarm(problem, progress)
+    with time_limit(_seconds(limit), progress) as tell:
+        found = solve_swarm(problem, tell)
     return Plan(found.motion, found.certificate, problem.title)
 
 
@@ -113,6 +128,10 @@ def repair(
     change = found[0].change
     mended = solve(change.problem, progress)
     return replace(mended, title=f"{task.title} with {change}".strip())
+
+
+def _seconds(limit: float | None) -> float | None:
+    return None if limit is None else positive("limit", limit)
 
 
 def _loaded(problem: Problem | str | Path) -> Problem:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.vectors import first_smallest
 from hitchopt.values import acute, finite, not_negative, positive
 
 Array = NDArray[np.float64]
@@ -182,7 +183,7 @@ class Prism:
         sides = np.column_stack([outward, np.zeros(len(outward))])
         faces = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
         behind = np.column_stack([depths, self.lower - flat[:, 2], flat[:, 2] - self.upper])
-        shallow = np.argmax(behind, axis=1)
+        shallow = first_smallest(-behind, np.max(np.abs(behind), axis=1))
         outside = distance > 0.0
         safe = np.where(outside, distance, 1.0)
         normals = np.where(outside[:, None], offset / safe[:, None], faces[shallow])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.geometry.outline import MAX_COORDINATE
 
 
 def positive(key: str, value: object) -> float:
@@ -46,6 +47,15 @@ def finite(key: str, value: object) -> float:
         number = math.inf
     if not math.isfinite(number):
         raise InputError(key, value, "finite", "nan and inf are no quantities")
+    return number
+
+
+def coordinate(key: str, value: object) -> float:
+    """Return ``value`` as a float, or raise InputError where it is so far off that plans blur."""
+    number = finite(key, value)
+    if abs(number) > MAX_COORDINATE:
+        bound = f"within ±{MAX_COORDINATE:g} m"
+        raise InputError(key, value, bound, "double precision does not resolve plans beyond")
     return number
 
 

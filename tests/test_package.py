@@ -1,9 +1,12 @@
 """The package as a whole: its public names, and how light it is to import."""
 
+import ast
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 import hitchopt
 
@@ -41,3 +44,24 @@ def test_light_things_load_nothing_heavy(code: str) -> None:
         [sys.executable, "-c", probe], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+CLOCKS = ("deadline", "derandomize", "parent", None)
+ALLOWED = (("deadline", "None"), ("derandomize", "True"))
+
+
+def test_property_tests_know_no_clock_and_try_the_same_examples() -> None:
+    """By the profile of ``conftest``, which no test may override."""
+    assert settings.default is not None
+    assert settings.default.deadline is None
+    assert settings.default.derandomize
+    overridden = [
+        f"{path.name}:{call.lineno} {keyword.arg}"
+        for path in Path(__file__).parent.rglob("*.py")
+        if path.name != "conftest.py"
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] == "settings"
+        for keyword in call.keywords
+        if (keyword.arg, ast.unparse(keyword.value)) not in ALLOWED and keyword.arg in CLOCKS
+    ]
+    assert overridden == []

@@ -9,7 +9,7 @@ from hitchopt.model.motion import Motion
 
 def check(motion: Motion) -> Check:
     """Return the largest acceleration of any drone, which ``where`` names."""
-    found = largest_rate(motion.drones, 2)
-    where = (motion.team.drone_names[found.item],)
     limit = motion.requirements.limits.acceleration
-    return Check.of("acceleration", found.worst, limit, "max", "m/s²", found.time, where)
+    found = largest_rate(motion.drones, 2, limit)
+    where = (motion.team.drone_names[found.item],)
+    return Check.of("acceleration", found.worst, limit, "max", "m/s²", found.time, where, 0.0)

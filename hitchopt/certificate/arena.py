@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING, position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING, magnitude
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
@@ -22,12 +22,14 @@ def check(motion: Motion) -> Check | None:
     x = motion.drones.coefficients
     inside = np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)
     walls = float(max(np.max(np.abs(arena.lower)), np.max(np.abs(arena.upper))))
-    margin = position_margin(motion) + ROUNDING * walls
-    found = smallest(Cells.over(motion.drones.breaks, [inside], margin), _bound)
+    size = magnitude(motion)  # walls that are farther off matter to nobody
+    margin = ROUNDING * (size + walls)
+    cells = Cells.over(motion.drones.breaks, [inside], margin)
+    found = smallest(cells, _bound, within(0.0, "min", size, 0.5))
     where = (motion.team.drone_names[found.item],)
     # Who rests on the floor, to the last place in which a plan is written, is not below it.
     worst = max(found.worst, 0.0) if np.min(inside) >= -LAST_PLACE * walls else found.worst
-    return Check.of("arena", worst, 0.0, "min", "m", found.time, where)
+    return Check.of("arena", worst, 0.0, "min", "m", found.time, where, size)
 
 
 def _bound(blocks: tuple[Array, ...]) -> Estimate:

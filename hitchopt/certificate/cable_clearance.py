@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.bodies import cable_parts, drone_points
 from hitchopt.certificate.proximity import smallest_distance
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.model.motion import Motion
 
@@ -26,10 +26,15 @@ def check(motion: Motion) -> Check:
         apart: NDArray[np.bool_] = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
         return apart
 
+    limit, size = motion.requirements.separation.cable, magnitude(motion)
     found = smallest_distance(
-        motion.drones.breaks, drone_points(motion), parts, foreign, position_margin(motion)
+        motion.drones.breaks,
+        drone_points(motion),
+        parts,
+        foreign,
+        position_margin(motion),
+        within(limit, "min", size, 0.5),
     )
     drone, body = divmod(found.item, len(parts))
     where = (motion.team.drone_names[drone], f"cable {layout.parts[body] // 3}")
-    limit = motion.requirements.separation.cable
-    return Check.of("cable_clearance", found.worst, limit, "min", "m", found.time, where)
+    return Check.of("cable_clearance", found.worst, limit, "min", "m", found.time, where, size)

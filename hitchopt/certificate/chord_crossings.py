@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
+from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
 
@@ -79,15 +80,19 @@ class _Cells:
 def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
     """Return what the chords of drones q0, r0, q1, … of shape (2n, 3) [m] did."""
     cells = _candidates(drones)
-    across = [cells.take(slice(0, 0))]
+    across, unclear = [cells.take(slice(0, 0))], [cells.take(slice(0, 0))]
     for _ in range(MAX_HALVINGS):
         if len(cells.pair) == 0:
             break
+        check_time()
         cells = cells.take(~_apart(cells))
         crossing = _across(cells)
         across.append(cells.take(crossing))
-        cells = cells.take(~crossing).halves()
-    return _counted(drones.shape[0] // 2, _joined(across), cells)
+        cells = cells.take(~crossing)
+        touching = cells.take(_touching(cells))
+        unclear.append(touching)
+        cells = cells.take(~np.isin(cells.pair, touching.pair)).halves()
+    return _counted(drones.shape[0] // 2, _joined(across), _joined([*unclear, cells]))
 
 
 def _candidates(drones: PiecewisePolynomial) -> _Cells:
@@ -143,6 +148,17 @@ def _across(cells: _Cells) -> NDArray[np.bool_]:
         )
     crossing: NDArray[np.bool_] = (sides[0] < 0) & (sides[1] < 0)
     return crossing
+
+
+def _touching(cells: _Cells) -> NDArray[np.bool_]:
+    """Return on which cells the chords touch at mid time without crossing there.
+
+    However short, a cell about that time is neither apart nor across: nothing more is learnt about
+    such a pair, and chords that overlap for a while would be halved into 2**MAX_HALVINGS cells.
+    """
+    half = bernstein.basis(np.array(0.5), bernstein.degree(cells.ends))
+    there = _Cells(cells.pair, cells.start, cells.end, (cells.ends @ half)[..., None])
+    return ~_apart(there) & ~_across(there)
 
 
 def _side(normal: Array, along: Array, to: Array) -> Array:

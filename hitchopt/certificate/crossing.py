@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.bodies import cable_parts, part_name, part_points
 from hitchopt.certificate.proximity import smallest_distance
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.model.motion import Motion
 
@@ -29,8 +29,10 @@ def check(motion: Motion) -> Check:
         )
         return ~shared
 
-    found = smallest_distance(motion.drones.breaks, parts, None, apart, position_margin(motion))
+    limit, size = motion.requirements.separation.crossing, magnitude(motion)
+    aim = within(limit, "min", size, 0.5)
+    margin = position_margin(motion)
+    found = smallest_distance(motion.drones.breaks, parts, None, apart, margin, aim)
     pair = sorted(divmod(found.item, len(parts))) if found.item >= 0 else []
     where = tuple(part_name(int(layout.parts[i])) for i in pair)
-    limit = motion.requirements.separation.crossing
-    return Check.of("crossing", found.worst, limit, "min", "m", found.time, where)
+    return Check.of("crossing", found.worst, limit, "min", "m", found.time, where, size)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hitchopt.certificate.bodies import edge_vectors, leg_vectors
 from hitchopt.certificate.cable_length import LIMIT
-from hitchopt.certificate.free_phases import FreePhase, free_phases
+from hitchopt.certificate.free_phases import PhasePart, free_phases
 from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.model.motion import Motion
@@ -21,9 +21,6 @@ from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
 Array = NDArray[np.float64]
-
-DRAWN = frozenset({"tighten", "loosen"})
-"""Phases in which neighbouring cables hold each other and are drawn tight, or let go."""
 
 
 def check(motion: Motion) -> Check | None:
@@ -33,11 +30,11 @@ def check(motion: Motion) -> Check | None:
     ----------
     motion: a span of time without a hitch.
     """
-    found = [_of_phase(part) for part in free_phases(motion) if part.phase.name in DRAWN]
+    found = [_of_phase(part) for part in free_phases(motion) if part.tightening]
     return most_pressing(found) if found else None
 
 
-def _of_phase(part: FreePhase) -> Check:
+def _of_phase(part: PhasePart) -> Check:
     motion, n = part.motion, part.motion.team.robots
     length = motion.team.cable_length
     legs = leg_vectors(motion)

@@ -1,4 +1,4 @@
-"""The spans of time without a hitch, phase by phase: what is asked of cables depends on them."""
+"""A motion phase by phase: what is asked of cables depends on the state that they are in."""
 
 from __future__ import annotations
 
@@ -7,41 +7,53 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.model.motion import Motion, Phase
-
-GROUNDED = frozenset({"parked", "take-off", "land"})
-"""Phases in which cables lie on the ground, at least at one end: they are looked at from above."""
-
-CLASPING = frozenset({"swap 1", "swap 2", "tighten", "loosen", "unswap 1", "unswap 2"})
-"""Phases in which neighbouring cables lie against each other, or are about to."""
+from hitchopt.model.motion import CableState, Motion, Phase
 
 
 @dataclass(frozen=True, eq=False)
-class FreePhase:
-    """A phase without a hitch, and the motion in it."""
+class PhasePart:
+    """A phase, its pieces in the whole motion, and the motion on them."""
 
     phase: Phase
+    pieces: slice
     motion: Motion
+
+    @property
+    def start(self) -> float:
+        """When it begins [s]."""
+        return float(self.motion.drones.breaks[0])
+
+    @property
+    def end(self) -> float:
+        """When it ends [s]."""
+        return float(self.motion.drones.breaks[-1])
 
     @property
     def grounded(self) -> bool:
         """Whether cables may lie on the ground."""
-        return self.phase.name in GROUNDED
+        return self.phase.state is CableState.GROUND
 
     @property
     def clasping(self) -> bool:
         """Whether neighbouring cables may touch."""
-        return self.phase.name in CLASPING
+        return self.phase.state in {CableState.CLASPING, CableState.TIGHTENING}
+
+    @property
+    def tightening(self) -> bool:
+        """Whether clasped cables are drawn out."""
+        return self.phase.state is CableState.TIGHTENING
 
 
-def free_phases(motion: Motion) -> Iterator[FreePhase]:
-    """Yield the phases without a hitch of a motion, each piece in the phase of its middle."""
-    ends = np.array([phase.end for phase in motion.phases[:-1]])
-    middles = 0.5 * (motion.drones.breaks[1:] + motion.drones.breaks[:-1])
-    index = np.searchsorted(ends, middles)
+def phase_parts(motion: Motion) -> Iterator[PhasePart]:
+    """Yield the phases of a motion, each piece in the phase of its middle."""
+    index = motion.phase_of_piece
     for i, phase in enumerate(motion.phases):
         pieces = np.flatnonzero(index == i)
-        if phase.formed or len(pieces) == 0:
-            continue
-        run = slice(int(pieces[0]), int(pieces[-1]) + 1)
-        yield FreePhase(phase, motion.taken(run, (phase,)))
+        if len(pieces):
+            run = slice(int(pieces[0]), int(pieces[-1]) + 1)
+            yield PhasePart(phase, run, motion.taken(run, (phase,)))
+
+
+def free_phases(motion: Motion) -> Iterator[PhasePart]:
+    """Yield the phases without a hitch."""
+    return (part for part in phase_parts(motion) if not part.phase.formed)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.certificate.free_phases import FreePhase, free_phases
+from hitchopt.certificate.free_phases import PhasePart, free_phases
 from hitchopt.certificate.hanging import (
     LINKS,
     boxes,
@@ -21,8 +21,8 @@ from hitchopt.certificate.hanging import (
     plan_points,
 )
 from hitchopt.certificate.proximity import smallest_distance
-from hitchopt.certificate.report import Check, most_pressing
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, most_pressing, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.model.motion import Motion
@@ -53,7 +53,7 @@ def check(motion: Motion) -> Check | None:
     return most_pressing(found)
 
 
-def _of_phase(part: FreePhase) -> list[Check]:
+def _of_phase(part: PhasePart) -> list[Check]:
     motion = part.motion
     if part.grounded:
         seen = smallest_distance(
@@ -62,10 +62,16 @@ def _of_phase(part: FreePhase) -> list[Check]:
             plan_chords(motion),
             foreign,
             position_margin(motion),
+            within(motion.requirements.separation.cable, "min", magnitude(motion), 0.5),
         )
         return [_told(motion, seen)]
     drones = cut(motion.drones)
-    return [_told(motion, _to_drones(motion, drones)), _told(motion, _to_ground(motion, drones))]
+    return [_told(motion, _to_drones(motion, drones)), ground_clearance(motion)]
+
+
+def ground_clearance(motion: Motion) -> Check:
+    """Return the smallest height of a cable over the ground, all cables taken as hanging free."""
+    return _told(motion, _to_ground(motion, cut(motion.drones)))
 
 
 def _told(motion: Motion, found: Extremum) -> Check:
@@ -74,7 +80,8 @@ def _told(motion: Motion, found: Extremum) -> Check:
     name = GROUND if who == 2 * n else motion.team.drone_names[who]
     worst = max(found.worst, 0.0) if who < 2 * n else found.worst
     where = (name, f"cable {cable}")
-    return Check.of("cable_clearance", worst, limit, "min", "m", found.time, where)
+    size = magnitude(motion)
+    return Check.of("cable_clearance", worst, limit, "min", "m", found.time, where, size)
 
 
 def _to_drones(motion: Motion, drones: PiecewisePolynomial) -> Extremum:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.free_phases import FreePhase, free_phases
+from hitchopt.certificate.free_phases import PhasePart, free_phases
 from hitchopt.certificate.hanging import plan_chords
 from hitchopt.certificate.proximity import smallest_distance
-from hitchopt.certificate.report import Check, most_pressing
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, most_pressing, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
 from hitchopt.model.motion import Motion
@@ -37,7 +37,7 @@ def neighbours(layout: Layout, i: Indices, j: Indices) -> NDArray[np.bool_]:
     return ring if layout.closed else np.abs(j - i) == 1
 
 
-def _of_phase(part: FreePhase) -> Check:
+def _of_phase(part: PhasePart) -> Check:
     motion = part.motion
     n, layout = motion.team.robots, motion.team.layout
 
@@ -46,10 +46,15 @@ def _of_phase(part: FreePhase) -> Check:
             return np.ones(np.shape(i), dtype=np.bool_)
         return ~neighbours(layout, i, j)
 
+    limit, size = motion.requirements.separation.crossing, magnitude(motion)
     found = smallest_distance(
-        motion.drones.breaks, plan_chords(motion), None, counted, position_margin(motion)
+        motion.drones.breaks,
+        plan_chords(motion),
+        None,
+        counted,
+        position_margin(motion),
+        within(limit, "min", size, 0.5),
     )
     pair = sorted(divmod(found.item, n)) if found.item >= 0 else []
     where = tuple(f"cable {k}" for k in pair)
-    limit = motion.requirements.separation.crossing
-    return Check.of("crossing", found.worst, limit, "min", "m", found.time, where)
+    return Check.of("crossing", found.worst, limit, "min", "m", found.time, where, size)

@@ -9,7 +9,7 @@ from hitchopt.model.motion import Motion
 
 def check(motion: Motion) -> Check:
     """Return the largest jerk of any drone, which ``where`` names."""
-    found = largest_rate(motion.drones, 3)
-    where = (motion.team.drone_names[found.item],)
     limit = motion.requirements.limits.jerk
-    return Check.of("jerk", found.worst, limit, "max", "m/s³", found.time, where)
+    found = largest_rate(motion.drones, 3, limit)
+    where = (motion.team.drone_names[found.item],)
+    return Check.of("jerk", found.worst, limit, "max", "m/s³", found.time, where, 0.0)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import ROUNDING
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import ROUNDING, magnitude
 from hitchopt.model.motion import Motion
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
@@ -22,23 +22,28 @@ def check(motion: Motion) -> Check | None:
     """Return the smallest distance of any drone to a prism, zero within; None without prisms."""
     if not motion.requirements.keep_out:
         return None
-    found = smallest_clearance(motion.drones, motion.requirements.keep_out)
-    where = (motion.team.drone_names[found.item],)
     limit = motion.requirements.separation.radius
-    return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where)
+    found = smallest_clearance(motion.drones, motion.requirements.keep_out, limit)
+    where = (motion.team.drone_names[found.item],)
+    size = magnitude(motion)
+    return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where, size)
 
 
-def smallest_clearance(part: PiecewisePolynomial, prisms: tuple[Prism, ...]) -> Extremum:
+def smallest_clearance(
+    part: PiecewisePolynomial, prisms: tuple[Prism, ...], limit: float = 0.0
+) -> Extremum:
     """Return the smallest distance of points ``part`` (N, 3) to any of the prisms [m], zero within.
 
-    Linear in the number of drones and of prisms: most pairs are bounded once.
+    Linear in the number of drones and of prisms: most pairs are bounded once, and as closely as it
+    takes to tell whether they keep ``limit`` [m].
     """
     best = Extremum(math.inf, math.inf, -1, 0.0)
-    magnitude = float(np.max(np.abs(part.coefficients)))
+    size = float(np.max(np.abs(part.coefficients)))
+    aim = within(limit, "min", size, 0.5)
     for prism in prisms:
-        margin = ROUNDING * (magnitude + float(np.max(np.abs(prism.corners))))
+        margin = ROUNDING * (size + float(np.max(np.abs(prism.corners))))
         cells = Cells.over(part.breaks, [part.coefficients], margin)
-        found = smallest(cells, _bound(prism))
+        found = smallest(cells, _bound(prism), aim)
         if found.worst < best.worst:
             best = found
     return Extremum(max(best.worst, 0.0), best.value, best.item, best.time)

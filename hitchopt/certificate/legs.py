@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from hitchopt.certificate.bodies import PART_NAMES, leg_vectors
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
@@ -14,10 +14,10 @@ def check(motion: Motion) -> Check:
     """Return the shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
     drones = motion.team.layout.drones_with_legs
     legs = leg_vectors(motion)[:, drones]
-    found = smallest(
-        Cells.over(motion.drones.breaks, [legs], position_margin(motion)), distance_bound
-    )
+    limit, size = motion.requirements.limits.leg, magnitude(motion)
+    cells = Cells.over(motion.drones.breaks, [legs], position_margin(motion))
+    found = smallest(cells, distance_bound, within(limit, "min", size, 0.5))
     cable, end = divmod(int(drones[found.item]), 2)
     where = (f"{PART_NAMES[2 * end]} {cable}",)
     worst = max(found.worst, 0.0)
-    return Check.of("legs", worst, motion.requirements.limits.leg, "min", "m", found.time, where)
+    return Check.of("legs", worst, limit, "min", "m", found.time, where, size)

@@ -71,7 +71,12 @@ class Bodies:
 
 
 def smallest_distance(
-    breaks: Array, first: Bodies, second: Bodies | None, allowed: Allowed, margin: float
+    breaks: Array,
+    first: Bodies,
+    second: Bodies | None,
+    allowed: Allowed,
+    margin: float,
+    target: float = -np.inf,
 ) -> Extremum:
     """Return the smallest distance of allowed pairs over all of the time.
 
@@ -81,12 +86,13 @@ def smallest_distance(
     first, second: two groups of bodies, or one whose pairs among themselves are meant.
     allowed: which pairs count; symmetric where there is one group.
     margin: taken off to cover rounding [m].
+    target: as of a Search [m].
 
     Returns
     -------
     Its ``item`` is ``i * len(second) + j`` (or ``len(first)``, where there is one group).
     """
-    search = Search(distance_bound)
+    search = Search(distance_bound, target=target)
     count = len(first) if second is None else len(second)
     pairs = len(first) * (len(first) - 1) // 2 if second is None else len(first) * count
     if pairs <= FEW:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.certificate.report import within
 from hitchopt.certificate.rounding import derivative_margin
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
@@ -12,14 +13,15 @@ from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
 Array = NDArray[np.float64]
 
 
-def largest_rate(part: PiecewisePolynomial, order: int) -> Extremum:
+def largest_rate(part: PiecewisePolynomial, order: int, limit: float = np.inf) -> Extremum:
     """Return the largest norm of a derivative by time of points ``part`` (items, 3).
 
+    It is bounded as closely as it takes to tell whether it keeps the limit.
     A norm is convex, so it is largest at one of the Bernstein coefficients: nothing is squared.
     """
     derivative = part.differentiated(order)
     cells = Cells.over(part.breaks, [derivative.coefficients], derivative_margin(part, order))
-    return largest(cells, norm_bound)
+    return largest(cells, norm_bound, within(limit, "max", 0.0, 0.5))
 
 
 def norm_bound(blocks: tuple[Array, ...]) -> Estimate:

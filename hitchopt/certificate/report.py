@@ -13,8 +13,25 @@ from hitchopt.errors import HitchoptError, InputError, broken_limit
 FORMAT = "hitchopt-certificate/1"
 
 
+TOLERANCE = 1e-9
+"""Of a limit, or of the largest length or the unit of what it is of: checks hold within that."""
+
+
 class CertificateError(HitchoptError):
     """A plan's certificate shows that a limit is broken."""
+
+
+def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
+    """Return the number that keeps a limit to the last digit; what is not beyond it holds.
+
+    Parameters
+    ----------
+    limit, sense: of a check.
+    size: the largest length that enters the quantity, in its unit; 1 for what is no length.
+    share: of the tolerance: searches that aim at half of it leave rounding the rest.
+    """
+    slack = share * TOLERANCE * max(abs(limit), size)
+    return limit - slack if sense == "min" else limit + slack
 
 
 @dataclass(frozen=True)
@@ -24,7 +41,7 @@ class Check:
     Attributes
     ----------
     name: as in the certificate's table (README).
-    holds: whether ``worst`` keeps the limit.
+    holds: whether ``worst`` keeps the limit, within ``TOLERANCE``.
     worst: bounds the quantity for all t, rounding included.
     limit: in the same unit.
     sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
@@ -54,15 +71,18 @@ class Check:
         unit: str,
         time: float,
         where: tuple[str, ...],
+        size: float = 1.0,
     ) -> Check:
-        """Return the check, ``holds`` following from the numbers.
+        """Return the check, ``holds`` following from the numbers, within the tolerance.
 
+        ``size`` is the largest length that enters the quantity, in its unit, as ``within`` has it.
         What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
         """
         largest = sys.float_info.max
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
-        holds = worst >= limit if sense == "min" else worst <= limit
+        kept = within(limit, sense, size)
+        holds = worst >= kept if sense == "min" else worst <= kept
         return cls(name, bool(holds), worst, float(limit), sense, unit, float(time), where)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from hitchopt.certificate.bodies import drone_points
 from hitchopt.certificate.proximity import Bodies, smallest_distance
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import ROUNDING, magnitude
 from hitchopt.model.motion import Motion
 
 
@@ -21,9 +21,15 @@ def check(motion: Motion) -> Check | None:
         return None
     scale = motion.requirements.separation.scale
     drones = Bodies(drone_points(motion).corners * scale[:, None])
-    margin = position_margin(motion) * float(np.max(scale))
+    size = magnitude(motion) * float(np.max(scale))
+    aim = within(1.0, "min", size, 0.5)
     found = smallest_distance(
-        motion.drones.breaks, drones, None, lambda i, _: np.ones(len(i), dtype=np.bool_), margin
+        motion.drones.breaks,
+        drones,
+        None,
+        lambda i, _: np.ones(len(i), dtype=np.bool_),
+        ROUNDING * size,
+        aim,
     )
     where = tuple(names[i] for i in sorted(divmod(found.item, len(names))))
-    return Check.of("separation", found.worst, 1.0, "min", "ratio", found.time, where)
+    return Check.of("separation", found.worst, 1.0, "min", "ratio", found.time, where, size)

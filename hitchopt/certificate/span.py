@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.certificate.rates import norm_bound
-from hitchopt.certificate.report import Check
-from hitchopt.certificate.rounding import position_margin
+from hitchopt.certificate.report import Check, within
+from hitchopt.certificate.rounding import magnitude, position_margin
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory.extremum import Cells, largest
 
@@ -24,6 +24,8 @@ def check(motion: Motion) -> Check:
     drones, length = motion.drones.coefficients, motion.team.cable_length
     chords = (drones[:, 1::2] - drones[:, 0::2]) / length[:, None, None]
     margin = -2.0 * position_margin(motion) / float(np.min(length))  # upward
-    found = largest(Cells.over(motion.drones.breaks, [chords], -margin), norm_bound)
+    size = magnitude(motion) / float(np.min(length))
+    aim = within(LIMIT, "max", size, 0.5)
+    found = largest(Cells.over(motion.drones.breaks, [chords], -margin), norm_bound, aim)
     where = (f"cable {found.item}",)
-    return Check.of("span", found.worst, LIMIT, "max", "1", found.time, where)
+    return Check.of("span", found.worst, LIMIT, "max", "1", found.time, where, size)

@@ -9,7 +9,7 @@ from hitchopt.model.motion import Motion
 
 def check(motion: Motion) -> Check:
     """Return the largest speed of any drone, which ``where`` names."""
-    found = largest_rate(motion.drones, 1)
-    where = (motion.team.drone_names[found.item],)
     limit = motion.requirements.limits.speed
-    return Check.of("speed", found.worst, limit, "max", "m/s", found.time, where)
+    found = largest_rate(motion.drones, 1, limit)
+    where = (motion.team.drone_names[found.item],)
+    return Check.of("speed", found.worst, limit, "max", "m/s", found.time, where, 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate.pull import thrust_at, thrust_cells, thrust_enclosure
-from hitchopt.certificate.report import Check
+from hitchopt.certificate.report import Check, within
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
@@ -23,7 +23,8 @@ def check(motion: Motion) -> Check:
     ``worst`` and ``limit`` are that drone's; the check holds if all drones keep theirs.
     """
     limits = motion.team.max_thrust
-    found = largest(thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion)))
+    cells, bound = thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion))
+    found = largest(cells, bound, within(1.0, "max", share=0.5))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Check.of("thrust", found.worst * limit, limit, "max", "N", found.time, where)

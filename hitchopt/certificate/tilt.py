@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.certificate.pull import thrust_at, thrust_cells, thrust_enclosure
-from hitchopt.certificate.report import Check
+from hitchopt.certificate.report import Check, within
 from hitchopt.certificate.rounding import position_margin
 from hitchopt.model.motion import Motion
 from hitchopt.trajectory import bernstein
@@ -24,8 +24,9 @@ UPSIDE_DOWN = 180.0
 def check(motion: Motion) -> Check:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
     cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
-    found = largest(cells, partial(_bound, noise=position_margin(motion)))
     limit = math.degrees(motion.requirements.limits.tilt)
+    aim = within(limit, "max", share=0.5)
+    found = largest(cells, partial(_bound, noise=position_margin(motion)), aim)
     where = (motion.team.drone_names[found.item],)
     worst = min(found.worst, UPSIDE_DOWN)
     return Check.of("tilt", worst, limit, "max", "deg", found.time, where)

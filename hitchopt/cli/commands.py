@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -11,7 +12,14 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
+from hitchopt.cli.paths import GivenPath, plan_path
+from hitchopt.errors import (
+    FileError,
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    TimeLimitError,
+)
 
 if TYPE_CHECKING:
     from hitchopt.certificate.report import Certificate
@@ -27,7 +35,11 @@ MAX_RATE = 10_000.0
 MAX_ROWS = 5e8
 """Rows of setpoints.csv, about 100 GB; more is a typing error."""
 
-PLAN_FILE = "plan.npz"
+LONGEST = 600.0
+"""[s] What planning may take unless told otherwise: nobody waits longer without having said so."""
+
+LEAST = 1e-3
+"""[s] What the search for changes is given where no time is left, so that it says so."""
 
 
 def _version() -> str:
@@ -45,7 +57,8 @@ def main() -> None:
     Every plan comes with a certificate that holds for all of continuous time.
 
     Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
-    3 well-formed, but it cannot be met, or its certificate fails.
+    3 well-formed, but it cannot be met, or its certificate fails; 130 and 143 ended by Ctrl-C and
+    by SIGTERM, nothing half-written being left.
 
     Models are kept from run to run in the user's cache directory; the environment variable
     HITCHOPT_CACHE names another one, or says off.
@@ -53,13 +66,13 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=GivenPath())
 @click.option(
     "-o",
     "--output",
     "directory",
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="Where to write the plan; by default ./ and FILE's stem.",
 )
 @click.option(
@@ -76,9 +89,20 @@ def main() -> None:
     default=True,
     help="Where there is no plan, search for the smallest change that mends it.",
 )
-def solve(file: Path, directory: Path | None, rate: float, mending: bool) -> None:
+@click.option(
+    "--limit",
+    metavar="SECONDS",
+    type=float,
+    default=LONGEST,
+    show_default=True,
+    help="Give up after so long, the search for changes included.",
+)
+def solve(file: Path, directory: Path | None, rate: float, mending: bool, limit: float) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR."""
     _check_rate(rate)
+    if not math.isfinite(limit) or limit <= 0.0:
+        raise InputError("--limit", limit, "above 0 s", f"{LONGEST:g} s are usual")
+    end = time.monotonic() + limit
     from hitchopt.mission.loading import read_problem
     from hitchopt.mission.problem import Problem
 
@@ -89,12 +113,14 @@ def solve(file: Path, directory: Path | None, rate: float, mending: bool) -> Non
     try:
         problem = read_problem(file)
         _check_rows(rate, _least_duration(problem), len(problem.team.drone_names))
-        _solve(problem, place, rate)
+        _solve(problem, place, rate, limit)
     except (InputError, FileError):
         raise  # no solve: DIR keeps telling the last one
     except HitchoptError as error:
         hitch = problem if isinstance(problem, Problem) else None
-        _leave_diagnosis(place, error, hitch if mending else None)
+        searched = mending and not isinstance(error, TimeLimitError)
+        left = max(end - time.monotonic(), LEAST)
+        _leave_diagnosis(place, error, hitch if searched else None, left)
 
 
 def _place(directory: Path | None, file: Path) -> Path:
@@ -106,12 +132,12 @@ def _place(directory: Path | None, file: Path) -> Path:
     return directory
 
 
-def _solve(problem: AnyProblem, place: Path, rate: float) -> None:
+def _solve(problem: AnyProblem, place: Path, rate: float, limit: float) -> None:
     from hitchopt.cli.progress import LateProgress
     from hitchopt.planning import solve as solved
 
-    with LateProgress(sys.stderr, "planning") as progress:
-        plan = solved(problem, progress=progress)
+    with LateProgress(sys.stderr, "planning", limit) as progress:
+        plan = solved(problem, progress=progress, limit=limit)
     _show(plan.title, plan.motion, plan.certificate)
     _check_rows(rate, plan.motion.duration, len(problem.team.drone_names))
     with LateProgress(sys.stderr, "writing") as progress:
@@ -119,52 +145,70 @@ def _solve(problem: AnyProblem, place: Path, rate: float) -> None:
     say(f"certified; the plan is in {place}")
 
 
-def _leave_diagnosis(place: Path, error: HitchoptError, problem: Problem | None) -> NoReturn:
+def _leave_diagnosis(
+    place: Path, error: HitchoptError, problem: Problem | None, left: float
+) -> NoReturn:
     """Say and write why there is no plan, and end with the exit code that tells so.
 
-    With a problem, what would mend it is searched for and told as well.
+    With a problem, what would mend it is searched for in the time ``left`` [s] and told as well.
     """
     from hitchopt.export.directory import save_diagnosis
 
     complain(error)  # first, in case that the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
     if problem is not None and isinstance(error, InfeasibleError):
-        save_diagnosis(place, error, _suggested(problem, error))
+        save_diagnosis(place, *_suggested(problem, error, left))
     say(f"no plan; the diagnosis is in {place / 'diagnosis.json'}", err=True)
     click.get_current_context().exit(exit_code(error))
 
 
-def _suggested(problem: Problem, error: InfeasibleError) -> tuple[Suggestion, ...]:
-    """Return the verified changes that mend the problem, and say them."""
+def _suggested(
+    problem: Problem, error: InfeasibleError, left: float
+) -> tuple[InfeasibleError, tuple[Suggestion, ...]]:
+    """Return the verified changes that mend the problem, and say them.
+
+    The error comes back with a note where the time limit has ended the search for them.
+    """
     from hitchopt.cli.progress import LateProgress
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+    from hitchopt.time_limit import time_left, time_limit
 
-    with LateProgress(sys.stderr, "looking for what would mend it") as progress:
-        found = find_suggestions(problem, error, progress=progress)
+    found: tuple[Suggestion, ...] = ()
+    with LateProgress(sys.stderr, "looking for what would mend it", left) as progress:
+        try:
+            with time_limit(left):
+                found = find_suggestions(problem, error, progress=progress)
+                ended = time_left() <= 0.0
+        except TimeLimitError:
+            ended = True
     for suggestion in found:
         say(str(suggestion), err=True)
     if not found:
         say(NO_CHANGE, err=True)
-    return found
+    if ended:
+        note = "the search for changes ended at the time limit (--limit)"
+        say(note, err=True)
+        error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
+    return error, found
 
 
 @main.command()
-@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("directory", metavar="DIR", type=GivenPath())
 @click.option("--closest", is_flag=True, help="Tell who is closest to whom, over time.")
 @click.option(
     "--picture",
     metavar="PNG",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="Draw the closest neighbours over time into that file.",
 )
 def check(directory: Path, closest: bool, picture: Path | None) -> None:
-    """Certify the plan in DIR anew, from its polynomials only."""
+    """Certify the plan in DIR (or the plan.npz that is named) anew, from its polynomials only."""
     from hitchopt.certificate import certify
     from hitchopt.cli.progress import LateProgress
     from hitchopt.export.plan_file import read_plan
     from hitchopt.plan import Plan
 
-    path = directory / PLAN_FILE
+    path = plan_path(directory)
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
         certificate = certify(motion, progress=progress)

@@ -9,15 +9,13 @@ from typing import Any
 import click
 
 from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.interrupts import INTERRUPTED, ending_signals
 
 WRONG = 2
 """The file or the usage is wrong in itself."""
 
 UNMET = 3
 """Well-formed, but it cannot be met, or its certificate fails."""
-
-INTERRUPTED = 130
-"""As shells tell a process that ended by Ctrl-C."""
 
 
 class SafeGroup(click.Group):
@@ -26,7 +24,8 @@ class SafeGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; errors that hitchopt means to raise become its exit code."""
         try:
-            return super().invoke(ctx)
+            with ending_signals():
+                return super().invoke(ctx)
         except HitchoptError as error:
             complain(error)
             ctx.exit(exit_code(error))

@@ -9,22 +9,23 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hitchopt.cli.commands import PLAN_FILE, main
+from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.paths import GivenPath, plan_path
 
 if TYPE_CHECKING:
     from hitchopt.export.exporting import Export
 
 
 @main.command()
-@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("directory", metavar="DIR", type=GivenPath())
 @click.option("--format", "name", metavar="NAME", required=True, help="One of those above.")
 @click.option(
     "-o",
     "--output",
     "folder",
     metavar="PATH",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="The folder to write, or the file where there is but one (plan.csv); by default DIR's "
     "name, a dash and NAME, beside DIR.",
 )
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     "--fleet",
     "fleet_file",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}, "
     "or a crazyflies.yaml with a role for each robot.",
 )
@@ -95,10 +96,10 @@ def export(
     from hitchopt.export.plan_file import read_plan, read_title
 
     format_of(name)  # a wrong name before a long read
-    path = directory / PLAN_FILE
+    path = plan_path(directory)
     yaw = math.radians(yaw_deg)
     wish = Wish(name, frame, origin, yaw, fleet_file, rate, stretch, storage, ros_distro)
-    place = _place(directory, name) if folder is None else folder
+    place = _place(path.parent, name) if folder is None else folder
     with LateProgress(sys.stderr, "certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), wish, place, progress)
     for part in done:
@@ -134,10 +135,18 @@ def _show(part: Export) -> None:
 
 
 @main.command()
-@click.argument("path", metavar="PATH", type=click.Path(path_type=Path))
-@click.option("--speed", metavar="M/S", type=float, default=3.0, show_default=True, help="Limit.")
+@click.argument("path", metavar="PATH", type=GivenPath())
 @click.option(
-    "--acceleration", metavar="M/S²", type=float, default=10.0, show_default=True, help="Limit."
+    "--speed",
+    metavar="M/S",
+    type=float,
+    help="Limit; by default the show's own, or 3 where it has none.",
+)
+@click.option(
+    "--acceleration",
+    metavar="M/S²",
+    type=float,
+    help="Limit; by default the show's own, or 10 where it has none.",
 )
 @click.option(
     "--radius",
@@ -155,10 +164,23 @@ def _show(part: Export) -> None:
     show_default=True,
     help="Of a drone's ellipsoid, up.",
 )
-def lint(path: Path, speed: float, acceleration: float, radius: float, height: float) -> None:
+@click.option(
+    "--relative",
+    is_flag=True,
+    help="Every drone flies from where it stands (initial_position, home), not in one frame.",
+)
+def lint(
+    path: Path,
+    speed: float | None,
+    acceleration: float | None,
+    radius: float,
+    height: float,
+    relative: bool,
+) -> None:
     """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
 
-    PATH is a file or a folder of any format that `export` writes. Ends with 3 if there are errors.
+    PATH is a file or a folder of any format that `export` writes. The limits that a show sets
+    itself are always held. Ends with 3 if there are errors.
     """
     from hitchopt.cli.lint_report import say_report
     from hitchopt.export.lint.linting import lint as linted
@@ -167,12 +189,12 @@ def lint(path: Path, speed: float, acceleration: float, radius: float, height: f
     from hitchopt.values import positive
 
     rules = Rules(
-        positive("--speed", speed),
-        positive("--acceleration", acceleration),
+        None if speed is None else positive("--speed", speed),
+        None if acceleration is None else positive("--acceleration", acceleration),
         Separation(positive("--radius", radius), positive("--height", height)),
     )
-    reports = linted(path, rules)
+    reports = linted(path, rules, relative=relative)
     for report in reports:
-        say_report(report, rules)
+        say_report(report)
     if not all(report.sound for report in reports):
         click.get_current_context().exit(UNMET)

@@ -12,13 +12,12 @@ from hitchopt.export.lint.findings import ERROR, WARNING
 
 if TYPE_CHECKING:
     from hitchopt.export.lint.findings import Report
-    from hitchopt.export.lint.together import Rules
 
 SAME = 5
 """Findings of one rule that are written out; the rest are counted."""
 
 
-def say_report(report: Report, rules: Rules) -> None:
+def say_report(report: Report) -> None:
     """Write what is in the files, then the findings, then how many."""
     facts, flight = report.facts, report.flight
     frame = f", frame {report.frame}" if report.frame else ""
@@ -30,9 +29,11 @@ def say_report(report: Report, rules: Rules) -> None:
     sizes = [fact.size for fact in facts if fact.size]
     if sizes:
         say(f"  memory        {_span(sizes)} of {BYTES} bytes per drone")
-    say(f"  speed         {flight.speed:.4g} of {rules.speed:g} m/s")
+    say(f"  speed         {_against(flight.speed, flight.speed_limit)} m/s")
     if math.isfinite(flight.acceleration):
-        say(f"  acceleration  {flight.acceleration:.4g} of {rules.acceleration:g} m/s²")
+        say(f"  acceleration  {_against(flight.acceleration, flight.acceleration_limit)} m/s²")
+    for check in flight.own:
+        say(f"  {check.name:<13} {check.worst:.4g} of {check.limit:g} {check.unit}, the show's own")
     if math.isfinite(flight.separation):
         say(f"  separation    {flight.separation:.4g}, 1 where ellipsoids touch")
     jumps = ", ".join(
@@ -57,3 +58,7 @@ def say_report(report: Report, rules: Rules) -> None:
 def _span(values: list[int]) -> str:
     low, high = min(values), max(values)
     return f"{low}" if low == high else f"{low} to {high}"
+
+
+def _against(value: float, limit: float) -> str:
+    return f"{value:.4g} of {limit:g}" if math.isfinite(limit) else f"{value:.4g}"

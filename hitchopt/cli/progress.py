@@ -20,11 +20,19 @@ class LateProgress:
     ----------
     stream: where to; nothing is shown unless it is a terminal.
     message: what is being done, until told otherwise.
+    limit: what it takes at most [s], shown beside the time that has passed; None: not known.
     delay: how long to stay silent [s].
     """
 
-    def __init__(self, stream: TextIO | None, message: str, delay: float = DELAY) -> None:
+    def __init__(
+        self,
+        stream: TextIO | None,
+        message: str,
+        limit: float | None = None,
+        delay: float = DELAY,
+    ) -> None:
         self._stream = stream
+        self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
         self._message = message
         self._bar: Progress | None = None
         self._lock = threading.Lock()
@@ -64,6 +72,7 @@ class LateProgress:
                 TextColumn("{task.description}", markup=False),
                 BarColumn(),
                 TimeElapsedColumn(),
+                TextColumn(self._at_most, markup=False),
                 console=Console(file=self._stream),
                 transient=True,
             )

@@ -10,6 +10,7 @@ import click
 
 from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,12 +22,12 @@ RESULTS = "simulation"
 
 
 @main.command()
-@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("directory", metavar="DIR", type=GivenPath())
 @click.option(
     "-o",
     "--output",
     metavar="OUT",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="Where results go; by default DIR/simulation.",
 )
 @click.option(
@@ -64,7 +65,7 @@ RESULTS = "simulation"
 @click.option(
     "--film",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=GivenPath(),
     help="Write a film, .gif or .mp4; of one flight only.",
 )
 def simulate(
@@ -89,6 +90,7 @@ def simulate(
     if film is not None:
         _check_film(film, runs)
     settings = _settings(options)
+    directory = plan_path(directory).parent
     task = read_task(directory)
     place = directory / RESULTS if output is None else output
     if runs is None:

@@ -1,37 +1,72 @@
-"""Arrays of an npz file from anywhere: checked before memory is spent on them."""
+"""Arrays of an npz file from anywhere: checked before memory is spent on them.
+
+Bytes are compared with the archive's checksum first. Only then is an array's header read, by a
+pattern of exactly what numpy writes: no text of a file is evaluated as Python.
+"""
 
 from __future__ import annotations
 
 import math
+import re
+import struct
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from numpy.lib import format as npy
+import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, HitchoptError
 
 MODEST = 64 * 2**20
-"""[bytes] Arrays of this size altogether are read whatever they were packed into."""
+"""[bytes] Members of this size altogether are read whatever they were packed into."""
 
 MAX_EXPANSION = 100
-"""Beyond MODEST, by how much unpacked arrays may exceed their file: more is a decompression bomb.
-hitchopt's own files are not compressed."""
+"""Beyond MODEST, by how much unpacked members may exceed their file: more is a decompression bomb.
+hitchopt's own plans are not compressed."""
 
 MAX_HEADER = 10_000
 """[bytes] The longest description of an array's shape that is parsed."""
 
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""How members may be packed: what numpy and shows use."""
+
+HEADER = re.compile(
+    r"\{'descr': '([<>|=]?[?biufcSUVOmM]\d{0,9})', 'fortran_order': (False|True), "
+    r"'shape': \(((?:-?\d{1,100}, ?)*(?:-?\d{1,100})?)\), \} *\n?"
+)
+"""What numpy writes before an array: its numbers' type, its order and its shape."""
+
+LENGTH_BYTES = {(1, 0): 2, (2, 0): 4}
+"""Of the header's length, by version of the format."""
+
+BROKEN = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    EOFError,
+    ArithmeticError,
+    RuntimeError,
+    MemoryError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+    HitchoptError,
+)
+"""All that a file of another kind, or a damaged one, makes its readers raise."""
+
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the named arrays of the npz file; others in it are not looked at.
+    """Return the named arrays of the npz file, read-only; others in it are not looked at.
 
     Raises
     ------
     FileError: an array is missing, given twice, of objects, or absurdly large.
-    OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a file that is no
-        such archive, or a damaged one.
+    BROKEN: a file that is no such archive, or a damaged one.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
         listed = archive.namelist()
@@ -39,36 +74,96 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
         for name, member in wanted.items():
             if listed.count(member) != 1:
                 raise FileError(f"array {name!r} is in it {listed.count(member)} times, not once")
-        sizes = {name: archive.getinfo(member).file_size for name, member in wanted.items()}
-        size = sum(sizes.values())
-        if size > MODEST and size > MAX_EXPANSION * path.stat().st_size:
-            raise FileError(f"its arrays would unpack to {size:.3g} bytes, far more than the file")
-        arrays = {}
-        for name, member in wanted.items():
-            with archive.open(member) as stream:
-                _refuse_misfit(name, stream, sizes[name])
-            with archive.open(member) as stream:
-                arrays[name] = npy.read_array(
-                    stream, allow_pickle=False, max_header_size=MAX_HEADER
-                )
-                if stream.read(1):  # also makes the archive compare its checksum
-                    raise FileError(f"array {name!r} is followed by something else")
-        return arrays
+        members = [archive.getinfo(member) for member in wanted.values()]
+        refuse_bomb(members, path.stat().st_size)
+        return {
+            name: _array(name, checked_bytes(archive, info))
+            for name, info in zip(wanted, members, strict=True)
+        }
 
 
-def _refuse_misfit(name: str, stream: IO[bytes], size: int) -> None:
-    """Raise FileError unless the array that the header promises is as large as its entry."""
-    version = npy.read_magic(stream)
-    if version == (1, 0):
-        shape, _, dtype = npy.read_array_header_1_0(stream, max_header_size=MAX_HEADER)
-    elif version == (2, 0):
-        shape, _, dtype = npy.read_array_header_2_0(stream, max_header_size=MAX_HEADER)
-    else:
-        raise FileError(f"array {name!r} is in version {version} of its format, not in 1 or 2")
+def refuse_bomb(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
+    """Raise FileError if the members of a file of ``packed`` bytes unpack to far more than that."""
+    refuse_expansion(sum(member.file_size for member in members), packed)
+
+
+def refuse_expansion(size: int, packed: int) -> None:
+    """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can mean."""
+    if size > MODEST and size > MAX_EXPANSION * packed:
+        raise FileError(
+            f"it would unpack to {size:.3g} bytes, far more than the file ({packed:.3g} bytes)"
+        )
+
+
+def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return all bytes of a member, which agree with its checksum.
+
+    Raises
+    ------
+    FileError: it is packed in an unusual manner, or shorter than the archive says.
+    BROKEN: the archive is damaged.
+    """
+    if member.compress_type not in PACKINGS:
+        raise FileError(f"{member.filename!r} is packed in an unknown manner; deflate it, or store")
+    with archive.open(member) as stream:  # read to its end, the archive compares its checksum
+        data = stream.read(member.file_size) + stream.read(1)
+    if len(data) != member.file_size:
+        raise FileError(f"{member.filename!r} has {len(data)} bytes, not {member.file_size}")
+    return data
+
+
+def read_header(
+    name: str, read: Callable[[int], bytes]
+) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Return an array's shape, whether it is in Fortran's order, its type, and the header's bytes.
+
+    Parameters
+    ----------
+    name: of the array, for messages.
+    read: returns the next bytes of the file.
+
+    Raises
+    ------
+    FileError: a header that numpy does not write, or objects.
+    """
+    start = read(8)
+    version = tuple(start[6:8])
+    if start[:6] != b"\x93NUMPY" or version not in LENGTH_BYTES:
+        raise FileError(f"array {name!r} does not begin as version 1 or 2 of numpy's format does")
+    given = read(LENGTH_BYTES[version])
+    length = int.from_bytes(given, "little")
+    if len(given) < LENGTH_BYTES[version] or length > MAX_HEADER:
+        raise FileError(f"array {name!r} has a header of {length} bytes; {MAX_HEADER} are the most")
+    text = read(length).decode("latin-1")
+    found = HEADER.fullmatch(text)
+    if len(text) < length or found is None:
+        raise FileError(f"array {name!r} has a header that numpy does not write: {text[:60]!r}")
+    descr, order, sizes = found.groups()
+    try:
+        dtype = np.dtype(descr)
+    except (TypeError, ValueError) as error:
+        raise FileError(f"array {name!r} is of an unknown type {descr!r}") from error
     if dtype.hasobject:
         raise FileError(f"array {name!r} holds objects, not numbers")
+    shape = tuple(int(size) for size in sizes.replace(" ", "").split(",") if size)
+    return shape, order == "True", dtype, 8 + len(given) + length
+
+
+def _array(name: str, data: bytes) -> NDArray[Any]:
+    view = memoryview(data)
+    at = 0
+
+    def read(count: int) -> bytes:
+        nonlocal at
+        at += count
+        return bytes(view[at - count : at])
+
+    shape, fortran, dtype, start = read_header(name, read)
     promised = math.prod(shape) * dtype.itemsize
-    if any(length < 0 for length in shape) or promised != size - stream.tell():
+    if any(length < 0 for length in shape) or promised != len(data) - start:
         raise FileError(
-            f"array {name!r} promises {promised} bytes of numbers and has {size - stream.tell()}"
+            f"array {name!r} promises {promised} bytes of numbers and has {len(data) - start}"
         )
+    if promised == 0:
+        return np.zeros(shape, dtype)
+    return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C")

@@ -119,4 +119,5 @@ def part_folders(folder: Path) -> tuple[str, ...]:
     content = read_manifest(folder) or {}
     given = content.get("parts")
     names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
-    return tuple(name for name in names if Path(name).name == name and name.startswith("part"))
+    plain = [name for name in names if Path(name).name == name and "\0" not in name]
+    return tuple(name for name in plain if name.startswith("part"))

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError, HitchoptError, InputError
-from hitchopt.export.archive import read_arrays
+from hitchopt.errors import FileError, InputError
+from hitchopt.export.archive import BROKEN, read_arrays
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.model.motion import JOINT, Motion, Phase
+from hitchopt.model.motion import JOINT, CableState, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import finite, positive
@@ -35,23 +33,6 @@ PER_ROBOT = ("mass", "max_thrust", "cable_length", "tension")
 """(n,) each, of the team; of a swarm the first two, (N,)."""
 
 SWARM_POLYNOMIALS, PER_DRONE = POLYNOMIALS[:1], PER_ROBOT[:2]
-
-BROKEN = (
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    EOFError,
-    OverflowError,
-    RuntimeError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-    HitchoptError,
-)
-"""All that a file which is not a plan makes its readers raise."""
-
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
@@ -172,8 +153,10 @@ def _motion(settings: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Motion
     arena = None if settings["arena"] is None else Arena(**settings["arena"])
     prisms = tuple(Prism(**entry) for entry in settings.get("keep_out", ()))
     requirements = Requirements(limits, separation, arena, prisms)
-    phases = tuple(_phase(**entry) for entry in settings["phases"])
-    if "vertices" in parts:
+    alone = "vertices" not in parts
+    phases = tuple(_phase(**entry, alone=alone) for entry in settings["phases"])
+    motion: Motion
+    if not alone:
         robots = given.pop("robots")
         lengths, tensions = arrays["cable_length"], arrays["tension"]
         team = Team(robots, lengths, tension=tensions, quadrotor=kinds, **given)
@@ -204,18 +187,15 @@ def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
 
 
 def _check_phases(motion: Motion) -> None:
-    """Raise InputError unless the phases cover the plan's time, from 0 on, one after the other."""
-    ends = [0.0, *(phase.end for phase in motion.phases)]
-    starts = [*(phase.start for phase in motion.phases), motion.duration]
-    apart = np.abs(np.array(ends) - np.array(starts))
-    first = abs(float(motion.drones.breaks[0]))
-    if not motion.phases or max(first, float(np.max(apart))) > JOINT:
-        raise InputError(
-            "phases",
-            [[phase.start, phase.end] for phase in motion.phases],
-            f"one after the other from 0 to {motion.duration:g} s",
-            "do not edit them",
-        )
+    """Raise InputError unless the phases cover the plan's time, from 0 on, and no more."""
+    ends = [0.0, motion.duration]
+    found = [[phase.start, phase.end] for phase in motion.phases]
+    apart = [float(motion.drones.breaks[0])]
+    if found:
+        apart += [found[0][0] - ends[0], found[-1][1] - ends[1]]
+    if not found or max(map(abs, apart)) > JOINT:
+        words = f"one after the other from 0 to {motion.duration:g} s"
+        raise InputError("phases", found, words, "do not edit them")
 
 
 def _phase(
@@ -224,17 +204,34 @@ def _phase(
     start: float,
     end: float,
     remark: object = "",
-    formed: object = True,
+    formed: object = None,
+    state: object = None,
     tension: object = None,
+    *,
+    alone: bool,
 ) -> Phase:
+    """Return a phase as it is stored; files of before have ``formed`` in place of a state.
+
+    Parameters
+    ----------
+    alone: whether the drones carry no cables.
+    """
     if not isinstance(name, str) or isinstance(step, bool) or not isinstance(step, int):
         raise InputError("phases", [name, step], "a name and a step's index", "do not edit them")
     if not isinstance(remark, str):
         raise InputError("phases", remark, "a remark in words", "do not edit them")
-    if not isinstance(formed, bool):
-        raise InputError("phases", formed, "formed as true or false", "do not edit them")
     times = finite("phases.start", start), finite("phases.end", end)
-    return Phase(name, step, *times, remark, formed, _tension_range(tension))
+    stated = _tension_range(tension)
+    if state is None:
+        if formed is not None and not isinstance(formed, bool):
+            raise InputError("phases", formed, "formed as true or false", "do not edit them")
+        known = CableState.of_label(name, formed=formed is not False)
+        return Phase(name, step, *times, remark, known, stated)
+    allowed = [each for each in CableState if (each is CableState.NONE) is alone]
+    if formed is not None or not isinstance(state, str) or state not in allowed:
+        words = f"one of {', '.join(allowed)}, without formed"
+        raise InputError("phases.state", state, words, "do not edit them")
+    return Phase(name, step, *times, remark, CableState(state), stated)
 
 
 def _tension_range(given: object) -> tuple[float, float] | None:

@@ -13,16 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.splitting import merged_breaks, on_breaks
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splitting import SAME_BREAK, merged_breaks, on_breaks
 
 Array = NDArray[np.float64]
 
 WINDOW = 20_000
 """Pieces times drones that are looked at together: about 40 MB of coefficients and bounds."""
 
-MAX_TIMES = 50_000_000
-"""More samples than that are no table of a flight."""
+MAX_SPANS = 20_000_000
+"""Pieces times drones, once all drones' breaks are merged: more is no show that anyone flies."""
+
+SILENT = 1e-6
+"""[m], [m/s], [m/s²] Samples that are all smaller are zero but for rounding."""
+
+SAME_TIME = 1e-9
+"""[s] Samples closer than this are of one time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,25 +69,35 @@ def recording_of_curves(
 ) -> Recording:
     """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
 
-    Who ends before the others stays where it ended. Written drone by drone where breaks differ:
-    every file may have its own.
+    Who ends before the others stays where it ended. Curves are put on common breaks window by
+    window, so that drones with breaks of their own take no more memory than their files.
+
+    Raises
+    ------
+    FileError: common breaks times drones beyond MAX_SPANS.
     """
-    first = curves[0].breaks
+    breaks = curves[0].breaks
     degree = max(curve.degree for curve in curves)
-    if all(np.array_equal(curve.breaks, first) for curve in curves):
-        breaks = first
-        parts = [bernstein.elevate(curve.coefficients, degree) for curve in curves]
-    else:
-        end = max(float(curve.breaks[-1]) for curve in curves)
-        lasting = [lasted(curve, end) for curve in curves]
-        breaks = merged_breaks([curve.breaks for curve in lasting])
-        parts = [bernstein.elevate(on_breaks(c, breaks).coefficients, degree) for c in lasting]
-    whole = PiecewisePolynomial(breaks, np.stack(parts, axis=1))
-    size = max(1, WINDOW // len(names))
+    each = [curve if curve.degree == degree else curve.elevated(degree) for curve in curves]
+    same = all(np.array_equal(curve.breaks, breaks) for curve in each)
+    if not same:
+        end = max(float(curve.breaks[-1]) for curve in each)
+        each = [lasted(curve, end) for curve in each]
+        times = [curve.breaks for curve in each]
+        _refuse_many(len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1, len(each))
+        breaks = merged_breaks(times)
+    pieces = len(breaks) - 1
+    _refuse_many(pieces, len(each))
+    size = max(1, WINDOW // len(each))
 
     def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, whole.pieces, size):
-            yield whole.taken(slice(start, start + size))
+        for start in range(0, pieces, size):
+            here = breaks[start : start + size + 1]
+            if same:
+                parts = [curve.coefficients[start : start + size] for curve in each]
+            else:
+                parts = [on_breaks(curve, here).coefficients for curve in each]
+            yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
     return Recording(tuple(names), frame, smooth, windows)
 
@@ -110,9 +126,7 @@ def recording_of_samples(
             last = Samples(block.t[-1:], block.derivatives[:, -1:])
             if len(here.t) < 2:
                 continue
-            if not np.all(np.diff(here.t) > 0.0):
-                late = float(here.t[1:][np.diff(here.t) <= 0.0][0])
-                raise FileError(f"its times do not increase at t = {late:g} s; sort its rows")
+            check_times(here.t)
             used = here.derivatives[: smooth + 1]
             given += 1
             yield PiecewisePolynomial.hermite(here.t, used[:, :-1], used[:, 1:])
@@ -120,6 +134,61 @@ def recording_of_samples(
             raise FileError("has fewer than two samples; nothing moves between them")
 
     return Recording(tuple(names), frame, smooth, windows)
+
+
+def orders_told(recording: Recording) -> int:
+    """Return the highest derivative that a recording of samples holds.
+
+    A derivative that is zero at all samples while the drones move is not held: files of positions
+    alone often have columns of zeros, and curves that rest at every sample are not what is flown.
+    """
+    told, moved = np.zeros(recording.smooth + 1, dtype=np.bool_), False
+    told[0] = True
+    for window in recording.windows():
+        starts, ends = window.ends()
+        moved |= bool(np.max(np.abs(ends - starts)) > SILENT)
+        for order in np.flatnonzero(~told).tolist():
+            told[order] = any(np.max(np.abs(end)) > SILENT for end in window.ends(order))
+        if np.all(told):
+            break
+    return recording.smooth if np.all(told) or not moved else int(np.argmin(told)) - 1
+
+
+def with_orders(recording: Recording, orders: int) -> Recording:
+    """Return the recording through the same samples with derivatives up to ``orders`` alone."""
+
+    def windows() -> Iterator[PiecewisePolynomial]:
+        for window in recording.windows():
+            ends = zip(*(window.ends(order) for order in range(orders + 1)), strict=True)
+            starts, stops = (np.stack(values) for values in ends)
+            yield PiecewisePolynomial.hermite(window.breaks, starts, stops)
+
+    return Recording(recording.names, recording.frame, orders, windows)
+
+
+def check_times(t: Array, source: str = "") -> None:
+    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
+    place = f"{source}: " if source else ""
+    if not np.all(np.isfinite(t)):
+        raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
+    steps = np.diff(t)
+    repeated = np.abs(steps) <= SAME_TIME
+    if np.any(repeated):
+        at = float(t[1:][repeated][0])
+        raise FileError(f"{place}repeats the time t = {at:g} s; keep one row of every time")
+    if not np.all(steps > 0.0):
+        at = int(np.flatnonzero(steps <= 0.0)[0])
+        raise FileError(
+            f"{place}its times go back from t = {t[at]:g} s to {t[at + 1]:g} s; sort its rows"
+        )
+
+
+def _refuse_many(pieces: int, drones: int) -> None:
+    if pieces * drones > MAX_SPANS:
+        raise FileError(
+            f"{drones} drones with {pieces} spans of time between their points are more than "
+            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
+        )
 
 
 def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:

@@ -1,4 +1,8 @@
-"""JSON that every reader takes: null for every number that it has no word for."""
+"""JSON that every reader takes, and that no writer breaks the reader with.
+
+Written, every number that JSON has no word for is null. Read, a file of any content is parsed or
+refused.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,19 @@ def write_strict_json(path: Path, content: dict[str, Any]) -> None:
     """
     text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Return what the text says, every number as a float: one of 400 digits is infinite.
+
+    Raises
+    ------
+    ValueError: it is no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text, parse_int=float)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def _strict(value: Any) -> Any:

@@ -7,6 +7,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+TIE = 1e-9
+"""Relative difference of values that tie: far above rounding, far below what matters."""
+
+GOLDEN = 0.6180339887498949
+"""The golden ratio's fraction: sums of a few of its multiples and powers do not tie again."""
+
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar products (…) of vectors (…, d); leading axes broadcast."""
@@ -18,3 +24,34 @@ def length(a: Array) -> Array:
     """Return the lengths (…) of vectors (…, d)."""
     lengths: Array = np.sqrt(dot(a, a))
     return lengths
+
+
+def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
+    """Return the indices (…) of the smallest of values (…, k), the first one in a tie.
+
+    Values tie that differ by less than what rounding makes of equal ones.
+
+    Parameters
+    ----------
+    values: (…, k)
+    scale: (…), size of the numbers of which the values are computed.
+    """
+    smallest = np.min(values, axis=-1, keepdims=True)
+    near = values <= smallest + TIE * np.asarray(scale)[..., None]
+    first: NDArray[np.intp] = np.argmax(near, axis=-1)
+    return first
+
+
+def tied_order(values: Array, scale: float) -> NDArray[np.intp]:
+    """Return the order (k,) that sorts values (k,); those that tie stay in their order.
+
+    Parameters
+    ----------
+    values: (k,)
+    scale: size of the numbers of which the values are computed.
+    """
+    order = np.argsort(values, kind="stable")
+    steps = np.diff(values[order]) > TIE * scale
+    groups = np.empty(len(values), dtype=np.intp)
+    groups[order] = np.append(0, np.cumsum(steps))
+    return np.argsort(groups, kind="stable")

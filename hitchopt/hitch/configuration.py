@@ -15,7 +15,7 @@ from hitchopt.hitch.sharing import share
 from hitchopt.hitch.sharing_task import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.values import finite
+from hitchopt.values import coordinate
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Hitch:
         d.setflags(write=False)
         object.__setattr__(self, "team", team)
         object.__setattr__(self, "polygon", outline)
-        object.__setattr__(self, "altitude", finite("altitude", altitude))
+        object.__setattr__(self, "altitude", coordinate("altitude", altitude))
         object.__setattr__(self, "q_legs", d)
 
     @classmethod

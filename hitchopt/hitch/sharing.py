@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
 from hitchopt.hitch.sharing_program import (
     PENALTY,
@@ -21,10 +22,14 @@ from hitchopt.hitch.sharing_program import (
     sharing_program,
 )
 from hitchopt.hitch.sharing_task import Sharing, SharingTask
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
 ROUNDS = 60
+GAIN = 1e-6
+"""Share of the merit: a sharing that gains less, such as a mirror image, is no better."""
+
 SETTLED = 1e-9
 """[m] A round that moves no drone by more ends the iteration."""
 
@@ -49,7 +54,9 @@ def share(task: SharingTask) -> Sharing:
         return best
     for pattern in _uneven_fractions(task):
         start = np.clip(pattern * slack, *sharing_bounds(task))
-        best = min(best, _refined(task, bodies, start), key=lambda s: _merit(task, s))
+        found = _refined(task, bodies, start)
+        if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
+            best = found
     return best
 
 
@@ -62,7 +69,8 @@ def _uneven_fractions(task: SharingTask) -> Array:
     edges = layout.edges(task.polygons[0])
     ahead, behind = edges[layout.ahead], edges[layout.behind]
     lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
-    sharpest = layout.clasps[int(np.argmin(np.sum(ahead * behind, axis=1) / lengths))]
+    cosines = np.sum(ahead * behind, axis=1) / lengths
+    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
     k = np.arange(layout.robots)
     onward = (k - sharpest) % layout.robots % 2 == 0
     back = (sharpest - 1 - k) % layout.robots % 2 == 1
@@ -88,6 +96,7 @@ def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
     """Return the sharing that repeated convex approximation reaches from ``start``."""
     d = start
     for _ in range(ROUNDS):
+        check_time()
         x = solve_qp(sharing_program(task, bodies, d))
         if x is None:
             break

@@ -129,7 +129,7 @@ def _start(
         legs = _legs("start.hitch", hitch.legs, team, faults)
         if outline is None or legs is None:
             return None
-        return HitchStart(outline, hitch.altitude, legs)
+        return faults.attempt("start.hitch", lambda: HitchStart(outline, hitch.altitude, legs))
     places = keys.drones
     if places is None:
         raise RuntimeError("a start that is neither a hitch nor drones")

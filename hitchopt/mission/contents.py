@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from dataclasses import fields, is_dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -53,12 +54,14 @@ def _written(value: object, known: dict[int, bytes]) -> bytes:
 
 
 def _plain(value: object) -> bytes | None:
-    """Return the bytes of a number, a word or an array; None of anything else."""
+    """Return the bytes of a number, a word, a member of an enumeration or an array, else None."""
     kind = type(value)
     content: bytes | None = None
     name = kind.__name__
     if value is None or kind in {bool, int}:
         content = repr(value).encode()
+    elif isinstance(value, Enum) and kind.__module__.startswith(OURS):
+        name, content = f"{kind.__module__}.{kind.__qualname__}", value.name.encode()
     elif kind is float:
         content = struct.pack("<d", value)
     elif kind is str:

@@ -9,7 +9,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.planners.forming.settings import SwapSettings
-from hitchopt.values import finite, positive
+from hitchopt.values import coordinate, positive
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -39,7 +39,7 @@ class Form:
     duration: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "altitude", finite("altitude", self.altitude))
+        object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
         if self.assign not in {"auto", "fixed"}:
             raise InputError("assign", self.assign, "auto or fixed", "write assign: auto")
         _check_duration(self)

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.certificate import certify
+from hitchopt.certificate.hanging_clearance import ground_clearance
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.form_records import Land
 from hitchopt.mission.situation import Situation, Tied
-from hitchopt.model.motion import Motion, Phase, joined_motions
-from hitchopt.planners.forming.approach import hover_altitude
+from hitchopt.model.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
 from hitchopt.requirements import Requirements
@@ -29,24 +29,36 @@ def plan_land(before: Situation, step: Land, i: int, requirements: Requirements)
     down = before.drones.copy()
     down[:, 2] = requirements.floor
     flight = straight(before.team, requirements.limits, before.drones, down)
-    motion = _free([Stage("land", flight)], before.team, i, requirements)
+    motion = _free(Stage("land", flight), before.team, i, requirements)
     return Tied(lasting(motion, step.duration, i, step.name), replace(before, drones=down))
 
 
 def plan_hover(before: Situation, seconds: float, i: int, requirements: Requirements) -> Tied:
     """Return the plan in which drones on free cables stay for ``seconds`` [s]."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    return Tied(
-        _free([Stage(_resting_name(before, requirements), rest)], before.team, i, requirements),
-        before,
-    )
+    return Tied(_resting(before, seconds, i, requirements), before)
 
 
 def check_start(before: Situation, requirements: Requirements) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
-    rest = PiecewisePolynomial.constant([0.0, 1.0], before.drones)
-    stage = Stage(_resting_name(before, requirements), rest)
-    check_part(_free([stage], before.team, 0, requirements), requirements, "at the start (t = 0)")
+    try:
+        check_part(_resting(before, 1.0, 0, requirements), requirements, "at the start (t = 0)")
+    except InfeasibleError as error:
+        found = [_span(v, before) if v.constraint == "span" else v for v in error.violations]
+        found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
+        raise InfeasibleError(found, error.note) from None
+
+
+def _span(violation: Violation, before: Situation) -> Violation:
+    """Return the violation with the drones named that are too far apart, and by how much."""
+    k = int(violation.where[0].removeprefix("cable "))
+    apart = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
+    length = float(before.team.cable_length[k])
+    return replace(
+        violation,
+        where=(f"robot {k}", f"q{k}", f"r{k}"),
+        when=f"({apart:.6g} m apart on a cable of {length:.6g} m) {violation.when}",
+        remedy=f"move q{k} and r{k} of start.drones closer together, or use a longer cable",
+    )
 
 
 def check_above_ground(motion: Motion) -> None:
@@ -74,11 +86,13 @@ def check_above_ground(motion: Motion) -> None:
     )
 
 
-def _resting_name(before: Situation, requirements: Requirements) -> str:
-    """Return what a phase of rest is called: whether cables hang decides how they are checked."""
-    floor = requirements.floor
-    needed = hover_altitude(before.team, before.drones, floor, requirements.separation.cable)
-    return "hold" if float(np.min(before.drones[:, 2])) >= needed else "parked"
+def _resting(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:
+    """Return the motion in which drones on free cables stay: parked, or holding in the air."""
+    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
+    motion = _free(Stage("parked", rest), before.team, i, requirements)
+    (phase,) = motion.phases
+    hanging = phase.state is CableState.FREE
+    return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
 
 
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
@@ -87,37 +101,49 @@ def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirem
 
 
 def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
-    end = stage.drones.duration
-    return Motion(
-        hitch.team,
+    where = stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch)
+    return _motion(stage, hitch.team, where, i, requirements)
+
+
+def _free(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
+    """Return the motion of drones on free cables that no hitch is told of."""
+    breaks = stage.drones.breaks
+    middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
+    nothing = PiecewisePolynomial.constant
+    where = (
+        nothing(breaks, np.tile(middle, (team.layout.points, 1))),
+        nothing(breaks, np.zeros((team.robots, 2))),
+        nothing(breaks, np.zeros(team.robots)),
+    )
+    return _motion(stage, team, where, i, requirements)
+
+
+def _motion(
+    stage: Stage,
+    team: Team,
+    where: tuple[PiecewisePolynomial, ...],
+    i: int,
+    requirements: Requirements,
+) -> Motion:
+    """Return the motion of a stage with its vertices, legs and tensions.
+
+    A stage that is meant to begin or end with cables on the ground has them hanging free where they
+    never come near it.
+    """
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
+    vertices, legs, tensions = where
+    motion = Motion(
+        team,
         requirements,
         stage.drones,
-        stage.vertices(hitch),
-        stage.legs(hitch),
-        stage.tensions(hitch),
-        (Phase(stage.name, i, 0.0, end, stage.remark, stage.formed),),
+        vertices,
+        legs,
+        tensions,
+        (phase,),
     )
-
-
-def _free(stages: Sequence[Stage], team: Team, i: int, requirements: Requirements) -> Motion:
-    """Return the motion of drones on free cables that no hitch is told of."""
-    motions = []
-    for stage in stages:
-        breaks = stage.drones.breaks
-        middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
-        nothing = PiecewisePolynomial.constant
-        motions.append(
-            Motion(
-                team,
-                requirements,
-                stage.drones,
-                nothing(breaks, np.tile(middle, (team.layout.points, 1))),
-                nothing(breaks, np.zeros((team.robots, 2))),
-                nothing(breaks, np.zeros(team.robots)),
-                (Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, formed=False),),
-            )
-        )
-    return joined_motions(motions)
+    if phase.state is CableState.GROUND and ground_clearance(motion).holds:
+        return replace(motion, phases=(replace(phase, state=CableState.FREE),))
+    return motion
 
 
 def check_part(motion: Motion, requirements: Requirements, when: str = "") -> None:

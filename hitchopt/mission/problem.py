@@ -28,7 +28,7 @@ from hitchopt.mission.step_records import (
 )
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.values import finite
+from hitchopt.values import coordinate
 
 __all__ = [
     "Adjust",
@@ -71,7 +71,7 @@ class HitchStart:
     legs: LegSharing = "spread"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "altitude", finite("altitude", self.altitude))
+        object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
 
 
 @dataclass(frozen=True, eq=False)

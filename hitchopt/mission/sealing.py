@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -51,7 +52,7 @@ class _Copier:
 
     def copied(self, value: Any) -> Any:
         kind = type(value)
-        if value is None or kind in {bool, int, float, str} or isinstance(value, np.generic):
+        if value is None or kind in {bool, int, float, str} or isinstance(value, np.generic | Enum):
             self.size += sys.getsizeof(value)
             return value
         found = self._known.get(id(value))

@@ -116,13 +116,12 @@ def _begun(
             hitch = shared_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         check_at_rest(hitch, requirements, "at the start (t = 0)")
         return _Begun(Situation.holding(hitch))
+    check_start(Situation(team, start.drones), requirements)  # drones have the file's names
     assignment = Assignment.fixed(team.robots)
     if form is not None and form.assign == "auto":
         _tell(progress, "assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
-    before = Situation(assignment.team(team), assignment.drones(start.drones))
-    check_start(before, requirements)
-    return _Begun(before, assignment)
+    return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
 
 
 def _first_form(steps: Sequence[Step]) -> Form | None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Swarm
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.values import positive
@@ -68,7 +69,10 @@ def _points(name: str, value: object, drones: int) -> Array:
             f"{drones} points, one per drone",
             "add or remove points, or change team.drones",
         )
-    if not np.all(np.isfinite(points)):
-        raise InputError(name, "nan or inf", "finite", "give metres")
+    bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
+    if np.any(bad):
+        k = int(np.argmax(bad))
+        bound = f"finite and within ±{MAX_COORDINATE:g} m"
+        raise InputError(f"{name}[{k}]", points[k].tolist(), bound, "check its coordinates")
     points.setflags(write=False)
     return points

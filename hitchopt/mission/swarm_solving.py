@@ -56,7 +56,7 @@ def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
         names=problem.team.drone_names,
     )
     found = separate(task, progress)
-    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark, formed=False)
+    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
     motion = Motion.single(problem.team, problem.requirements, found.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:

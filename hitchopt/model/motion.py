@@ -12,36 +12,11 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.model.phases import JOINT, CableState, Phase, check_phases
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
-JOINT = 1e-6
-"""[s] Phases meet within this, and the hitch is formed or released within this of a break."""
-
-
-@dataclass(frozen=True)
-class Phase:
-    """A span of a plan's time.
-
-    Attributes
-    ----------
-    name: such as ``morph`` or ``hold``.
-    step: index of the mission's step that it belongs to.
-    start, end: [s]
-    remark: what happens that was not asked for, and why; mostly nothing.
-    formed: whether the hitch exists; else the cables hang free, or slack in one another.
-    tension: smallest and largest [N] that the step states for tensions on the way; None where all
-        keep the team's. Like the limits it is part of the problem, not of what is proved: the check
-        ``tension`` holds tensions to it within the phase and to the team's at both of its ends.
-    """
-
-    name: str
-    step: int
-    start: float
-    end: float
-    remark: str = ""
-    formed: bool = True
-    tension: tuple[float, float] | None = None
+__all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +41,8 @@ class Motion:
 
     Raises
     ------
-    InputError: shapes that do not fit the team, breaks that are not the same for all, or a hitch
-        that is formed or released within a piece.
+    InputError: shapes that do not fit the team, breaks that are not the same for all, phases that
+        leave a gap or go back, or cables that change their state within a piece.
     """
 
     team: Team
@@ -98,13 +73,21 @@ class Motion:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if not np.array_equal(part.breaks, self.drones.breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
+        check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
+        if any((phase.state is CableState.NONE) is self.team.has_cables for phase in self.phases):
+            raise InputError(
+                "phases.state",
+                [str(phase.state) for phase in self.phases],
+                "none without cables, another state with them",
+                "give what cables do",
+            )
         changes = np.array(
-            [b.start for a, b in pairwise(self.phases) if a.formed != b.formed], dtype=np.float64
+            [b.start for a, b in pairwise(self.phases) if a.state != b.state], dtype=np.float64
         )
         apart = np.abs(changes[:, None] - self.drones.breaks)
         if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
             raise InputError(
-                "phases", changes.tolist(), "breaks where the hitch forms", "split the pieces there"
+                "phases", changes.tolist(), "breaks where states change", "split the pieces there"
             )
         if self.assignment is not None and len(self.assignment.robots) != n:
             raise InputError(
@@ -119,14 +102,15 @@ class Motion:
         drones: PiecewisePolynomial,
         phases: Sequence[Phase],
     ) -> Motion:
-        """Return the motion of drones without cables."""
+        """Return the motion of drones without cables; the state of its phases becomes ``none``."""
         breaks = drones.breaks
         n = team.robots
         vertices, legs, tensions = (
             PiecewisePolynomial.constant(breaks, np.zeros(shape))
             for shape in ((team.layout.points, 3), (n, 2), (n,))
         )
-        return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
+        stateless = tuple(replace(phase, state=CableState.NONE) for phase in phases)
+        return cls(team, requirements, drones, vertices, legs, tensions, stateless)
 
     @property
     def duration(self) -> float:
@@ -152,14 +136,19 @@ class Motion:
     def formed(self) -> NDArray[np.bool_]:
         """(pieces,): whether the hitch exists on each piece.
 
-        It does where there are no phases, and never without cables.
+        Without phases it does, unless there are no cables.
         """
-        if not self.phases or not self.team.has_cables:
+        if not self.phases:
             return np.full(self.drones.pieces, self.team.has_cables)
+        here: NDArray[np.bool_] = np.array([p.formed for p in self.phases])[self.phase_of_piece]
+        return here
+
+    @property
+    def phase_of_piece(self) -> NDArray[np.intp]:
+        """(pieces,): index of the phase in which the middle of each piece lies."""
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
-        states = np.array([phase.formed for phase in self.phases], dtype=np.bool_)
-        here: NDArray[np.bool_] = states[np.searchsorted(ends, middles)]
+        here: NDArray[np.intp] = np.searchsorted(ends, middles)
         return here
 
     def spans(self, *, formed: bool) -> tuple[Motion, ...]:

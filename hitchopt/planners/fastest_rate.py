@@ -16,6 +16,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from hitchopt.planners.rate_rows import RateRows
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -138,6 +139,7 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
     c, slack = start, found
     force = 0.1 * program.duration(c) / len(slack) / slack
     for _ in range(STEPS):
+        check_time()
         duration = program.duration(c)
         gap = float(force @ slack)
         newton = _Newton.at(program, program.basis.at(c), force, slack)

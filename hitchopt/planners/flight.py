@@ -30,6 +30,9 @@ GRID = 160
 MODEL_ERROR = 1e-6
 """Largest error of a cable's length, relative: ten times better than a plan promises."""
 
+SHORTEST_RAMP = 1e-5
+"""Of the duration: polynomials do not resolve ramps of microseconds in flights of a month."""
+
 FINEST = 400
 """Pieces at which refining for the model's sake ends."""
 
@@ -108,7 +111,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     grid = path_grid(GRID)
     demands = demands_at(grid)
     profile = fastest_profile(grid, demands)
-    ramp = _ramp(profile, demands)
+    ramp = max(_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
     finer = 1
     while True:
         clock = jerk_limited(

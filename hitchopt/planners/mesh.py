@@ -24,6 +24,9 @@ MOST = 200
 GRADING = 0.4
 """By how much of its distance a piece may be longer than another."""
 
+SAME = 1e-9
+"""Share of the whole time: places closer than this are one, which rounding alone tells apart."""
+
 ACTIVE = 0.1
 """Share of the largest change of acceleration below which a time counts as quiet."""
 
@@ -41,8 +44,12 @@ def time_mesh(profile: SpeedProfile, ramp: float, finer: int = 1) -> Array:
     # Wherever the smoothed profile's acceleration may begin or end to change, and in between.
     places = np.concatenate([profile.times, profile.times + 0.5 * ramp, profile.times + ramp])
     t = np.unique(np.clip(np.append(places, np.linspace(0.0, whole, 801)), 0.0, whole))
-    change = np.abs(profile.acceleration(t) - profile.acceleration(t - ramp))
-    busy = change > ACTIVE * np.max(change)
+    t = t[np.append(True, np.diff(t) > SAME * whole)]
+    # The acceleration jumps at t: it is looked at in between, where no rounding changes it.
+    middle = 0.5 * (t[1:] + t[:-1])
+    change = np.abs(profile.acceleration(middle) - profile.acceleration(middle - ramp))
+    busy = np.append(change > ACTIVE * np.max(change), False)
+    busy[1:] |= busy[:-1]
     fine = max(ramp / PER_RAMP, SHORTEST)
     widths = np.where(busy, np.minimum(fine, WIDEST * whole), WIDEST * whole)
     widths = np.maximum(_graded(t, widths), SHORTEST)

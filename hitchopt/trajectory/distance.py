@@ -26,7 +26,7 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     """
     (rows,) = blocks
     degree = rows.shape[-1] - 1
-    differences = rows.reshape(len(rows), -1, 3, degree + 1)
+    differences = rows.reshape(len(rows), rows.shape[1] // 3, 3, degree + 1)
     first = shortest_offset(differences[..., 0])
     last = shortest_offset(differences[..., -1])
     lengths = np.stack([np.linalg.norm(first, axis=-1), np.linalg.norm(last, axis=-1)])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -151,14 +152,21 @@ class Search:
     ----------
     bound: gives lower bounds.
     relative, absolute: how tight ``worst`` has to be.
+    target: where all values reach this, cells are halved until ``worst`` does too.
     """
 
     def __init__(
-        self, bound: Bound, *, relative: float = RELATIVE, absolute: float = ABSOLUTE
+        self,
+        bound: Bound,
+        *,
+        relative: float = RELATIVE,
+        absolute: float = ABSOLUTE,
+        target: float = -np.inf,
     ) -> None:
         self.bound = bound
         self.relative = relative
         self.absolute = absolute
+        self.target = target
         self.value = np.inf
         self.item = -1
         self.time = 0.0
@@ -171,7 +179,8 @@ class Search:
         """Cells bounded by this or more need no closer look."""
         if not np.isfinite(self.value):
             return self.value
-        return float(self.value - max(self.absolute, self.relative * abs(self.value)))
+        tight = float(self.value - max(self.absolute, self.relative * abs(self.value)))
+        return max(tight, self.target) if self.value >= self.target else tight
 
     def add(self, cells: Cells) -> None:
         """Bound the cells once and keep those that may hold the smallest value."""
@@ -206,6 +215,7 @@ class Search:
 
     def _bounds(self, batch: Cells) -> Array:
         """Return the lower bounds (cells,), having noted the smallest value."""
+        check_time()
         self.looked_at += len(batch)
         with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
             estimate = self.bound(batch.blocks)
@@ -231,14 +241,14 @@ class Search:
         self.floor = min(self.floor, float(np.min(bounds - cells.margin)))
 
 
-def smallest(cells: Cells, bound: Bound) -> Extremum:
+def smallest(cells: Cells, bound: Bound, target: float = -np.inf) -> Extremum:
     """Return the smallest value over all cells; ``bound`` gives lower bounds."""
-    search = Search(bound)
+    search = Search(bound, target=target)
     search.add(cells)
     return search.finish()
 
 
-def largest(cells: Cells, bound: Bound) -> Extremum:
+def largest(cells: Cells, bound: Bound, target: float = np.inf) -> Extremum:
     """Return the largest value over all cells; ``bound`` gives upper bounds."""
-    found = smallest(cells, lambda blocks: bound(blocks).negated())
+    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target)
     return Extremum(-found.worst, -found.value, found.item, found.time)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from hitchopt.errors import InputError
 from hitchopt.export.sampling import States, states_at
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import CableState, Motion, Phase
 from hitchopt.view.plan_view import CABLE_COLOURS, PATH_COLOUR
 
 Array = NDArray[np.float64]
@@ -32,18 +33,21 @@ PLACES = np.linspace(0.0, 1.0, 81)
 
 @dataclass(frozen=True)
 class _Panel:
-    """A moment, the phases whose ways are drawn with it, and what is written over it."""
+    """A moment, the steps whose ways are drawn with it, and what is written over it."""
 
     title: str
-    phases: tuple[str, ...]
+    phases: tuple[int, ...]  # of STEPS
     share: float  # of the last phase that has gone by
 
 
+STEPS = (CableState.CLASPING, CableState.CLASPING, CableState.TIGHTENING, CableState.HITCHED)
+"""States of the cables in the steps of forming."""
+
 PANELS = (
-    _Panel("1. pre-hitch: cables hang free", ("swap 1",), -1.0),
-    _Panel("2. first swap: pairs have changed places", ("swap 1",), 1.0),
-    _Panel("3. second swap, half of it: turning on", ("swap 1", "swap 2"), 0.5),
-    _Panel("tightened, and pulled by the tension", ("tighten", "tension"), 1.0),
+    _Panel("1. pre-hitch: cables hang free", (0,), -1.0),
+    _Panel("2. first swap: pairs have changed places", (0,), 1.0),
+    _Panel("3. second swap, half of it: turning on", (0, 1), 0.5),
+    _Panel("tightened, and pulled by the tension", (2, 3), 1.0),
 )
 
 
@@ -54,19 +58,32 @@ def save_forming_steps(path: Path, motion: Motion) -> None:
     ------
     InputError: the plan forms none.
     """
-    by_name = {phase.name: phase for phase in reversed(motion.phases)}
-    if "swap 1" not in by_name:
+    steps = _steps(motion.phases)
+    if len(steps) < len(STEPS):
         raise InputError("motion", "no swap", "a plan that forms a hitch", "plan a form step")
     figure = Figure(figsize=(13.0, 3.9), layout="constrained")
     for i, panel in enumerate(PANELS):
         axes = figure.add_subplot(1, len(PANELS), i + 1, projection="3d")
-        shown = [by_name[name] for name in panel.phases]
+        shown = [steps[i] for i in panel.phases]
         last = shown[-1]
         time = last.start + max(panel.share, 0.0) * (last.end - last.start)
         _draw(axes, motion, time, shown if panel.share > 0.0 else [])
         axes.set_title(panel.title, fontsize="medium", y=1.0)
     figure.legend(handles=_legend(), loc="lower center", ncols=4, frameon=False, fontsize="small")
     figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+
+
+def _steps(phases: Sequence[Phase]) -> list[Phase]:
+    """Return the first phases that are in the states of STEPS one after the other, or fewer."""
+    found: list[Phase] = []
+    for phase in phases:
+        if len(found) == len(STEPS):
+            break
+        if phase.state is STEPS[len(found)]:
+            found.append(phase)
+        elif found and phase.state is not found[-1].state:
+            found = []  # a swap that undoes a hitch leads to free cables
+    return found
 
 
 def _draw(axes: Any, motion: Motion, time: float, phases: list[Phase]) -> None:

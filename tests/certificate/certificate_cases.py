@@ -141,10 +141,21 @@ def still(team: Team, polygon: Array, q_legs: ArrayLike, **given: object) -> Mot
 def with_parts(
     motion: Motion, change: Callable[[PiecewisePolynomial], PiecewisePolynomial]
 ) -> Motion:
-    """Return the motion, all of whose functions of time are changed alike."""
+    """Return the motion, all of whose functions of time are changed alike, and its phases."""
+    drones = change(motion.drones)
+    before, after = motion.drones.breaks[[0, -1]], drones.breaks[[0, -1]]
+    phases = tuple(
+        replace(
+            phase,
+            start=float(np.interp(phase.start, before, after)),
+            end=float(np.interp(phase.end, before, after)),
+        )
+        for phase in motion.phases
+    )
     return replace(
         motion,
-        drones=change(motion.drones),
+        phases=phases,
+        drones=drones,
         vertices=change(motion.vertices),
         legs=change(motion.legs),
         tensions=change(motion.tensions),

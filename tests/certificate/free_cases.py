@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import CableState, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -25,7 +25,7 @@ def free_motion(
     named = [*names, *[names[-1]] * (drones.pieces - len(names))]
     states = [*formed, *[False] * (drones.pieces - len(formed))]
     phases = tuple(
-        Phase(name, 0, float(a), float(b), formed=state)
+        Phase(name, 0, float(a), float(b), state=CableState.of_label(name, formed=state))
         for name, a, b, state in zip(
             named, drones.breaks[:-1], drones.breaks[1:], states, strict=True
         )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from free_cases import free_motion, random_flight, through
 
 import hitchopt as ho
+from hitchopt.certificate import chord_crossings as chord_crossings_module
 from hitchopt.certificate import interlacing
 from hitchopt.certificate.chord_crossings import chord_crossings
 from hitchopt.certificate.strands import entered
@@ -63,7 +65,7 @@ def wrong(motion: Motion) -> set[str]:
     found = interlacing.check(motion)
     assert found is not None
     assert (found.worst == 0.0) is found.holds is (not found.where)
-    return set(found.where)
+    return {name for name in found.where if not name.startswith("phase ")}
 
 
 @pytest.mark.parametrize("n", FEW)
@@ -100,6 +102,13 @@ def test_swapping_only_once_holds_nothing(n: int) -> None:
     everywhere = {f"p{k}" for k in range(n)}
     assert wrong(motion_of(hitch, [stages[0], on, stages[3]])) == everywhere
     assert wrong(motion_of(hitch, [stages[0], stages[3]])) == everywhere
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_a_hitch_that_nothing_tied_is_named(n: int) -> None:
+    hitch, stages = stages_of(n)
+    there = Stage("hold", stages[-1].drones)
+    assert wrong(motion_of(hitch, [there, stages[-1]])) == {f"p{k}" for k in range(n)}
 
 
 @pytest.mark.parametrize("left_out", [(0,), (2,), (1, 3)])
@@ -273,3 +282,23 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:
             places[2:, 2] += height
         other = replace(motion, drones=through(np.array([0.0, 4.0]), np.array(around)))
         assert len(entered(other).drone) == 0
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_chords_that_overlap_for_good_are_uncertain_at_once(
+    degree: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Halved down to the last cell they would come to 2**30 of them."""
+    looked_at = 0
+    apart = chord_crossings_module._apart
+
+    def counted(cells: Any) -> Any:
+        nonlocal looked_at
+        looked_at += len(cells.pair)
+        return apart(cells)
+
+    monkeypatch.setattr(chord_crossings_module, "_apart", counted)
+    on_one_line = np.array([[-1.1, 0, 0], [1.6, 0, 0], [0.4, 0, 0], [1.1, 0, 0]])
+    met = chord_crossings(PiecewisePolynomial.constant([0.0, 1.0], on_one_line, degree))
+    assert list(met.certain) == [False]
+    assert looked_at <= 4

@@ -69,7 +69,7 @@ def test_the_check_names_drone_and_limit_and_only_prisms_make_one() -> None:
     breaks = np.array([0.0, 1.0])
     line = np.array([[[0.0, 0.0], [-1.0, 3.0], [1.0, 1.0]], [[-2.0, -2.0], [0.0, 0.0], [1.0, 1.0]]])
     curves = PiecewisePolynomial(breaks, line[None])
-    phases = (Phase("fly", 0, 0.0, 1.0, formed=False),)
+    phases = (Phase("fly", 0, 0.0, 1.0),)
     free = Requirements(Limits(speed=9.0))
     walled = replace(free, keep_out=(PRISM,))
     check = certify(Motion.single(Swarm(2), walled, curves, phases))["keep_out"]

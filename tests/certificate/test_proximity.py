@@ -33,7 +33,7 @@ def all_of_them(
     return piece, pair
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), ends=st.sampled_from([1, 2]), speed=st.floats(0.0, 30.0))
 def test_with_and_without_the_index_the_distance_is_the_same(
     seed: int, ends: int, speed: float

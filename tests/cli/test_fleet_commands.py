@@ -183,3 +183,27 @@ def test_a_format_of_one_file_is_written_where_it_is_wanted(
     Path("mine.csv").write_text("mine")
     assert run("export", plan, "--format", "csv", "-o", "mine.csv").exit_code == 2
     assert Path("mine.csv").read_text() == "mine"
+
+
+def test_lint_of_trajectories_flown_from_the_drones_places(plan: Path) -> None:
+    run("export", plan, "--format", "crazyswarm2", "-o", "files")
+    done = run("lint", "files", "--relative")
+    assert done.exit_code == 0, done.output
+    assert "0 errors, 0 warnings" in done.stdout
+    alone = run("lint", Path("files") / "q0.csv", "--relative")
+    assert alone.exit_code == 0, alone.output
+
+
+def test_lint_shows_the_limits_that_a_show_sets_itself(plan: Path) -> None:
+    run("export", plan, "--format", "skybrush", "-o", "files")
+    done = run("lint", "files")
+    assert done.exit_code == 0, done.output
+    assert "maxVelocityXY 0." in done.stdout
+    assert "of 0.3 m/s, the show's own" in done.stdout
+    assert " of 3 m/s" not in done.stdout
+
+
+def test_lint_refuses_plans_by_name(plan: Path) -> None:
+    told = run("lint", plan / "plan.npz")
+    assert told.exit_code == 2
+    assert "hitchopt check" in told.stderr

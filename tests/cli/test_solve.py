@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,66 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
         "plan.npz",
         "summary.png",
     ]
+
+
+def test_a_plan_is_found_by_its_file_too(place: Path) -> None:
+    assert run("solve", TRIANGLE, "-o", "out", "--rate", "5").exit_code == 0
+    checked = run("check", "out/plan.npz")
+    assert checked.exit_code == 0, checked.output
+    assert checked.stdout.splitlines()[-1] == "certified; recomputed from out/plan.npz"
+    (place / "mine.npz").write_bytes((place / "out" / "plan.npz").read_bytes())
+    assert run("check", "mine.npz").exit_code == 0
+    exported = run("export", "out/plan.npz", "--format", "csv")
+    assert exported.exit_code == 0, exported.output
+    assert (place / "out-csv").is_dir()
+    assert "error: nowhere/plan.npz: " in run("check", "nowhere/plan.npz").stderr
+
+
+def test_an_overstretched_start_is_refused_before_any_search(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def searched(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("hitchopt.mission.solving.assigned", searched)
+    monkeypatch.setattr("hitchopt.mission.solving.plan_form", searched)
+    path = next(path for path in INFEASIBLE if path.stem == "overstretched_start")
+    result = run("solve", path, "-o", "out", "--no-repair")
+    assert result.exit_code == 3, result.output
+    assert result.stderr.splitlines()[0] == (
+        "error: span: 1.125 is above the limit of 1 at robot 0, q0, r0 (2.7 m apart on a cable of "
+        "2.4 m) at the start (t = 0); move q0 and r0 of start.drones closer together, or use a "
+        "longer cable"
+    )
+    assert (place / "out" / "diagnosis.json").exists()
+
+
+def test_a_limit_ends_the_solve_with_a_diagnosis(place: Path) -> None:
+    result = run("solve", TRIANGLE, "-o", "out", "--limit", "1e-9")
+    assert result.exit_code == 3, result.output
+    assert "s is above the limit of 1e-09 s (last: " in result.stderr
+    found = json.loads((place / "out" / "diagnosis.json").read_text())
+    assert found["violations"][0]["constraint"] == "time limit"
+    assert found["violations"][0]["limit"] == 1e-9
+    assert [file.name for file in (place / "out").iterdir()] == ["diagnosis.json"]
+
+
+def test_a_limit_ends_the_search_for_changes_too(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hitchopt.cli.commands.LEAST", 1e-9)
+    reads = iter([0.0])  # then the time is up
+    monkeypatch.setattr(
+        "hitchopt.cli.commands.time", SimpleNamespace(monotonic=lambda: next(reads, 1e9))
+    )
+    path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
+    result = run("solve", path, "-o", "out", "--limit", "60")
+    assert result.exit_code == 3, result.output
+    note = "the search for changes ended at the time limit (--limit)"
+    assert note in result.stderr.splitlines()
+    found = json.loads((place / "out" / "diagnosis.json").read_text())
+    assert note in found["message"]
+    assert found["violations"][0]["constraint"] == "separation"
 
 
 def test_the_file_of_init_solves_as_it_is(place: Path) -> None:

@@ -82,6 +82,15 @@ def test_a_terminal_sees_a_bar_once_it_takes_long() -> None:
     assert "timing [step 1]" in terminal.getvalue()
 
 
+def test_a_terminal_sees_how_long_it_takes_at_most() -> None:
+    terminal = Terminal()
+    with LateProgress(terminal, "planning", 600.0, delay=0.01):
+        deadline = time.monotonic() + 10.0
+        while "of at most 600 s" not in terminal.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert "of at most 600 s" in terminal.getvalue()
+
+
 def test_what_is_quick_stays_silent() -> None:
     terminal = Terminal()
     with LateProgress(terminal, "planning", delay=60.0) as progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from importlib import metadata
@@ -13,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from problem_files import BAD, GOOD, header
 
+from hitchopt import interrupts
 from hitchopt.certificate.report import CertificateError
 from hitchopt.cli import main
 from hitchopt.cli.commands import MAX_ROWS
@@ -134,6 +136,118 @@ def test_absurdly_long_tables_are_refused_before_planning(place: Path) -> None:
     # 1e7 s of 6 drones: 6e7 rows a second of rate.
     assert f"at most {MAX_ROWS / 6e7:.3g} Hz for a plan of 1e+07 s and 6 drones" in told
     assert [path.name for path in place.iterdir()] == ["long.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "key"),
+    [
+        (["solve", str(TRIANGLE), "-o", ""], "-o"),
+        (["solve", ""], "FILE"),
+        (["check", ""], "DIR"),
+        (["export", "out", "--format", "csv", "-o", ""], "-o"),
+        (["simulate", "out", "-o", ""], "-o"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) and len(x) < 4 else None,
+)
+def test_empty_paths_are_refused(arguments: list[str], key: str, place: Path) -> None:
+    assert f"error: {key} = '': must be a path that is not empty; name one" in refused(
+        run(*arguments)
+    )
+    assert list(place.iterdir()) == []
+
+
+@pytest.mark.parametrize("limit", ["0", "-1", "nan", "inf"])
+def test_limits_of_time_out_of_range_are_refused(limit: str, place: Path) -> None:
+    assert "error: --limit = " in refused(run("solve", TRIANGLE, "--limit", limit))
+    assert list(place.iterdir()) == []
+
+
+INTERRUPTED = """
+import builtins, sys
+from pathlib import Path
+
+real, sent = builtins.__import__, []
+
+def disturbed(name, *rest, **options):
+    if name.startswith({module!r}) and not sent:
+        sent.append(name)
+        real("hostile")
+    return real(name, *rest, **options)
+
+builtins.__import__ = disturbed
+sys.argv = ["hitchopt", "solve", {file!r}, "-o", "out"]
+from hitchopt.__main__ import run
+try:
+    run()
+finally:
+    Path("sent").write_text(str(len(sent)))
+"""
+
+
+HOSTILE = """
+import os, signal
+try:
+    os.kill(os.getpid(), signal.{signal})
+    for _ in range(1000):
+        pass
+except BaseException:  # as compiled modules do
+    raise ImportError("failed to import") from None
+"""
+
+
+@pytest.mark.parametrize("module", ["click", "hitchopt.cli.commands", "numpy", "casadi"])
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_signals_within_imports_end_quietly(module: str, name: str, code: int, place: Path) -> None:
+    (place / "hostile.py").write_text(HOSTILE.format(signal=name))
+    script = INTERRUPTED.format(module=module, file=str(TRIANGLE))
+    done = started("-c", script)
+    assert (done.returncode, done.stderr) == (code, "")
+    assert {path.name for path in place.iterdir()} <= {"sent", "hostile.py", "__pycache__"}
+    assert (place / "sent").read_text() == "1"
+
+
+WRITING = """
+import os, signal, sys
+from pathlib import Path
+import hitchopt.export.directory as directory
+
+def kill(*_):
+    seen = [path.name for path in Path().iterdir()]
+    Path("seen").write_text(repr(seen))
+    os.kill(os.getpid(), signal.SIGTERM)
+
+directory.write_setpoints = kill
+sys.argv = ["hitchopt", "solve", {file!r}, "-o", "out"]
+from hitchopt.__main__ import run
+run()
+"""
+
+
+def test_sigterm_while_a_plan_is_written_leaves_nothing(place: Path) -> None:
+    done = started("-c", WRITING.format(file=str(TRIANGLE)))
+    assert (done.returncode, done.stderr) == (143, "")
+    assert "out" in (place / "seen").read_text()  # the temporary directory's name
+    assert [path.name for path in place.iterdir() if path.name != "seen"] == []
+
+
+def test_an_interrupt_that_compiled_code_made_an_error_of_stays_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @click.group(cls=SafeGroup)
+    def group() -> None: ...
+
+    @group.command()
+    def fail() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise SystemError("returned a result with an exception set") from None
+
+    monkeypatch.setattr(interrupts, "_importing", lambda _: False)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    refused(CliRunner().invoke(group, ["fail"]), 130)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_missing_files_are_told() -> None:

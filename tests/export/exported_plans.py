@@ -110,7 +110,7 @@ def restless_plan(duration: float = 40.0) -> Motion:
     drones = PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:])
     limits = Limits(speed=2.0, acceleration=20.0, jerk=1e4)
     requirements = replace(swarm_plan().requirements, limits=limits)
-    phase = Phase("wave", 0, 0.0, duration, formed=False)
+    phase = Phase("wave", 0, 0.0, duration)
     return Motion.single(Swarm(2), requirements, drones, (phase,))
 
 

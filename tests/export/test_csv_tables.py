@@ -13,7 +13,7 @@ from hitchopt.export import setpoints
 from hitchopt.export.sampling import sample_times
 from hitchopt.export.setpoints import lines_of, write_setpoints
 from hitchopt.export.vertices import write_vertices
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import CableState, Motion
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_a_rate_of_zero_is_refused(motion: Motion, tmp_path: Path) -> None:
 
 def test_vertices_are_written_while_the_hitch_exists(motion: Motion, tmp_path: Path) -> None:
     first, second = motion.phases
-    later = replace(motion, phases=(replace(first, formed=False), second))
+    later = replace(motion, phases=(replace(first, state=CableState.FREE), second))
     write_vertices(tmp_path / "v.csv", later, RATE)
     write_vertices(tmp_path / "all.csv", motion, RATE)
     rows = [row for row in rows_of(tmp_path / "all.csv") if float(row["t"]) >= second.start]

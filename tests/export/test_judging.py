@@ -12,7 +12,7 @@ from hitchopt.errors import FileError
 from hitchopt.export.judging import CABLE_LENGTH, NOT_CARRIED, ORDER, Verdict, flown_checks, judge
 from hitchopt.export.recording import Recording, recording_of_curves
 from hitchopt.export.room import Room
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -46,7 +46,7 @@ def test_the_plan_itself_is_judged_as_its_certificate_says(motion: Motion) -> No
         assert flown_checks(motion)[check.name].worst == pytest.approx(planned.worst, rel=3e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000))
 def test_samples_never_beat_the_bounds(seed: int) -> None:
     motion = hitch_plan()
@@ -161,7 +161,7 @@ def test_cables_are_judged_while_the_hitch_exists() -> None:
     """A drone far off its leg during a span without a hitch: only the drones' own checks see it."""
     motion = hitch_plan()
     first, pause, last = motion.phases
-    free = replace(motion, phases=(first, replace(pause, formed=False), last))
+    free = replace(motion, phases=(first, replace(pause, state=CableState.FREE), last))
     coefficients = np.array(motion.drones.coefficients)
     middles = 0.5 * (motion.drones.breaks[1:] + motion.drones.breaks[:-1])
     within = (middles > pause.start) & (middles < pause.end)

@@ -4,19 +4,22 @@ import dataclasses
 import io
 import json
 import random
+import re
 import tracemalloc
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from handmade import made_motion, made_swarm
 
+from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.export.plan_file import read_plan, read_title, write_plan
-from hitchopt.model.motion import Motion
+from hitchopt.model.motion import CableState, Motion
 from hitchopt.requirements import Limits
 
 
@@ -286,15 +289,101 @@ def test_the_plan_of_a_swarm_comes_back(tmp_path: Path) -> None:
 
 
 def test_whether_the_hitch_is_formed_comes_back(motion: Motion, tmp_path: Path) -> None:
-    phases = (dataclasses.replace(motion.phases[0], formed=False), motion.phases[1])
+    phases = (dataclasses.replace(motion.phases[0], state=CableState.FREE), motion.phases[1])
     write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, phases=phases))
     assert read_plan(tmp_path / "plan.npz").phases == phases
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [
+        [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]],
+        [[0.0, 0.5], [0.6, 1.0]],
+        [[0.0, 0.6], [0.5, 1.0]],
+        [[-0.5, 1.0]],
+        [[0.0, 1.5]],
+        [],
+    ],
+)
+def test_phases_cover_the_plan_once(motion: Motion, path: Path, spans: list[list[float]]) -> None:
+    def spoilt(settings: dict[str, Any]) -> None:
+        phase = settings["phases"][0]
+        settings["phases"] = [
+            phase | {"start": motion.duration * start, "end": motion.duration * end}
+            for start, end in spans
+        ]
+
+    resettled(path, spoilt)
+    with pytest.raises(FileError, match=r"phases = \["):
+        read_plan(path)
+    result = CliRunner().invoke(main, ["check", str(path.parent)])
+    assert result.exit_code == 2
+    assert "phases = [" in result.output
 
 
 def test_formed_is_yes_or_no(path: Path) -> None:
     def spoilt(settings: dict[str, Any]) -> None:
         settings["phases"][0]["formed"] = "yes"
+        del settings["phases"][0]["state"]
 
     resettled(path, spoilt)
     with pytest.raises(FileError, match="formed"):
+        read_plan(path)
+
+
+def edits(whole: bytes, chance: random.Random) -> Iterator[bytes]:
+    """Yield damaged copies: flipped bytes, the arrays' headers above all, cuts, insertions."""
+    headers = [
+        at for m in re.finditer(b"\x93NUMPY", whole) for at in range(m.start(), m.end() + 90)
+    ]
+    for at in [*chance.sample(headers, 150), *chance.choices(range(len(whole)), k=150)]:
+        damaged = bytearray(whole)
+        damaged[at] = chance.randrange(256)
+        yield bytes(damaged)
+    for _ in range(60):
+        at = chance.randrange(len(whole))
+        yield whole[:at] + chance.randbytes(chance.randrange(1, 20)) + whole[at:]
+        yield whole[:at] + whole[at + chance.randrange(1, 50) :]
+        yield whole[:at]
+
+
+def test_every_byte_edit_is_the_same_plan_or_a_file_error(motion: Motion, path: Path) -> None:
+    refused = 0
+    for damaged in edits(path.read_bytes(), random.Random(13)):
+        path.write_bytes(damaged)
+        try:
+            read = read_plan(path)
+            assert read_title(path) == TITLE
+        except FileError:
+            refused += 1
+        else:
+            assert_same(read, motion)
+    assert refused > 250
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (4,), ",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': ((((((4,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (4L,), '''",
+        "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (4,), }",
+        "{'descr': '<f7', 'fortran_order': False, 'shape': (4,), }",
+        "[" * 9000,
+        "\\",
+        "",
+    ],
+)
+def test_headers_that_numpy_does_not_write_are_never_evaluated(path: Path, text: str) -> None:
+    """With their checksums right: nothing but the header gives them away."""
+    start = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little")
+    with_member(path, "mass", start + text.encode() + bytes(32), zipfile.ZIP_STORED)
+    with pytest.raises(FileError, match="array 'mass'"):
+        read_plan(path)
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_unusual_compression_is_refused(path: Path, compression: int) -> None:
+    with_member(path, "mass", header((4,)) + np.ones(4).tobytes(), compression)
+    with pytest.raises(FileError, match="packed in an unknown manner"):
         read_plan(path)

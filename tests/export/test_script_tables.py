@@ -205,7 +205,7 @@ def test_damaged_files_are_told(name: str, how: str, tmp_path: Path) -> None:
         (lambda s: s.replace("d1", "d7", 1), "are not one per drone"),
         (
             lambda s: "\n".join([s.splitlines()[i] for i in (0, 4, 5, 6, 1, 2, 3)]),
-            "do not increase",
+            "go back from t = ",
         ),
         (lambda s: s.replace(",d2,", ",d2,nonsense", 1), "could not convert"),
         (lambda s: s.partition("\n")[0], "holds no rows"),

@@ -196,7 +196,7 @@ def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> N
         Swarm(2),
         replace(swarm_plan().requirements, limits=limits, separation=Separation()),
         PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
-        (Phase("circle", 0, 0.0, 4.0, formed=False),),
+        (Phase("circle", 0, 0.0, 4.0),),
     )
     certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
     kind = format_of("skybrush_csv")
@@ -244,7 +244,7 @@ def test_lines_parabolas_late_starts_and_inline_trajectories_are_read(tmp_path: 
         (lambda f: f["show.json"]["swarm"]["drones"].clear(), "names no drones"),
         (lambda f: f.pop(FIRST), FIRST),
         (lambda f: f[FIRST]["points"].__delitem__(slice(1, None)), "has 1 points"),
-        (lambda f: f[FIRST]["points"].reverse(), "t increasing"),
+        (lambda f: f[FIRST]["points"].reverse(), "go back from t = "),
         (lambda f: f[FIRST]["points"][1].__setitem__(1, [0.0, 1.0]), "damaged|not"),
         (lambda f: f[FIRST]["points"][1].__setitem__(2, [[0, 0, 0]] * 3), "cubic is the most"),
         (lambda f: f[FIRST]["points"][1].__setitem__(1, [0.0, 1.0, float("nan")]), "finite"),
@@ -273,7 +273,8 @@ def test_a_truncated_zip_is_told(tmp_path: Path) -> None:
         ("a,b,c\n1,2,3\n", "its first line is 'a,b,c'"),
         (f"{HEADER}\n0,0,0,1,0,0,0\n", "has 1 rows"),
         (f"{HEADER}\n0,0,0,1,0,0,0\n50,0,0\n", "truncated"),
-        (f"{HEADER}\n50,0,0,1,0,0,0\n0,0,0,1,0,0,0\n", "strictly increasing"),
+        (f"{HEADER}\n50,0,0,1,0,0,0\n0,0,0,1,0,0,0\n", "go back from t = 0.05 s"),
+        (f"{HEADER}\n50,0,0,1,0,0,0\n50,0,0,1,0,0,0\n", "repeats the time t = 0.05 s"),
     ],
 )
 def test_damaged_csv_is_told(text: str, told: str) -> None:

@@ -29,7 +29,7 @@ def turning(turn: float, n: int) -> np.ndarray:
 
 
 @given(seeds, st.integers(2, 12), st.floats(-3.0, 3.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_moving_and_mirroring_keep_lengths_and_angles(seed: int, n: int, angle: float) -> None:
     shape = arc(seed, n)
     assert shape.exterior_angles.shape == (n - 1,)
@@ -46,7 +46,7 @@ def test_moving_and_mirroring_keep_lengths_and_angles(seed: int, n: int, angle: 
 
 
 @given(seeds, st.integers(2, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_centroid_is_the_mean_of_points_spread_evenly_along_the_arc(seed: int, n: int) -> None:
     shape = arc(seed, n)
     ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(shape.vertices, axis=0), axis=1)))

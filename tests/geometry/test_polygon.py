@@ -19,7 +19,7 @@ def polygon(seed: int, n: int) -> ConvexPolygon:
 
 
 @given(seeds, st.integers(3, 30))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_random_polygons_turn_right_once_around(seed: int, n: int) -> None:
     shape = polygon(seed, n)
     assert np.all(shape.exterior_angles > 0.0)
@@ -32,7 +32,7 @@ def test_random_polygons_turn_right_once_around(seed: int, n: int) -> None:
 
 
 @given(seeds, st.integers(3, 12), st.floats(-3.0, 3.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_moving_and_mirroring_keep_lengths_and_angles(seed: int, n: int, angle: float) -> None:
     shape = polygon(seed, n)
     for moved in (shape.translated([2.0, -1.0]), shape.rotated(angle)):
@@ -46,7 +46,7 @@ def test_moving_and_mirroring_keep_lengths_and_angles(seed: int, n: int, angle: 
 
 
 @given(seeds, st.integers(3, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_area_and_centroid_by_counting_random_points(seed: int, n: int) -> None:
     shape = polygon(seed, n)
     lower, upper = shape.vertices.min(axis=0), shape.vertices.max(axis=0)

@@ -10,7 +10,7 @@ SHARES = np.linspace(0.0, 1.0, 201)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_offsets_are_the_shortest_of_all_that_join_the_segments(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     a0, a1, b0, b1 = rng.normal(size=(4, 8, d))
@@ -32,7 +32,7 @@ def test_offsets_are_the_shortest_of_all_that_join_the_segments(seed: int, d: in
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_point_is_a_segment_of_no_length(seed: int, d: int) -> None:
     a, b = np.random.default_rng(seed).normal(size=(2, 9, 2, d))
     point, doubled = a[:, :1], a[:, [0, 0]]

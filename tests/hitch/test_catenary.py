@@ -39,7 +39,7 @@ def slope(c: Catenary, mu: float) -> float:
 
 
 @given(SPANS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:
     c = cable(case)
     half = 0.5 * float(c.across)
@@ -54,7 +54,7 @@ def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:
 
 
 @given(SPANS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_piece_of_it_is_in_balance(case: tuple[float, float, float]) -> None:
     """The slope grows with the length from the lowest point, by one and the same factor."""
     c = cable(case)
@@ -67,7 +67,7 @@ def test_every_piece_of_it_is_in_balance(case: tuple[float, float, float]) -> No
 
 
 @given(SPANS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_lowest_point_and_mirror_image(case: tuple[float, float, float]) -> None:
     c = cable(case)
     mu = np.linspace(-1.0, 1.0, 20001)

@@ -23,7 +23,7 @@ def hitch(seed: int, n: int, *, equal: bool) -> Hitch:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 30), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equal: bool) -> None:
     h = hitch(seed, n, equal=equal)
     drones = h.drones.reshape(n, 2, 3)
@@ -40,7 +40,7 @@ def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equ
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 30))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
     """Its eq. (4), written out robot by robot."""
     h = hitch(seed, n, equal=True)
@@ -55,7 +55,7 @@ def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 30))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_whatever_the_tensions_the_legs_enclose_the_interior_angle(seed: int, n: int) -> None:
     h = hitch(seed, n, equal=False)
     beta = math.pi - h.polygon.exterior_angles
@@ -66,7 +66,7 @@ def test_whatever_the_tensions_the_legs_enclose_the_interior_angle(seed: int, n:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_contact_forces_follow_the_closed_form_and_press(seed: int, n: int) -> None:
     h = hitch(seed, n, equal=False)
     u, T = h.polygon.edge_directions, h.team.tension

@@ -34,7 +34,7 @@ def chain(seed: int, n: int, *, equal: bool = False) -> Hitch:
 
 
 @given(seeds, sizes, st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equal: bool) -> None:
     """Written out clasp by clasp and cable by cable, with complex numbers for the plane."""
     h = chain(seed, n, equal=equal)
@@ -63,7 +63,7 @@ def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equ
 
 
 @given(seeds, sizes)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_end_drones_are_pulled_along_their_edges_and_clasps_press(seed: int, n: int) -> None:
     h = chain(seed, n)
     T, p = h.team.tension, h.vertices
@@ -82,7 +82,7 @@ def test_end_drones_are_pulled_along_their_edges_and_clasps_press(seed: int, n: 
 
 
 @given(seeds, st.integers(2, 6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_chain_is_a_closed_hitch_with_cables_left_out(seed: int, n: int) -> None:
     """Where both have a leg it ends in the same place, and pulls alike."""
     rng = np.random.default_rng(seed)
@@ -100,7 +100,7 @@ def test_a_chain_is_a_closed_hitch_with_cables_left_out(seed: int, n: int) -> No
 
 
 @given(seeds, sizes, st.floats(-3.0, 3.0))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_spread_chains_move_turn_and_reverse_with_their_arc(
     seed: int, n: int, angle: float
 ) -> None:

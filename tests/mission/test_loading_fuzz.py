@@ -86,7 +86,7 @@ def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, 
 
 
 @given(mutations)
-@settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=500, suppress_health_check=[HealthCheck.too_slow])
 def test_a_changed_problem_is_a_problem_or_a_told_error(changes: Any) -> None:
     answer = answer_to(mutated(changes))
     if isinstance(answer, Problem):
@@ -100,7 +100,7 @@ def test_a_changed_problem_is_a_problem_or_a_told_error(changes: Any) -> None:
 
 
 @given(mutations)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 def test_whatever_loads_is_valid_by_the_schema(changes: Any) -> None:
     data = mutated(changes)
     if isinstance(answer_to(data), Problem):
@@ -121,7 +121,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @given(st.integers(0, 10**6), st.binary(max_size=6), st.integers(0, 40))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_damaged_file_is_a_problem_or_a_told_error(
     place: Path, at: int, inserted: bytes, removed: int
 ) -> None:
@@ -132,7 +132,7 @@ def test_a_damaged_file_is_a_problem_or_a_told_error(
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_any_bytes_are_a_told_error(place: Path, data: bytes) -> None:
     place.write_bytes(data)
     with pytest.raises(HitchoptError):

@@ -35,7 +35,7 @@ json_data = st.recursive(
 
 
 @given(json_data)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_json_is_yaml(data: Any) -> None:
     for ascii_only in (True, False):
         assert parse_yaml(json.dumps({"data": data}, ensure_ascii=ascii_only)) == {"data": data}
@@ -220,7 +220,7 @@ def test_unreadable_files_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @given(st.text(max_size=60) | st.text("-:{}[],&*!|>'\"#?%@ \n\tab1.~<\\", max_size=60))
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> None:
     try:
         data = parse_yaml(text)

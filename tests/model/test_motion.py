@@ -10,7 +10,7 @@ from hitchopt.certificate import certify
 from hitchopt.certificate.report import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import CableState, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -29,7 +29,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         "tensions": team.tension,
     }
     phases = tuple(
-        Phase(f"part {i}", 0, a, b, formed=f)
+        Phase(f"part {i}", 0, a, b, state=CableState.of_label("", formed=f))
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
@@ -108,6 +108,53 @@ def test_a_hitch_forms_at_a_break() -> None:
     late = (motion.phases[0], replace(motion.phases[1], start=0.6), *motion.phases[2:])
     with pytest.raises(InputError, match="phases"):
         replace(motion, phases=late)
+
+
+WRONG_PHASES = [
+    ((0.0, 3.5), (3.5, 0.0), (0.0, 3.5)),  # there, back and there again
+    ((0.0, 1.25), (2.0, 3.5)),  # a gap
+    ((0.0, 2.0), (1.25, 3.5)),  # twice
+    ((0.0, 1.25), (1.25, 1.25), (1.25, 3.5)),  # no time at all
+    ((0.5, 3.5),),  # late
+    ((0.0, 2.0),),  # over before the motion is
+    ((0.0, float("nan")), (float("nan"), 3.5)),
+]
+
+
+@pytest.mark.parametrize("spans", WRONG_PHASES)
+def test_phases_follow_one_another_and_cover_the_motion(
+    spans: tuple[tuple[float, float], ...],
+) -> None:
+    phases = tuple(Phase("part", 0, start, end) for start, end in spans)
+    with pytest.raises(InputError, match=r"phases = \[\["):
+        replace(resting((True,) * 4), phases=phases)
+    motion = swarm_motion()
+    drones = motion.drones.stretched(1.75)  # as long as the hitch rests
+    with pytest.raises(InputError, match=r"phases = \[\["):
+        replace(motion, drones=drones, phases=phases)
+    covering = (Phase("a", 0, 0.0, 1.25), Phase("b", 0, 1.25, 3.5))
+    assert len(replace(motion, drones=drones, phases=covering).phases) == 2
+
+
+def test_cables_change_their_state_at_a_break() -> None:
+    motion = resting((False, False, True, True))
+    moved = (
+        replace(motion.phases[0], end=0.75),
+        replace(motion.phases[1], start=0.75),
+        *motion.phases[2:],
+    )
+    assert replace(motion, phases=moved).phases == moved  # both hang free
+    clasping = (replace(moved[0], state=CableState.CLASPING), *moved[1:])
+    with pytest.raises(InputError, match="breaks where states change"):
+        replace(motion, phases=clasping)
+
+
+def test_states_go_with_cables() -> None:
+    motion = resting((True,) * 4)
+    none = (*motion.phases[:3], replace(motion.phases[3], state=CableState.NONE))
+    with pytest.raises(InputError, match=r"phases\.state"):
+        replace(motion, phases=none)
+    assert {phase.state for phase in swarm_motion().phases} == {CableState.NONE}
 
 
 def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> Motion:

@@ -45,7 +45,7 @@ def bending(h: Hitch, seed: int) -> DroneJets:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 8), st.booleans())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_drones_forces_and_legs_are_those_of_the_hitch(seed: int, n: int, equal: bool) -> None:
     h = chain(seed, n, equal=equal)
     jets = bending(h, seed)
@@ -56,7 +56,7 @@ def test_drones_forces_and_legs_are_those_of_the_hitch(seed: int, n: int, equal:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 8), st.booleans())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_end_drones_ride_on_their_points_to_every_order(seed: int, n: int, equal: bool) -> None:
     h = chain(seed, n, equal=equal)
     jets = bending(h, seed)

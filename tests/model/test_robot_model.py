@@ -57,7 +57,7 @@ NAMES = ["equal tensions", "any tensions", "clasp", "from above, equal", "from a
 
 @pytest.mark.parametrize("function", functions(), ids=NAMES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_every_derivative_of_every_output_by_finite_differences(
     function: ca.Function, seed: int
 ) -> None:
@@ -103,7 +103,7 @@ def test_every_derivative_of_every_output_by_finite_differences(
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 9), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_jets_are_the_derivatives_along_a_curve(seed: int, n: int, equal: bool) -> None:
     h = hitch(seed, n, equal=equal)
     step = 1e-3
@@ -118,7 +118,7 @@ def test_jets_are_the_derivatives_along_a_curve(seed: int, n: int, equal: bool) 
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_values_are_the_hitchs_own(seed: int, n: int, equal: bool) -> None:
     h = hitch(seed, n, equal=equal)
     flat = curve(h, seed, np.array([0.0, 0.3]), tensions_move=False)

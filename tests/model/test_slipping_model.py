@@ -59,7 +59,7 @@ def test_legs_that_pull_like_their_edges_stand_where_a_hitch_has_them(
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_forces_balance_for_any_pulls_that_can(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     h = hitch(seed, n)

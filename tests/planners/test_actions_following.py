@@ -63,7 +63,7 @@ def test_two_points_are_the_minimum_jerk_polynomial() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 8))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_between_rests_no_wiggle_of_the_track_has_less_jerk(seed: int, count: int) -> None:
     """Adding what vanishes at the points, and with two derivatives at the ends, only adds jerk."""
     rng = np.random.default_rng(seed)

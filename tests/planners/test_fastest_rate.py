@@ -15,7 +15,7 @@ from hitchopt.planners.fastest_rate import RateProgram, SplineBasis, fastest_rat
 from hitchopt.planners.rate_rows import ClockedPath, RateRows
 
 LIMITS = Limits(speed=1.1, acceleration=1.7, jerk=9.0, tilt=math.radians(24.0))
-few = settings(max_examples=20, deadline=None, derandomize=True)
+few = settings(max_examples=20)
 
 
 def clocked(seed: int, samples: int, robots: int = 3) -> ClockedPath:

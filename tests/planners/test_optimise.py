@@ -36,7 +36,7 @@ def certified(flight: Flight, team: Team, requirements: Requirements) -> ho.Cert
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
     seed: int, n: int
 ) -> None:

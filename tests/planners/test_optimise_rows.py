@@ -79,7 +79,7 @@ def test_the_optimisers_derivatives_are_those_of_finite_differences(
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
     """Kept rows mean kept distances, wherever the bodies have gone; and nothing near is missed."""
     rng = np.random.default_rng(seed)
@@ -103,7 +103,7 @@ def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 5))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations(
     seed: int, parts: int
 ) -> None:

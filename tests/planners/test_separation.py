@@ -161,6 +161,38 @@ def test_larger_drones_farther_apart_are_the_same_problem() -> None:
     assert other.drones.duration == pytest.approx(found.drones.duration, rel=1e-4)
 
 
+def through_a_door() -> SeparationTask:
+    """Mirror images that trade places through a door: who gives way is left to a rule."""
+    y = np.array([-0.5, 0.0, 0.5])
+    one = np.column_stack([np.full(3, -1.6), y, np.full(3, 1.2)])
+    other = one * [-1.0, 1.0, 1.0]
+    walls = tuple(
+        Prism([[-0.1, low], [-0.1, high], [0.1, high], [0.1, low]], 0.0, 3.0)
+        for low, high in ((0.6, 2.0), (-2.0, -0.6))
+    )
+    room = Arena([-2.5, -2.0, 0.0], [2.5, 2.0, 2.6])
+    ends = np.vstack([one, other]), np.vstack([other, one])
+    return SeparationTask(*ends, Requirements(LIMITS, SEPARATION, room, walls))
+
+
+@pytest.mark.parametrize(
+    "task",
+    [scattered(8, 6), circle(6, 2.0), circle(16, 2.0), stack(5), through_a_door()],
+    ids=["scattered", "circle", "large circle", "stack", "door"],
+)
+def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
+    expected, rng = separate(task).drones, np.random.default_rng(8)
+    for _ in range(2):
+        noise = 1e-14 * rng.uniform(-1.0, 1.0, (2, *task.start.shape))
+        found = separate(replace(task, start=task.start + noise[0], goal=task.goal + noise[1]))
+        assert found.drones.duration == pytest.approx(expected.duration, rel=1e-6)
+        np.testing.assert_allclose(
+            found.drones.at(0.4 * found.drones.duration),
+            expected.at(0.4 * expected.duration),
+            atol=1e-5,
+        )
+
+
 def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
     task = circle(8, 1.8)
     fast = separate(task)

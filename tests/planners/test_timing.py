@@ -25,7 +25,7 @@ def polynomial_jet(coefficients: np.ndarray, t: float) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_jet_arithmetic_is_that_of_polynomials(seed: int, t: float) -> None:
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, 4))
@@ -64,7 +64,7 @@ def demands(path: ShapePath, limits: Limits, count: int = 201) -> Demands:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_the_rows_allow_what_the_limits_allow_and_nothing_else(seed: int, n: int) -> None:
     limits = Limits(speed=0.7, acceleration=1.5, tilt=math.radians(25.0))
     found = demands(straight(n, seed, limits), limits, 5)

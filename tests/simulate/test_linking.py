@@ -53,7 +53,7 @@ def test_rings_apart_and_side_by_side_are_not_linked() -> None:
     assert linking_number(one, ring(np.array([1.0, 0.0, 0.4]), 0)) == 0  # one above the other
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6))
 def test_random_polygons_are_linked_as_their_crossings_say(seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from hitchopt.export.setpoints import HEADER, write_setpoints
 from hitchopt.export.vertices import write_vertices
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.model.motion import CableState, Motion, Phase
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.simulate.tables import read_setpoints, read_vertices
 from hitchopt.trajectory import PiecewisePolynomial
@@ -37,7 +37,7 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
         line(hitch.vertices),
         PiecewisePolynomial.constant([0.0, 0.53], hitch.legs, 1),
         PiecewisePolynomial.constant([0.0, 0.53], team.tension, 1),
-        (Phase("hold", 0, 0.0, 0.53, formed=formed),),
+        (Phase("hold", 0, 0.0, 0.53, state=CableState.of_label("hold", formed=formed)),),
     )
 
 

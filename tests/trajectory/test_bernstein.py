@@ -30,7 +30,7 @@ def some(order: int, seed: int, *shape: int) -> np.ndarray:
 
 orders = st.integers(0, 9)
 seeds = st.integers(0, 10_000)
-few = settings(max_examples=25, deadline=None, derandomize=True)
+few = settings(max_examples=25)
 
 
 @few

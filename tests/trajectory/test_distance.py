@@ -36,7 +36,7 @@ def bodies(seed: int, ends: tuple[int, int], kind: str) -> tuple[np.ndarray, np.
     return a, b
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10_000),
     ends=st.sampled_from([(1, 1), (1, 2), (2, 2)]),
@@ -56,7 +56,7 @@ def test_segments_that_cross_touch() -> None:
     assert np.linalg.norm(shortest_offset(differences(a, b))) == pytest.approx(0.0, abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     ends=st.sampled_from([(1, 1), (1, 2), (2, 2)]),

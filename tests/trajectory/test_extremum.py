@@ -31,7 +31,7 @@ def curves(seed: int, pieces: int, items: int, order: int) -> tuple[Array, Array
     return breaks, rng.normal(size=(pieces, items, 1, order + 1))
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 4), st.integers(1, 5), st.integers(0, 9))
 def test_polynomials_against_their_stationary_points(
     seed: int, pieces: int, items: int, order: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ def test_four_panels_with_cables_and_drones_in_them(tmp_path: Path) -> None:
     polygon = HITCH.polygon
     plan = ho.form(ho.Team(3, 2.4), high, high * [-1, 1, 1], polygon, 1.5)
     path = tmp_path / "steps.png"
-    save_forming_steps(path, plan.motion)
+    nameless = tuple(replace(phase, name="hold") for phase in plan.phases)
+    save_forming_steps(path, replace(plan.motion, phases=nameless))
     picture = imread(path)[..., :3]
     for panel in np.array_split(picture, 4, axis=1):
         colours = np.unique((panel[60:-60] * 8).astype(int).reshape(-1, 3), axis=0)

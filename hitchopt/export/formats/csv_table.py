@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -13,12 +14,15 @@ from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FLOWN,
+    PLACED,
     Rows,
     Table,
     blocks_of,
+    columns_told,
     first_names,
     grouped,
     recording_of_rows,
+    spread_out,
 )
 from hitchopt.export.recording import Recording
 from hitchopt.export.setpoints import lines_of
@@ -80,16 +84,18 @@ def _rows(path: Path) -> Iterator[Rows]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header = file.readline().rstrip("\r\n").split(",")
-            missing = [name for name in ("t", "drone", *FLOWN) if name not in header]
+            missing = [name for name in PLACED if name not in header]
             if missing:
                 raise FileError(
                     f"{path}: its first line has no column {missing[0]!r}; it must be {HEADER}"
                 )
-            numbers = [header.index(name) for name in ("t", *FLOWN)]
+            told = columns_told(header)
+            numbers = [header.index(name) for name in ("t", *(FLOWN[i] for i in told))]
             drone = header.index("drone")
             line = 2
             while lines := list(islice(file, READ)):
-                yield _parsed(path, line, lines, drone, numbers)
+                rows = _parsed(path, line, lines, drone, numbers)
+                yield replace(rows, values=spread_out(rows.values, told))
                 line += len(lines)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from error

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.export.archive import BROKEN
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
@@ -24,6 +25,7 @@ from hitchopt.export.formats.long_table import (
 )
 from hitchopt.export.recording import Recording
 from hitchopt.export.room import AXES
+from hitchopt.export.strict_json import parsed_json
 
 FILE = "setpoints.json"
 
@@ -99,11 +101,11 @@ def _head(path: Path) -> dict[str, Any]:
     try:
         with path.open(encoding="utf-8") as file:
             text = file.readline(MAX_LINE).rstrip().removesuffix(",") + "}"
-        head = json.loads(text)
+        head = parsed_json(text)
         known = head["format"] == FORMAT and head["columns"] == list(COLUMNS)
         if known and isinstance(head["drones"], list) and head["drones"]:
             return dict(head)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except BROKEN as error:
         raise FileError(f"{path}: is no document that hitchopt wrote: {error}") from error
     raise FileError(f"{path}: its format is not {FORMAT} with the columns that hitchopt writes")
 
@@ -118,7 +120,7 @@ def _blocks(path: Path, drones: int) -> Iterator[Block]:
             t: list[float] = []
             rows: list[Any] = []
             while (line := file.readline(MAX_LINE).strip()) != END:
-                sample = json.loads(line.removesuffix(","))
+                sample = parsed_json(line.removesuffix(","))
                 t.append(float(sample["t"]))
                 rows.append(np.array(sample["rows"], dtype=np.float64))
                 if rows[-1].shape != (drones, len(COLUMNS)):
@@ -128,5 +130,7 @@ def _blocks(path: Path, drones: int) -> Iterator[Block]:
                     t, rows = [], []
             if t:
                 yield Block(np.array(t), np.stack(rows))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except FileError:
+        raise
+    except BROKEN as error:
         raise FileError(f"{path}: is damaged or truncated: {error}") from error

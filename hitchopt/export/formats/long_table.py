@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,9 @@ by groups."""
 
 FLOWN = COLUMNS[:9]
 """Those that say where the drones go; readers need no others."""
+
+PLACED = ("t", "drone", *FLOWN[:3])
+"""Columns that every table needs; without the others it tells positions alone."""
 
 SMOOTH = 2
 """Positions, velocities and accelerations are in the table: quintics run through them."""
@@ -130,6 +133,18 @@ class Rows:
     t: Array
     drones: Sequence[str]
     values: Array
+
+
+def columns_told(header: Collection[str]) -> list[int]:
+    """Return which of FLOWN a table with these columns tells, as indices; vectors in whole only."""
+    return [i for i in range(9) if set(FLOWN[i // 3 * 3 : i // 3 * 3 + 3]) <= set(header)]
+
+
+def spread_out(values: Array, told: Sequence[int]) -> Array:
+    """Return the told columns (rows, …) as (rows, 9), zero where a table tells nothing."""
+    whole = np.zeros((len(values), len(FLOWN)))
+    whole[:, told] = values
+    return whole
 
 
 def first_names(rows: Rows) -> tuple[str, ...]:

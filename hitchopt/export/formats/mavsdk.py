@@ -191,27 +191,37 @@ def _written_already(path: Path) -> None:
 def read_table(path: Path) -> Array:
     """Return the rows (S, 10) of one drone: t, positions, velocities, accelerations as they stand.
 
+    Columns of velocities and accelerations that are not there are zero.
+
     Raises
     ------
     FileError: another header, rows of other lengths, fewer than two rows.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot be read: {error}") from error
+    lines = [line for line in text.splitlines() if line.strip()]
     header = lines[0].split(",") if lines else []
     wanted = COLUMNS.split(",")[1:11]
-    missing = [name for name in wanted if name not in header]
+    vectors = [wanted[:4], wanted[4:7], wanted[7:]]
+    needed = vectors[:1] + [v for v in vectors[1:] if any(name in header for name in v)]
+    missing = [name for vector in needed for name in vector if name not in header]
     if missing:
         raise FileError(f"{path}: its first line has no column {missing[0]!r}, not {COLUMNS}")
-    columns = [header.index(name) for name in wanted]
+    told = [i for i, name in enumerate(wanted) if name in header]
+    columns = [header.index(wanted[i]) for i in told]
+    if len(lines) < 2:
+        raise FileError(f"{path}: has no rows; two are the least")
     try:
-        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, usecols=columns)
+        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, usecols=columns, comments=None)
     except (ValueError, IndexError) as error:
         raise FileError(f"{path}: {error}; it is truncated or damaged") from error
     if len(table) < 2:
         raise FileError(f"{path}: has {len(table)} rows; two are the least")
-    return np.asarray(table, dtype=np.float64)
+    whole = np.zeros((len(table), len(wanted)))
+    whole[:, told] = table
+    return whole
 
 
 def recording_of_tables(

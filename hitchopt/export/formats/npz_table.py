@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.export.archive import MAX_HEADER, read_arrays
+from hitchopt.export.archive import BROKEN, read_arrays, read_header, refuse_bomb
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     FEED_FORWARD,
@@ -28,7 +28,6 @@ from hitchopt.export.formats.long_table import (
     blocks_of,
     sample_count,
 )
-from hitchopt.export.plan_file import BROKEN
 from hitchopt.export.recording import Recording, Samples, recording_of_samples
 from hitchopt.export.room import AXES
 
@@ -110,6 +109,8 @@ def read_npz(path: Path) -> Recording:
         head = read_arrays(path, ("frame", "drones", "t"))
     except BROKEN as error:
         raise FileError(f"{path}: not an archive that hitchopt wrote: {error}") from error
+    if head["t"].dtype.kind not in "iuf":
+        raise FileError(f"{path}: its times are of type {head['t'].dtype}, not numbers")
     names = tuple(str(name) for name in np.atleast_1d(head["drones"]))
     t = np.asarray(head["t"], dtype=np.float64).ravel()
     frame = str(head["frame"])
@@ -122,7 +123,9 @@ def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
     size = max(1, ROWS // max(1, drones))
     try:
         with zipfile.ZipFile(path) as archive:
-            files = [archive.open(f"{name}.npy") for name in FLOWN]
+            members = [archive.getinfo(f"{name}.npy") for name in FLOWN]
+            refuse_bomb(members, path.stat().st_size)
+            files = [archive.open(member) for member in members]
             for name, file in zip(FLOWN, files, strict=True):
                 _check_header(name, file, (len(t), drones, 3))
             for first in range(0, len(t), size):
@@ -134,9 +137,7 @@ def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
 
 
 def _check_header(name: str, file: IO[bytes], shape: tuple[int, ...]) -> None:
-    if npy.read_magic(file) != (1, 0):
-        raise FileError(f"array {name!r} is in an unknown version of its format")
-    found, fortran, dtype = npy.read_array_header_1_0(file, max_header_size=MAX_HEADER)
+    found, fortran, dtype, _ = read_header(name, file.read)
     if found != shape or fortran or dtype != np.float64:
         raise FileError(f"array {name!r} is {found} of {dtype}, not {shape} of float64")
 

@@ -10,17 +10,21 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.export.archive import BROKEN, refuse_expansion
 from hitchopt.export.formats.extras import needed
 from hitchopt.export.formats.format import Candidate, Task
 from hitchopt.export.formats.long_table import (
     COLUMNS,
     FLOWN,
+    PLACED,
     Rows,
     Table,
     blocks_of,
+    columns_told,
     first_names,
     grouped,
     recording_of_rows,
+    spread_out,
 )
 from hitchopt.export.recording import Recording
 from hitchopt.export.room import AXES
@@ -115,8 +119,9 @@ def _opened(path: Path) -> Any:
     arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
     try:
         file = parquet.ParquetFile(path)
-        missing = [name for name in ("t", "drone", *FLOWN) if name not in file.schema_arrow.names]
-    except (arrow.ArrowException, OSError) as error:
+        missing = [name for name in PLACED if name not in file.schema_arrow.names]
+        refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
+    except (arrow.ArrowException, *BROKEN) as error:
         raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
     if missing:
         raise FileError(
@@ -127,12 +132,17 @@ def _opened(path: Path) -> Any:
 
 def _rows(path: Path) -> Iterator[Rows]:
     arrow = needed("pyarrow")
-    wanted = ["t", "drone", *FLOWN]
     try:
         with _opened(path) as file:
+            told = columns_told(file.schema_arrow.names)
+            wanted = ["t", "drone", *(FLOWN[i] for i in told)]
             for batch in file.iter_batches(columns=wanted):
-                values = np.column_stack([batch[name].to_numpy(False) for name in FLOWN])
+                values = np.column_stack([batch[name].to_numpy(False) for name in wanted[2:]])
                 t = batch["t"].to_numpy(False).astype(np.float64)
-                yield Rows(t, [str(name) for name in batch["drone"].to_pylist()], values)
-    except (arrow.ArrowException, OSError, ValueError, TypeError) as error:
+                if len(t):
+                    names = [str(name) for name in batch["drone"].to_pylist()]
+                    yield Rows(t, names, spread_out(values.astype(np.float64), told))
+    except FileError:
+        raise
+    except (arrow.ArrowException, *BROKEN) as error:
         raise FileError(f"{path}: is damaged: {error}") from error

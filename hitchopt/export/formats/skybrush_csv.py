@@ -6,9 +6,7 @@ straight lines between them. There is no velocity in it, so no acceleration eith
 
 from __future__ import annotations
 
-import io
 import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.export.archive import BROKEN, checked_bytes, refuse_bomb
 from hitchopt.export.formats.format import Candidate, Task, Whole
-from hitchopt.export.recording import Recording, recording_of_curves
+from hitchopt.export.recording import Recording, check_times, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -32,7 +31,7 @@ HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
 SMOOTH = 0
 
 MAX_UNPACKED = 500_000_000
-"""[bytes] Of one file in the zip."""
+"""[bytes] All that is read of a zip."""
 
 
 class SkybrushCsv(Whole):
@@ -90,20 +89,26 @@ def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:
 
     Raises
     ------
-    FileError: no zip, no such files, or damaged ones.
+    FileError: no zip, no such files, damaged ones, or more than anyone flies.
     """
-    found = {}
+    found: dict[str, PiecewisePolynomial] = {}
     try:
         with zipfile.ZipFile(path) as archive:
-            for info in archive.infolist():
-                name = Path(info.filename)
-                if info.is_dir() or name.suffix.lower() != ".csv":
-                    continue
-                if info.file_size > MAX_UNPACKED:
-                    raise FileError(f"{path}: {info.filename} is too large")
-                text = archive.read(info).decode("utf-8-sig")
-                found[name.stem] = lines_of(text, f"{path}: {info.filename}")
-    except (OSError, ValueError, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
+            members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
+            size = sum(member.file_size for member in members)
+            if size > MAX_UNPACKED:
+                raise FileError(f"{path}: unpacks to {size:.3g} bytes; {MAX_UNPACKED} are the most")
+            refuse_bomb(members, path.stat().st_size)
+            for member in members:
+                name = Path(member.filename).stem
+                if name in found:
+                    raise FileError(f"{path}: two files are called {name}.csv")
+                text = checked_bytes(archive, member).decode("utf-8-sig")
+                found[name] = lines_of(text, f"{path}: {member.filename}")
+    except BROKEN as error:
+        text = str(error)
+        if isinstance(error, FileError) and text.startswith(str(path)):
+            raise
         raise FileError(f"{path}: is no zip of CSV files, or a damaged one: {error}") from error
     if not found:
         raise FileError(f"{path}: holds no CSV file")
@@ -115,17 +120,19 @@ def lines_of(text: str, source: str) -> PiecewisePolynomial:
 
     Raises
     ------
-    FileError: another header, rows of other lengths, times that do not increase.
+    FileError: another header, rows of other lengths, times that repeat or go back.
     """
     header, _, body = text.partition("\n")
     if header.strip().split(",")[:4] != HEADER.split(",")[:4]:
         raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
+    lines = [line for line in body.splitlines() if line.strip()]
+    if len(lines) < 2:
+        raise FileError(f"{source}: has {len(lines)} rows; two are the least")
     try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=(0, 1, 2, 3))
+        table = np.loadtxt(lines, delimiter=",", ndmin=2, usecols=(0, 1, 2, 3), comments=None)
     except ValueError as error:
         raise FileError(f"{source}: {error}; it is truncated or damaged") from error
-    if len(table) < 2:
-        raise FileError(f"{source}: has {len(table)} rows; two are the least")
+    check_times(table[:, 0] * 1e-3, source)
     try:
         return PiecewisePolynomial.hermite(
             table[:, 0] * 1e-3, table[None, :-1, 1:], table[None, 1:, 1:]

@@ -16,7 +16,15 @@ from hitchopt.export.formats.compressed import read_bytes
 from hitchopt.export.formats.compressed_bytes import LARGEST, LONGEST, MILLI, decoded
 from hitchopt.export.formats.memory import BYTES
 from hitchopt.export.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.export.lint.findings import ERROR, NOTE, WARNING, DroneFacts, Finding, Loaded
+from hitchopt.export.lint.findings import (
+    ERROR,
+    FARTHEST,
+    NOTE,
+    WARNING,
+    DroneFacts,
+    Finding,
+    Loaded,
+)
 from hitchopt.export.recording import recording_of_curves
 from hitchopt.export.room import AXES
 from hitchopt.requirements import Separation
@@ -24,9 +32,6 @@ from hitchopt.requirements import Separation
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 2
-
-AT_START = 0.1
-"""[m] How far from its settings' initial position a drone's trajectory may begin, across."""
 
 CROWDED = 1.0 - 1e-4
 """Of the separation in which drones stand: less is too close; file digits are let off."""
@@ -76,10 +81,17 @@ def poly_files(files: Sequence[Path]) -> Loaded:
         findings.append(Finding(ERROR, "frame", "", f"files are in {' and '.join(sorted(frames))}"))
     frame = next(iter(frames)) if len(frames) == 1 and frames <= set(AXES) else ""
     curves = [table.curve for table in tables]
-    starts = {n: c.coefficients[0, :, 0] for n, c in zip(names, curves, strict=True)}
-    findings += _settings(files[0].parent / SETTINGS, starts)
+    places, told = _settings(files[0].parent / SETTINGS, names)
+    findings += told
     recording = recording_of_curves(names, curves, frame, 2)
-    return Loaded("crazyswarm2", recording, tuple(facts), tuple(findings))
+    return Loaded(
+        "crazyswarm2",
+        recording,
+        tuple(facts),
+        tuple(findings),
+        places=places,
+        place_key="initial_position",
+    )
 
 
 def _yaw_jumps(name: str, table: PolyTable) -> list[Finding]:
@@ -194,46 +206,35 @@ def _begins_with_number(path: Path) -> bool:
     return True
 
 
-def _settings(path: Path, starts: Mapping[str, Array]) -> list[Finding]:
-    """Return what the fleet's settings beside the trajectories contradict."""
+def _settings(path: Path, names: Sequence[str]) -> tuple[dict[str, list[float]], list[Finding]]:
+    """Return the places in the settings beside the trajectories, and what is wrong with them."""
     if not path.is_file():
-        return []
+        return {}, []
     from hitchopt.mission.yaml_file import read_yaml
 
     try:
         data = read_yaml(path)
     except HitchoptError as error:
-        return [Finding(WARNING, "settings", path.name, f"cannot be read: {error}")]
+        return {}, [Finding(WARNING, "settings", path.name, f"cannot be read: {error}")]
     robots = data.get("robots") if isinstance(data, dict) else None
     if not isinstance(robots, dict):
-        return [Finding(WARNING, "settings", path.name, "has no robots")]
+        return {}, [Finding(WARNING, "settings", path.name, "has no robots")]
     found = []
-    places: dict[str, Array] = {}
-    for name in sorted(set(robots) ^ set(starts)):
+    places: dict[str, list[float]] = {}
+    for name in sorted(set(robots) ^ set(names)):
         missing = "trajectory" if name in robots else f"entry in {path.name}"
         found.append(Finding(WARNING, "settings", name, f"has no {missing}"))
-    for name in sorted(set(robots) & set(starts)):
+    for name in sorted(set(robots) & set(names)):
         entry = robots[name]
         place = entry.get("initial_position") if isinstance(entry, dict) else None
-        if not _is_point(place):
+        if _is_point(place):
+            places[name] = place
+        else:
             found.append(Finding(WARNING, "settings", name, "has no initial_position of 3 numbers"))
-            continue
-        places[name] = np.array(place, dtype=np.float64)
-        apart = float(np.linalg.norm(places[name][:2] - starts[name][:2]))
-        if apart > AT_START:
-            found.append(
-                Finding(
-                    WARNING,
-                    "start",
-                    name,
-                    f"its initial_position is {apart:.3g} m beside where its trajectory begins; "
-                    "place it there, or see that its way there is free",
-                )
-            )
-    return found + _crowded(places)
+    return places, found + _crowded(places)
 
 
-def _crowded(places: Mapping[str, Array]) -> list[Finding]:
+def _crowded(places: Mapping[str, Sequence[float]]) -> list[Finding]:
     """Return which drones stand so close that they cannot take off together."""
     if len(places) < 2:
         return []
@@ -242,7 +243,7 @@ def _crowded(places: Mapping[str, Array]) -> list[Finding]:
     pairs = cKDTree(scaled).query_pairs(CROWDED, output_type="ndarray")
     found = []
     for i, j in pairs[:MOST_CROWDED]:
-        apart = float(np.linalg.norm(places[names[i]] - places[names[j]]))
+        apart = math.dist(places[names[i]], places[names[j]])
         found.append(
             Finding(
                 ERROR,
@@ -260,4 +261,5 @@ def _is_point(value: object) -> TypeGuard[list[float]]:
         isinstance(value, list)
         and len(value) == 3
         and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+        and all(abs(x) <= FARTHEST for x in value)
     )

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from hitchopt.certificate.report import Check
+from hitchopt.export.lint.show_limits import ShowLimits
 from hitchopt.export.recording import Recording
 
 ERROR, WARNING, NOTE = "error", "warning", "note"
 """It will go wrong; it may; it is good to know."""
+
+
+FARTHEST = 1e6
+"""[m] No drone is farther from its origin: sums and squares of such numbers stay finite."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,10 @@ class Loaded:
     facts: one per drone.
     findings: what has been seen while reading.
     streamed: whether samples are sent in flight: gaps between them count then.
+    places: where drones stand before the flight, (2,) or (3,) [m], by name, as far as known.
+    place_key: what the files call that.
+    own: the limits that a show sets itself.
+    together: whether all trajectories are in one frame, so that distances mean something.
     """
 
     kind: str
@@ -69,6 +80,10 @@ class Loaded:
     facts: tuple[DroneFacts, ...]
     findings: tuple[Finding, ...] = field(default=())
     streamed: bool = False
+    places: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    place_key: str = "place"
+    own: ShowLimits | None = None
+    together: bool = True
 
 
 @dataclass(frozen=True)
@@ -79,10 +94,14 @@ class Flight:
     ----------
     duration: [s]
     speed, acceleration: the largest of any drone [m/s], [m/s²]; nan where the files have none.
-    separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone.
+    separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone, nan where
+        trajectories are relative to places that are not known.
     jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
         far as the format means them to be smooth.
     reach: the largest coordinate, control points included [m].
+    speed_limit, acceleration_limit: what those two are held against [m/s], [m/s²]; inf where only
+        the show's own limits are.
+    own: the show's own limits, held against it.
     """
 
     duration: float
@@ -91,6 +110,9 @@ class Flight:
     separation: float
     jumps: tuple[float, ...]
     reach: float
+    speed_limit: float
+    acceleration_limit: float
+    own: tuple[Check, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,10 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError
 from hitchopt.export.formats.mavsdk import read_table, recording_of_tables
 from hitchopt.export.formats.skybrush_csv import lines_of, read_zip
-from hitchopt.export.formats.skybrush_show import drones_of_show
-from hitchopt.export.lint.findings import ERROR, WARNING, DroneFacts, Finding, Loaded
+from hitchopt.export.formats.skybrush_show import read_show
+from hitchopt.export.lint.findings import ERROR, FARTHEST, WARNING, DroneFacts, Finding, Loaded
 from hitchopt.export.lint.receiving import receiver_findings
+from hitchopt.export.lint.show_limits import limits_of
 from hitchopt.export.recording import Recording, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -23,9 +23,6 @@ Array = NDArray[np.float64]
 
 MILLISECOND = 1e-3
 """[s] Skybrush rounds durations to it."""
-
-AT_HOME = 0.1
-"""[m] How far from its home a drone's show may begin."""
 
 
 def show_file(path: Path) -> Loaded:
@@ -35,8 +32,8 @@ def show_file(path: Path) -> Loaded:
     ------
     FileError: it is none, or a damaged one.
     """
-    curves = drones_of_show(path)
-    findings = []
+    show = read_show(path)
+    curves, findings = show.curves, []
     for name, curve in curves.items():
         if float(np.min(curve.durations)) < 0.5 * MILLISECOND:
             findings.append(
@@ -48,31 +45,29 @@ def show_file(path: Path) -> Loaded:
                     "none; leave its point out",
                 )
             )
-    findings += _homes(path, curves)
+    own, unusable = limits_of(show.validation)
+    for key in unusable:
+        told = f"settings.validation.{key} is no positive number, so it is not held; correct it"
+        findings.append(Finding(WARNING, "settings", "", told))
+    places = {name: home for name, home in show.homes.items() if _is_home(home)}
+    findings += [
+        Finding(WARNING, "start", name, "has no home of two or three numbers")
+        for name in curves
+        if name not in places
+    ]
     recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 1)
-    return Loaded("skybrush", recording, _facts(curves), tuple(findings))
+    facts = _facts(curves)
+    return Loaded(
+        "skybrush", recording, facts, tuple(findings), places=places, place_key="home", own=own
+    )
 
 
-def _homes(path: Path, curves: Mapping[str, PiecewisePolynomial]) -> list[Finding]:
-    with zipfile.ZipFile(path) as archive:
-        drones = json.loads(archive.read("show.json"))["swarm"]["drones"]
-    found = []
-    for drone, (name, curve) in zip(drones, curves.items(), strict=True):
-        home = drone["settings"].get("home")
-        if not isinstance(home, list) or len(home) < 2:
-            found.append(Finding(WARNING, "start", name, "has no home"))
-            continue
-        apart = float(np.linalg.norm(np.array(home[:2]) - curve.coefficients[0, :2, 0]))
-        if apart > AT_HOME:
-            found.append(
-                Finding(
-                    WARNING,
-                    "start",
-                    name,
-                    f"its home is {apart:.3g} m beside where its trajectory begins; set it there",
-                )
-            )
-    return found
+def _is_home(home: Any) -> bool:
+    return (
+        isinstance(home, list)
+        and len(home) in {2, 3}
+        and all(isinstance(x, float) and abs(x) <= FARTHEST for x in home)
+    )
 
 
 def show_zip(path: Path) -> Loaded:
@@ -92,7 +87,14 @@ def show_csv(files: Sequence[Path]) -> Loaded:
     ------
     FileError: a damaged one.
     """
-    return _lines({p.stem: lines_of(p.read_text(encoding="utf-8-sig"), str(p)) for p in files})
+    curves = {}
+    for path in files:
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, ValueError) as error:
+            raise FileError(f"{path}: cannot be read: {error}") from error
+        curves[path.stem] = lines_of(text, str(path))
+    return _lines(curves)
 
 
 def _lines(curves: dict[str, PiecewisePolynomial]) -> Loaded:

@@ -14,6 +14,7 @@ from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.kinds import last_resorts, likely_kinds
 from hitchopt.mission.repair.spreading import spread_changes
 from hitchopt.mission.solving import Progress, solve_problem
+from hitchopt.time_limit import TimeIsUp, time_left
 
 BUDGET = 15.0
 """[s] After this no further plan is begun: a user waits for it."""
@@ -62,7 +63,7 @@ class _Judge:
     @property
     def over(self) -> bool:
         """Whether no further plan is to be begun."""
-        return time.monotonic() >= self._end
+        return time.monotonic() >= self._end or time_left() <= 0.0
 
     @property
     def left(self) -> float:
@@ -78,6 +79,8 @@ class _Judge:
             return _Verdict(None, broken_constraints(error))
         except HitchoptError:
             return _Verdict(None)  # no timing found: larger changes may do
+        except TimeIsUp:
+            return _Verdict(None)  # the search is over; what it has found is kept
         return _Verdict(found.motion.duration)
 
 
@@ -96,7 +99,8 @@ def find_suggestions(
     ----------
     problem: one that cannot be met.
     error: why not.
-    budget: how long to search [s]; the last plan that was begun is waited for.
+    budget: how long to search [s]; the last plan that was begun is waited for, up to the time
+        limit within which this is called.
     progress: called with what is being tried now.
     """
     judge = _Judge(budget, progress, optimiser=False)

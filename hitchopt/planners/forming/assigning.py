@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
+from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 
@@ -35,9 +36,28 @@ def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignm
     crossed = np.sum((q - last) ** 2, axis=-1) + np.sum((r - first) ** 2, axis=-1)
     cost = np.minimum(straight, crossed)
     short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
-    cost = cost + short * (1.0 + float(np.max(cost))) * len(cost)
+    size = float(np.max(cost))
+    k = np.arange(team.robots)
+    cost = cost + TIE * size * _preference(team.robots)
+    cost = cost + short * (1.0 + size) * len(cost)
     robots, roles = linear_sum_assignment(cost)
     order = robots[np.argsort(roles)]
-    k = np.arange(team.robots)
-    flipped = crossed[order, k] < straight[order, k]
+    shorter = straight[order, k] - crossed[order, k]
+    cables, edges = drones[1::2, :2][order] - drones[0::2, :2][order], last - first
+    turns = cables[:, 0] * edges[:, 1] - cables[:, 1] * edges[:, 0]
+    # Where both are as short, cables turn counter-clockwise.
+    flipped = np.where(np.abs(shorter) > TIE * size, shorter > 0.0, turns < -TIE * size)
     return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))
+
+
+def _preference(robots: int) -> Array:
+    """Return (robots, edges), up to 2: what an edge costs a robot where assignments tie.
+
+    Robots prefer edges of their own number. Multiples of the golden ratio, modulo 1, tell apart
+    assignments that would tie again.
+    """
+    k = np.arange(robots)
+    away = np.abs(k[:, None] - k) / robots
+    apart = np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
+    preference: Array = away + 0.1 * apart
+    return preference

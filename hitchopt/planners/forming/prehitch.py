@@ -19,6 +19,7 @@ from hitchopt.planners.forming.measures import Measures, measured
 from hitchopt.planners.forming.settings import SwapSettings
 from hitchopt.planners.forming.turns import APART, Turns, half_that_clears, rise_that_clears
 from hitchopt.requirements import Separation
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,7 @@ def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) ->
     for scale in SCALES:
         for share in LEG_SHARES:
             for tilt in tilts:
+                check_time()
                 turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale)
                 found = _turning(turns, separation, settings, share, scale)
                 yield found

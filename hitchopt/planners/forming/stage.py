@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch
+from hitchopt.model.phases import CableState
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -38,6 +39,11 @@ class Stage:
     def formed(self) -> bool:
         """Whether the hitch exists."""
         return self.pull is not None
+
+    @property
+    def state(self) -> CableState:
+        """The state that cables are meant to be in."""
+        return CableState.of_label(self.name, formed=self.formed)
 
     def reversed(self, name: str) -> Stage:
         """Return the stretch backward in time, exactly, under another name."""

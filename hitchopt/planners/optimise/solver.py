@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import casadi as ca
@@ -10,10 +11,14 @@ import numpy as np
 from hitchopt.planners.optimise.program import WayProgram
 from hitchopt.planners.optimise.signals import answered_later
 from hitchopt.planners.optimise.way import Way
+from hitchopt.time_limit import check_time, time_left
 
 TOLERANCE = 1e-3
 """Of the scaled conditions: a way is settled and measured anyway, and never believed."""
 
+
+LEAST_TIME = 1e-3
+"""[s] IPOPT's limit must be positive."""
 
 _LAST: deque[ca.Function] = deque(maxlen=1)
 """casadi keeps a function's derivatives as long as somebody uses them: the solver before does, for
@@ -25,6 +30,7 @@ def solve_program(program: WayProgram) -> Way | None:
 
     Its word is not taken for more than that: what the way keeps is measured on its path.
     """
+    left = time_left()
     solver = ca.nlpsol(
         "way",
         "ipopt",
@@ -37,6 +43,7 @@ def solve_program(program: WayProgram) -> Way | None:
                 "max_iter": program.iterations,
                 "tol": TOLERANCE,
                 "mu_strategy": "adaptive",
+                **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
             },
         },
     )
@@ -49,6 +56,7 @@ def solve_program(program: WayProgram) -> Way | None:
             lbg=program.least,
             ubg=program.most,
         )
+    check_time()  # what has been cut short is no solution
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not solver.stats()["success"] or not np.all(np.isfinite(x)):
         return None

@@ -26,6 +26,9 @@ MOST_PIECES = 20
 WALL = 1e-9
 """Relative to an arena's coordinates: curves stay off its walls by so much."""
 
+SHORTEST_RAMP = 1e-5
+"""Of the duration: splines do not resolve ramps of microseconds in flights of a month."""
+
 SHORTEST = 0.2
 """Share of the longest flight's time that even the shortest flight is given."""
 
@@ -85,7 +88,8 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     ways = ways_along(task.nominal) if task.nominal is not None else ways_around(task)
     ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
-    alone, rise = float(ramps.duration[slowest]), float(ramps.rise[slowest])
+    alone = float(ramps.duration[slowest])
+    rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
     size = max(float(np.max(ways.lengths)), 2.0 * task.requirements.separation.radius)
     going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import tied_order
 from hitchopt.planners.separation.ways import Ways
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -52,7 +54,8 @@ def departures(ways: Ways, shares: Array, ramps: Array, scale: Array) -> Array:
     chosen = np.zeros(n)
     flown = np.zeros((n, SAMPLES, 3))
     done: list[int] = []
-    for i in np.argsort(-shares, kind="stable"):
+    for i in tied_order(-shares, 1.0):
+        check_time()
         delays = np.linspace(0.0, 1.0 - shares[i], CHOICES if shares[i] < 1.0 else 1)
         s = (time - delays[:, None]) / shares[i]
         points = ways.of(int(i), progress_along(s, float(ramps[i]))) * scale

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from hitchopt.certificate.report import within
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.planners.separation.task import SeparationTask
 
 Array = NDArray[np.float64]
 
-LAST_DIGITS = 1e-9
-"""Relative: what keeps a limit by less cannot be certified, as numbers are rounded."""
+HALF = 0.5
+"""Share of the tolerance of checks: certificates need the rest for rounding."""
 
 MOST = 10
 """Violations that are told of one kind."""
@@ -33,7 +34,8 @@ def check_ends(task: SeparationTask) -> None:
 
 def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
     scaled = points * task.requirements.separation.scale
-    pairs = cKDTree(scaled).query_pairs(1.0 + LAST_DIGITS, output_type="ndarray")
+    least = within(1.0, "min", float(np.max(np.abs(scaled))), HALF)
+    pairs = cKDTree(scaled).query_pairs(least, output_type="ndarray")
     ratio = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
     found = []
     for k in np.argsort(ratio)[:MOST]:
@@ -50,25 +52,25 @@ def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[V
     if task.requirements.arena is None:
         return []
     lower, upper = task.requirements.arena.lower, task.requirements.arena.upper
-    room = np.minimum(  # a floor at 0 is exact: who rests on it is inside
-        points - lower - LAST_DIGITS * np.abs(lower), upper - points - LAST_DIGITS * np.abs(upper)
-    ).min(axis=1)
+    room = np.minimum(points - lower, upper - points).min(axis=1)
+    least = within(0.0, "min", float(np.max(np.abs(points))), HALF)
     remedy = f"move the {end} inside, or the wall out"
     return [
         Violation("arena", float(room[i]), 0.0, "min", "m", (task.names[i],), when, remedy)
         for i in np.argsort(room)[:MOST]
-        if room[i] < 0.0
+        if room[i] < least
     ]
 
 
 def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
     limit = task.requirements.separation.radius
+    least = within(limit, "min", float(np.max(np.abs(points))), HALF)
     remedy = f"move the {end} away from the prism"
     found = []
     for k, prism in enumerate(task.requirements.keep_out):
         distance = np.maximum(prism.clearance(points).distance, 0.0)
         for i in np.argsort(distance)[:MOST]:
-            if distance[i] < limit * (1.0 + LAST_DIGITS):
+            if distance[i] < least:
                 where = (task.names[i], f"prism {k}")
                 value = float(distance[i])
                 found.append(Violation("keep_out", value, limit, "min", "m", where, when, remedy))
@@ -79,7 +81,8 @@ def _parted(task: SeparationTask, points: Array, when: str, end: str) -> list[Vi
     found = []
     for tether in task.tethers:
         apart = float(np.linalg.norm(points[tether.first] - points[tether.second]))
-        if apart > tether.longest * (1.0 - LAST_DIGITS):
+        size = float(np.max(np.abs(points))) / tether.longest
+        if apart / tether.longest > within(1.0, "max", size, HALF):
             names = (task.names[tether.first], task.names[tether.second])
             remedy = f"move the {end}s together, or take a longer cable"
             value = apart / tether.longest

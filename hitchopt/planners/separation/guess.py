@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from hitchopt.geometry.vectors import TIE
 from hitchopt.planners.separation.course import SAMPLES, Course, inside
+from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -70,6 +72,7 @@ def pushed_apart(course: Course, manners: Manners) -> Array:
     coefficients = course.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
+        check_time()
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
@@ -105,7 +108,8 @@ def _pushes(
     first, second = pairs[:, 0], pairs[:, 1]
     offset = scaled[first] - scaled[second]
     flat = velocities.reshape(-1, 3)
-    way_out = _way_out(flat[first] - flat[second])
+    still = TIE * float(np.max(np.abs(flat)))
+    way_out = _way_out(flat[first] - flat[second], still)
     apart = layer[first % drones] - layer[second % drones]
     upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
     aside = np.where((apart != 0)[:, None], upward, np.sign(manners.side) * way_out)
@@ -124,12 +128,15 @@ def _pushes(
     return pushes.reshape(points.shape), True
 
 
-def _way_out(velocity: Array) -> Array:
-    """(pairs, 3): unit vectors to the right of the relative velocity; east where it is upright."""
+def _way_out(velocity: Array, still: float) -> Array:
+    """Return unit vectors (pairs, 3) to the right of relative velocities (pairs, 3).
+
+    East where it is upright, or slower than ``still``: rounding has no direction.
+    """
     right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
     length = np.linalg.norm(right, axis=1, keepdims=True)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    sideways = length > 1e-3 * speed
+    sideways = length > np.maximum(1e-3 * speed, still)
     east = np.array([1.0, 0.0, 0.0])
     return np.where(sideways, right / np.where(sideways, length, 1.0), east)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import first_smallest
 from hitchopt.planners.separation.course import Course
 from hitchopt.planners.separation.rows import Rows
 from hitchopt.planners.separation.spline import HELD
@@ -59,7 +60,7 @@ def _frames(vectors: Array) -> tuple[Array, Array, Array]:
     """Return three orthogonal unit vectors for each of (…, 3), the first one along it."""
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     along = np.where(size > 1e-9, vectors / np.maximum(size, 1e-9), np.array([1.0, 0.0, 0.0]))
-    other = np.eye(3)[np.argmin(np.abs(along), axis=-1)]
+    other = np.eye(3)[first_smallest(np.abs(along), 1.0)]
     across = np.cross(along, other)
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
     return along, across, np.cross(along, across)

@@ -8,18 +8,30 @@ is the normal of the plane with the widest gap that holds on the whole piece.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
+from hitchopt.geometry.vectors import first_smallest
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-HULL_STEPS = 30
-"""Of the search for a hull's nearest point; the normal need not be the best one to be valid."""
+BATCH = 4096
+"""Hulls whose nearest points are computed at once; it bounds the memory."""
+
+FLAT = 1e-12
+"""Sine of the angle below which two edges of a triangle count as parallel: all of it is then as
+near to its edges."""
+
+LEVEL = 1e-6
+"""Normals whose upward components are smaller count as level."""
+
+LEAN, LEAN_UNTIL = 1e-2, 2.0
+"""Upward slope of level normals, for every unit by which the separation falls short of this."""
 
 CURVE_SAMPLES = 17
 """Of a piece, to find about where it comes nearest."""
@@ -91,46 +103,100 @@ def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
     """Return the widest plane for every pair."""
     differences = scaled[pairs.piece, pairs.first] - scaled[pairs.piece, pairs.second]
     nearest = hull_points(differences)
+    lean = LEAN * np.maximum(LEAN_UNTIL - np.linalg.norm(nearest, axis=-1), 0.0)
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
     inside = np.linalg.norm(nearest, axis=-1) < 1e-6
     nearest[inside] = _nearest_of_curves(differences[inside])
     length = np.linalg.norm(nearest, axis=-1, keepdims=True)
     east = np.array([1.0, 0.0, 0.0])
     normals = np.where(length > 1e-9, nearest / np.maximum(length, 1e-9), east)
+    # Level pairs could pass above each other as well as below. The first one goes up: else
+    # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
+    normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return Planes(pairs, normals, np.einsum("md,mdk->mk", normals, differences))
 
 
 def hull_points(differences: Array) -> Array:
-    """(m, 3): about the points nearest to the origin of the hulls of (m, 3, k) points.
+    """Return the points nearest to the origin of the hulls of (m, 3, k) points, as (m, 3).
 
-    By the method of Mitchell, Dem'yanov and Malozemov: weight goes from the farthest point in use
-    to the nearest one.
+    The nearest point lies on a vertex, an edge or a triangle of the points, or it is the origin.
+    All of them are solved in closed form, and the nearest solution is taken. Where several are
+    equally near they are the same point, as a hull is convex, so a tie changes nothing.
     """
     m, _, k = differences.shape
+    if m > BATCH:
+        parts = [hull_points(differences[i : i + BATCH]) for i in range(0, m, BATCH)]
+        return np.concatenate(parts)
+    points = np.ascontiguousarray(differences.transpose(1, 2, 0))  # (3, k, m)
+    weights = np.concatenate([_of_edges(points), _of_triangles(points)], axis=1)
+    corners = _corners(k)
+    origin = points[:, corners[:, 0]]
+    candidates = origin.copy()
+    for weight, corner in zip(weights, corners[:, 1:].T, strict=True):
+        candidates += weight * (points[:, corner] - origin)
     rows = np.arange(m)
-    first = np.argmin(np.sum(differences**2, axis=1), axis=1)
-    weights = np.zeros((m, k))
-    weights[rows, first] = 1.0
-    point = differences[rows, :, first]
-    for _ in range(HULL_STEPS):
-        products = np.einsum("md,mdk->mk", point, differences)
-        low = np.argmin(products, axis=1)
-        high = np.argmax(np.where(weights > 0.0, products, -np.inf), axis=1)
-        step = differences[rows, :, low] - differences[rows, :, high]
-        size = np.sum(step * step, axis=1)
-        gain = products[rows, high] - products[rows, low]
-        share = np.divide(gain, size, out=np.zeros(m), where=size > 0.0)
-        share = np.minimum(share, weights[rows, high])
-        weights[rows, high] -= share
-        weights[rows, low] += share
-        point = point + share[:, None] * step
-    return point
+    nearest = candidates[:, np.argmin(_dot(candidates, candidates), axis=0), rows]
+    # A plane through the nearest point bounds the hull unless the origin is within.
+    products = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
+    outside = products > 0.5 * _dot(nearest, nearest)
+    found: Array = np.where(outside, nearest, 0.0).T
+    return found
+
+
+def _corners(k: int) -> Indices:
+    """Return (edges and triangles, 3): indices of their points; edges repeat the first one."""
+    pairs = [(i, j, i) for i, j in combinations_with_replacement(range(k), 2) if i < j or k == 1]
+    return np.array([*pairs, *combinations(range(k), 3)], dtype=np.intp)
+
+
+def _of_edges(points: Array) -> Array:
+    """Return (2, edges, m): weights of their other ends in the points nearest to the origin."""
+    k = points.shape[1]
+    first, second, _ = _corners(k)[: max(k * (k - 1) // 2, 1)].T
+    start = points[:, first]
+    edge = points[:, second] - start
+    size = _dot(edge, edge)
+    share = np.divide(-_dot(start, edge), size, out=np.zeros_like(size), where=size > 0.0)
+    share = np.clip(share, 0.0, 1.0)
+    return np.stack([share, np.zeros_like(share)])
+
+
+def _of_triangles(points: Array) -> Array:
+    """Return (2, triangles, m): weights of the second and third corners likewise.
+
+    Zero, so the first corner, where the nearest point is not inside the triangle: it is on an edge.
+    """
+    k = points.shape[1]
+    first, second, third = _corners(k)[max(k * (k - 1) // 2, 1) :].T
+    start = points[:, first]
+    u, v = points[:, second] - start, points[:, third] - start
+    normal = _cross(u, v)
+    area = _dot(normal, normal)
+    weights = np.stack([_dot(_cross(v, start), normal), _dot(_cross(start, u), normal)])
+    inside = np.all(weights > 0.0, axis=0) & (np.sum(weights, axis=0) < area)
+    inside &= area > FLAT**2 * _dot(u, u) * _dot(v, v)
+    return np.divide(weights, area, out=np.zeros_like(weights), where=inside)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return cross products of vectors along the first axis."""
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return products of vectors along the first axis."""
+    product: Array = np.einsum("d...,d...->...", a, b)
+    return product
 
 
 def _nearest_of_curves(differences: Array) -> Array:
     """(m, 3): about the points nearest to the origin of curves (m, 3, degree + 1)."""
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), differences.shape[-1] - 1)
     points = differences @ weights.T
-    best = np.argmin(np.sum(points * points, axis=1), axis=1)
+    squared = np.sum(points * points, axis=1)
+    best = first_smallest(squared, np.max(squared, axis=1))
     nearest: Array = points[np.arange(len(points)), :, best]
     return nearest

@@ -6,12 +6,15 @@ old program in place. Sizes and bounds are checked before every call, residuals 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+
+from hitchopt.time_limit import check_time, time_left
 
 Array = NDArray[np.float64]
 
@@ -20,6 +23,10 @@ ACCURACY = 1e-4
 
 MOST_ITERATIONS = 500
 """A program that takes more is used as it is then: whoever asks checks what becomes of it."""
+
+
+LEAST_TIME = 1e-3
+"""[s] OSQP takes a limit of zero for none."""
 
 
 class ProgramError(Exception):
@@ -114,9 +121,12 @@ class Solver:
             self._set_up(program)
         self._program = program
         self._osqp.warm_start(x=first, y=multipliers)
+        if math.isfinite(left := time_left()):
+            self._osqp.update_settings(time_limit=max(left, LEAST_TIME))
         result = self._osqp.solve(raise_error=False)
         if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
             raise KeyboardInterrupt  # which OSQP has kept to itself
+        check_time()  # what has been cut short is no solution
         x = np.asarray(result.x, dtype=np.float64)
         if x.shape != program.q.shape or not np.all(np.isfinite(x)):
             self._osqp = None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.certificate.keep_out import smallest_clearance
 from hitchopt.certificate.proximity import Bodies, smallest_distance
 from hitchopt.certificate.rates import largest_rate, norm_bound
+from hitchopt.certificate.report import within
 from hitchopt.certificate.rounding import LAST_PLACE, ROUNDING
 from hitchopt.errors import Violation
 from hitchopt.planners.demands import LIMIT_SHARE
@@ -78,11 +79,16 @@ def _separation(
         return math.inf, None
     scaled = unit.coefficients * course.scale[:, None]
     bodies = Bodies(scaled[:, :, None])
-    margin = ROUNDING * float(np.max(np.abs(scaled)))
+    size = float(np.max(np.abs(scaled)))
     found = smallest_distance(
-        unit.breaks, bodies, None, lambda i, _: np.ones(len(i), dtype=np.bool_), margin
+        unit.breaks,
+        bodies,
+        None,
+        lambda i, _: np.ones(len(i), dtype=np.bool_),
+        ROUNDING * size,
+        within(1.0, "min", size, 0.5),
     )
-    if found.worst >= 1.0:
+    if found.worst >= within(1.0, "min", size):
         return found.worst, None
     i, j = sorted(divmod(found.item, n))
     names = (course.task.names[i], course.task.names[j])
@@ -103,21 +109,21 @@ def _surroundings(
             x - task.requirements.arena.lower[:, None], task.requirements.arena.upper[:, None] - x
         )
         corners = np.abs([task.requirements.arena.lower, task.requirements.arena.upper])
-        margin = ROUNDING * float(max(np.max(np.abs(x)), np.max(corners)))
-        worst = float(np.min(room)) - margin
+        size = float(np.max(np.abs(x)))
+        worst = float(np.min(room)) - ROUNDING * (size + float(np.max(corners)))
         if float(np.min(room)) >= -LAST_PLACE * float(np.max(corners)):
             worst = 0.0  # who rests on the floor is not below it, as the certificate has it
-        if worst < 0.0:
+        if worst < within(0.0, "min", size):
             piece, drone = np.unravel_index(int(np.argmin(room)), room.shape)[:2]
             when = _when(float(unit.breaks[piece]), duration)
             name = (task.names[int(drone)],)
             found.append(Violation("arena", worst, 0.0, "min", "m", name, when, REMEDY))
     if task.requirements.keep_out:
-        nearest = smallest_clearance(unit, task.requirements.keep_out)
-        if nearest.worst < task.requirements.separation.radius:
+        limit = task.requirements.separation.radius
+        nearest = smallest_clearance(unit, task.requirements.keep_out, limit)
+        if nearest.worst < within(limit, "min", float(np.max(np.abs(unit.coefficients)))):
             name = (task.names[nearest.item],)
             when = _when(nearest.time, duration)
-            limit = task.requirements.separation.radius
             found.append(
                 Violation("keep_out", nearest.worst, limit, "min", "m", name, when, REMEDY)
             )
@@ -133,9 +139,10 @@ def _cables(course: Course, unit: PiecewisePolynomial, duration: float) -> list[
     longest = np.array([tether.longest for tether in tethers])
     x = unit.coefficients
     offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
-    margin = ROUNDING * float(np.max(np.abs(x))) / float(np.min(longest))
-    found = largest(Cells.over(unit.breaks, [offsets], margin), norm_bound)
-    if found.worst <= 1.0:
+    size = float(np.max(np.abs(x))) / float(np.min(longest))
+    cells = Cells.over(unit.breaks, [offsets], ROUNDING * size)
+    found = largest(cells, norm_bound, within(1.0, "max", size, 0.5))
+    if found.worst <= within(1.0, "max", size):
         return []
     tether = tethers[found.item]
     names = (course.task.names[tether.first], course.task.names[tether.second])

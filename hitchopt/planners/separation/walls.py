@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import first_smallest
 from hitchopt.planners.separation.planes import CURVE_SAMPLES
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import bernstein
@@ -59,7 +60,7 @@ def walls_before(curves: Array, prisms: tuple[Prism, ...], radius: float, cutoff
         coefficients = curves[piece, drone]  # (m, 3, degree + 1)
         points = np.swapaxes(coefficients @ weights.T, 1, 2)
         clearance = prism.clearance(points)
-        worst = np.argmin(clearance.distance, axis=1)
+        worst = first_smallest(clearance.distance, radius)
         normals = clearance.normals[np.arange(len(worst)), worst]
         reach = np.max(normals @ corners.T, axis=1)
         gaps = (np.einsum("md,mdk->mk", normals, coefficients) - reach[:, None]) / radius

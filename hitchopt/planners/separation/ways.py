@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena, Prism
+from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -86,6 +88,7 @@ def ways_around(task: SeparationTask) -> Ways:
         blocked |= _Solid.around(prism, radius * (1.0 - TIGHT)).cuts(task.start, task.goal)
     lengths = np.linalg.norm(task.goal - task.start, axis=1)
     for i in np.flatnonzero(blocked).tolist():
+        check_time()
         start, goal = task.start[i], task.goal[i]
         way = _way(task, start, goal, STAND_OFF * radius)
         if way is None:
@@ -139,7 +142,11 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
         seen[at_end] &= ~narrow.cuts(nodes[i[at_end]], nodes[j[at_end]])
     i, j = i[seen], j[seen]
     length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
-    graph = sp.csr_matrix((length, (i, j)), shape=(len(nodes), len(nodes)))
+    # Of routes that are equally long, one is preferred by its places.
+    places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
+    places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
+    preferred = length + TIE * float(np.max(length)) * (places[i] + places[j])
+    graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
     distances, before = dijkstra(
         graph, directed=False, indices=np.array([0]), return_predecessors=True
     )

@@ -1,0 +1,100 @@
+"""Spans of a plan's time, and in what state the cables are in each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from hitchopt.errors import InputError
+
+JOINT = 1e-6
+"""[s] Phases meet within this, and cables change their state within this of a break."""
+
+
+class CableState(StrEnum):
+    """In what state the cables are in a phase; the certificate verifies it from the polynomials.
+
+    While cables are not hitched, vertices, legs and tensions stand for nothing, except that
+    vertices are where the clasps may lie while cables are being tightened.
+    """
+
+    NONE = "none"
+    """Single drones carry no cables."""
+    GROUND = "on the ground"
+    """Cables lie on the ground at least in part; drones rest, or fly straight up or down."""
+    FREE = "hanging free"
+    CLASPING = "clasping"
+    """Drones of neighbouring cables turn about each other, to clasp the cables or to undo that."""
+    TIGHTENING = "being tightened"
+    """Clasped cables are drawn out to their full length, or slackened again."""
+    HITCHED = "hitched"
+
+    @classmethod
+    def of_label(cls, name: str, *, formed: bool) -> CableState:
+        """Return the state that goes with a planner's name for a phase.
+
+        Parameters
+        ----------
+        formed: whether the hitch exists.
+        """
+        return cls.HITCHED if formed else _STATES.get(name, cls.FREE)
+
+
+_STATES = {
+    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
+    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
+    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
+}
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A span of a plan's time.
+
+    Attributes
+    ----------
+    name: such as ``morph`` or ``hold``; a label that nothing depends on.
+    step: index of the mission's step that it belongs to.
+    start, end: [s]
+    remark: what happens that was not asked for, and why; mostly nothing.
+    state: of the cables.
+    tension: smallest and largest [N] that the step states for tensions on the way; None where all
+        keep the team's. Like the limits it is part of the problem, not of what is proved: the check
+        ``tension`` holds tensions to it within the phase and to the team's at both of its ends.
+    """
+
+    name: str
+    step: int
+    start: float
+    end: float
+    remark: str = ""
+    state: CableState = CableState.HITCHED
+    tension: tuple[float, float] | None = None
+
+    @property
+    def formed(self) -> bool:
+        """Whether the hitch exists; else the cables hang free, or slack in one another."""
+        return self.state is CableState.HITCHED
+
+
+def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
+    """Raise InputError unless phases follow one another and cover the time from start to end [s].
+
+    They may begin earlier and end later: a part of a motion keeps the phases that it overlaps.
+    """
+    if not phases:
+        return
+    starts = np.array([phase.start for phase in phases])
+    ends = np.array([phase.end for phase in phases])
+    covered = starts[0] <= start + JOINT and ends[-1] >= end - JOINT
+    joined = np.all(np.abs(starts[1:] - ends[:-1]) <= JOINT)
+    if not (covered and joined and np.all(starts < ends)):
+        raise InputError(
+            "phases",
+            [[phase.start, phase.end] for phase in phases],
+            f"one after the other from {start:g} to {end:g} s, each ending after it starts",
+            "give each phase the time from the end of the one before to its own end",
+        )

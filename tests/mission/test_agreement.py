@@ -1,0 +1,45 @@
+"""Durations do not depend on rounding: noise in the last places of the input changes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.yaml_file import read_yaml
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+
+
+def noisy(points: Any, rng: np.random.Generator) -> Any:
+    """Return lists of coordinates [m] with noise."""
+    if isinstance(points, list):
+        return [noisy(point, rng) for point in points]
+    return points + 1e-14 * float(rng.uniform(-1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("transport", "legs of a symmetric triangle are split one way or the mirrored one"),
+        ("form_square", "two assignments of robots are as short, and two ways to turn a cable"),
+        ("move_edge", "the acceleration jumps where the mesh of a flight looks at it"),
+    ],
+)
+def test_ties_are_settled_by_a_rule(name: str, shape: str) -> None:
+    def duration(seed: int) -> float:
+        data: Any = read_yaml(PROBLEMS / f"{name}.yaml")
+        rng = np.random.default_rng(seed)
+        for start in data["start"].values() if seed else ():
+            for key in ("polygon", "q", "r"):
+                if key in start:
+                    start[key] = noisy(start[key], rng)
+        return ho.solve(any_problem_from_dict(data)).duration
+
+    expected = duration(0)
+    for seed in (1, 2, 3):
+        assert duration(seed) == pytest.approx(expected, rel=1e-6), shape

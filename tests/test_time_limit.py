@@ -1,0 +1,136 @@
+"""A time limit ends whatever is planned, and says so; no clock decides what these tests find."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt import time_limit as limits
+from hitchopt.mission.repair import find_suggestions
+from hitchopt.mission.solving import solve_problem
+from hitchopt.time_limit import Progress, TimeIsUp, check_time, time_left, time_limit
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+
+
+class Clock:
+    """A clock that goes on by a second whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        self.now += 1.0
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    ho.forget()
+    made = Clock()
+    monkeypatch.setattr(limits, "time", made)
+    return made
+
+
+def wait(seconds: float, *progress: Progress) -> None:
+    """Ask for the time until it is up."""
+    with time_limit(seconds, *progress) as tell:
+        tell("work")
+        while True:
+            check_time()
+
+
+def test_without_a_limit_time_is_never_up() -> None:
+    with time_limit(None) as tell:
+        tell("anything")
+        check_time()
+        assert time_left() == math.inf
+
+
+def test_the_error_names_the_limit_and_what_was_being_done(clock: Clock) -> None:
+    told: list[str] = []
+    with pytest.raises(ho.TimeLimitError, match=r"time limit: .* 5 s \(last: work\)") as up:
+        wait(5.0, told.append)
+    assert told == ["work"]
+    assert "--limit" in str(up.value)
+    assert clock.now < 10.0
+    assert time_left() == math.inf
+
+
+def test_the_earlier_of_two_ends_counts(clock: Clock) -> None:
+    with pytest.raises(ho.TimeLimitError, match="limit of 5 s"), time_limit(5.0):
+        wait(50.0)
+    with pytest.raises(ho.TimeLimitError, match="limit of 5 s"), time_limit(50.0):
+        wait(5.0)
+    assert clock.now < 30.0
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["form_triangle.yaml", "straight_way_shut.yaml", "swarms/circle_24.yaml", "transport.yaml"],
+)
+@pytest.mark.parametrize("seconds", [3.0, 40.0])
+def test_every_kind_of_problem_is_given_up(clock: Clock, name: str, seconds: float) -> None:
+    with pytest.raises(ho.TimeLimitError, match=f"limit of {seconds:g} s"):
+        ho.solve(PROBLEMS / name, limit=seconds)
+    assert seconds < clock.now < 2.0 * seconds + 10.0
+
+
+def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
+    for name in ("straight_way_shut.yaml", "swarms/circle_12.yaml"):
+        ho.forget()
+        free = ho.solve(PROBLEMS / name)
+        ho.forget()
+        limited = ho.solve(PROBLEMS / name, limit=1e6)
+        a, b = (plan.motion.drones.coefficients for plan in (free, limited))
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-9)
+
+
+def test_limits_are_positive() -> None:
+    with pytest.raises(ho.InputError, match="limit = 0"):
+        ho.solve(PROBLEMS / "triangle.yaml", limit=0)
+
+
+def test_what_ipopt_was_cut_short_in_is_no_way(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver itself is told how much time is left."""
+    told: list[dict[str, float]] = []
+    build = ca.nlpsol
+
+    def noted(*arguments: Any) -> object:
+        told.append(arguments[-1]["ipopt"])
+        return build(*arguments)
+
+    monkeypatch.setattr(ca, "nlpsol", noted)
+    monkeypatch.setattr(clock, "monotonic", lambda: 0.0)
+    ho.solve(PROBLEMS / "straight_way_shut.yaml", limit=1e5)
+    assert {options["max_wall_time"] for options in told} == {1e5}
+
+
+def test_suggestions_found_before_the_limit_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+
+    problem = ho.load_problem(PROBLEMS / "infeasible" / "drones_too_close.yaml")
+    with pytest.raises(ho.InfeasibleError) as refused:
+        ho.solve(problem)
+    done: list[object] = []
+    ended = 0
+
+    def until_one_does(*arguments: Any, **options: Any) -> object:
+        nonlocal ended
+        if done:
+            ended += 1
+            raise TimeIsUp
+        done.append(solve_problem(*arguments, **options))
+        return done[0]
+
+    monkeypatch.setattr("hitchopt.mission.repair.search.solve_problem", until_one_does)
+    found = find_suggestions(problem, refused.value, budget=60.0)
+    assert ended > 0
+    assert len(found) == 1
