@@ -22,7 +22,9 @@ from hitchopt.planners.optimise.way import Way
 from hitchopt.planners.path import ShapePath
 
 
-def certified(flight: Flight, team: Team, kept: KeptDistances) -> ho.Certificate:
+def certified(
+    flight: Flight, team: Team, kept: KeptDistances, tension: tuple[float, float] | None = None
+) -> ho.Certificate:
     motion = Motion(
         team,
         kept.limits,
@@ -32,7 +34,7 @@ def certified(flight: Flight, team: Team, kept: KeptDistances) -> ho.Certificate
         flight.vertices,
         flight.legs,
         flight.tensions,
-        (Phase("morph", 0, 0.0, flight.duration),),
+        (Phase("morph", 0, 0.0, flight.duration, tension=tension),),
     )
     return ho.certify(motion)
 
@@ -90,7 +92,7 @@ def found_flights(
 ) -> list[Candidate]:
     def judge(path: ShapePath) -> Flight | None:
         flight = fly(path, kept.limits)
-        return flight if certified(flight, start.team, kept).certified else None
+        return flight if certified(flight, start.team, kept, tension).certified else None
 
     return candidates(start, end, kept, judge, tension)
 
