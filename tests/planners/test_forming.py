@@ -334,7 +334,7 @@ def test_assignments_are_checked() -> None:
     [
         ({"radius": 0.0}, r"radius = 0\.0: must be greater than 0"),
         ({"seconds": -1.0}, r"seconds = -1\.0: must be greater than 0"),
-        ({"tilt": math.radians(95)}, r"tilt = 95\.0\d*: must be from 0 to below 90 degrees"),
+        ({"tilt": math.radians(95)}, r"tilt = 1\.65\d*: must be below π/2 rad"),
         ({"sense": 2}, r"sense = 2: must be 1, -1 or 0"),
     ],
 )

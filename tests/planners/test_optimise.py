@@ -22,7 +22,12 @@ from hitchopt.planners.path import ShapePath
 from hitchopt.requirements import Requirements
 
 
-def certified(flight: Flight, team: Team, requirements: Requirements) -> ho.Certificate:
+def certified(
+    flight: Flight,
+    team: Team,
+    requirements: Requirements,
+    tension: tuple[float, float] | None = None,
+) -> ho.Certificate:
     motion = Motion(
         team,
         Requirements(requirements.limits, requirements.separation, requirements.arena),
@@ -30,7 +35,7 @@ def certified(flight: Flight, team: Team, requirements: Requirements) -> ho.Cert
         flight.vertices,
         flight.legs,
         flight.tensions,
-        (Phase("morph", 0, 0.0, flight.duration),),
+        (Phase("morph", 0, 0.0, flight.duration, tension=tension),),
     )
     return ho.certify(motion)
 
@@ -88,7 +93,7 @@ def found_flights(
 ) -> list[Candidate]:
     def judge(path: ShapePath) -> Flight | None:
         flight = fly(path, requirements.limits)
-        return flight if certified(flight, start.team, requirements).certified else None
+        return flight if certified(flight, start.team, requirements, tension).certified else None
 
     return candidates(start, end, requirements, judge, tension)
 
