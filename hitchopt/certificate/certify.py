@@ -129,7 +129,7 @@ def certify(motion: Motion, progress: Callable[[str], None] | None = None) -> Ce
 
 def _applying(motion: Motion) -> Iterator[str]:
     """Yield the names of the checks that the motion has something for."""
-    here = set(DRONES)
+    here = set(DRONES) if motion.requirements.keep_out else set(DRONES) - {"keep_out"}
     if motion.team.has_cables:
         formed = motion.formed
         here |= set(CABLES)

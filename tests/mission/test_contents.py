@@ -85,7 +85,7 @@ def variants(value: Any) -> Iterator[Any]:
             for other in variants(part):
                 yield with_part(value, name, other)
     elif isinstance(value, tuple):
-        yield value[:-1]
+        yield from [value[:-1]] if value else []
         for i, item in enumerate(value):
             for other in variants(item):
                 yield (*value[:i], other, *value[i + 1 :])
@@ -94,7 +94,7 @@ def variants(value: Any) -> Iterator[Any]:
             other = value.copy()
             other[place] = np.nextafter(value[place], np.inf)
             yield other
-        yield value[:-1]
+        yield from [value[:-1]] if len(value) else []
     elif value is None or isinstance(value, str):
         yield f"{value}'"
     elif isinstance(value, bool):

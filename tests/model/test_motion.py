@@ -131,9 +131,10 @@ def test_phases_follow_one_another_and_cover_the_motion(
     motion = swarm_motion()
     drones = motion.drones.stretched(1.75)  # as long as the hitch rests
     with pytest.raises(InputError, match=r"phases = \[\["):
-        replace(motion, drones=drones, phases=phases)
+        Motion.single(motion.team, motion.requirements, drones, phases)
     covering = (Phase("a", 0, 0.0, 1.25), Phase("b", 0, 1.25, 3.5))
-    assert len(replace(motion, drones=drones, phases=covering).phases) == 2
+    whole = Motion.single(motion.team, motion.requirements, drones, covering)
+    assert len(whole.phases) == 2
 
 
 def test_cables_change_their_state_at_a_break() -> None:

@@ -190,11 +190,11 @@ def test_level_pairs_lean_by_a_rule() -> None:
     np.testing.assert_allclose(planes_between(scaled, every).normals, expected, atol=1e-12)
 
 
-def crossing_task(**more: object) -> SeparationTask:
+def crossing_task(*tethers: Tether, arena: Arena | None = None) -> SeparationTask:
     """Three drones that meet about the middle, off the origin."""
     start = np.array([[-1.0, 0.5, 1.2], [1.4, 0.6, 1.1], [0.2, 2.0, 1.3]])
     goal = np.array([[1.3, 0.4, 1.0], [-1.1, 0.5, 1.3], [0.3, -1.0, 1.1]])
-    return SeparationTask(start, goal, Requirements(Limits(), Separation()), **more)  # type: ignore[arg-type]
+    return SeparationTask(start, goal, Requirements(arena=arena, keep_out=(PILLAR,)), tethers)
 
 
 def around_of(task: SeparationTask, seed: int) -> Around:
@@ -214,7 +214,7 @@ def around_of(task: SeparationTask, seed: int) -> Around:
 
 
 def test_a_program_can_always_be_met_by_staying() -> None:
-    task = crossing_task(keep_out=(PILLAR,), arena=Arena([-3, -3, 0], [3, 3, 2]))
+    task = crossing_task(arena=Arena([-3, -3, 0], [3, 3, 2]))
     course, around = course_of(task), around_of(task, 1)
     program = build_program(course, around).program
     unknowns = around.coefficients[:, course.grid.free].size
@@ -226,7 +226,7 @@ def test_a_program_can_always_be_met_by_staying() -> None:
 
 
 def test_rows_are_what_the_moved_curves_do() -> None:
-    task = crossing_task(keep_out=(PILLAR,), tethers=(Tether(0, 2, 3.0),))
+    task = crossing_task(Tether(0, 2, 3.0))
     course, around = course_of(task), around_of(task, 2)
     built = build_program(course, around)
     unknowns = around.coefficients[:, course.grid.free].size
