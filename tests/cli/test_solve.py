@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from baseline import differences
 from click.testing import CliRunner, Result
 from problem_files import GOOD, INFEASIBLE, header
 
@@ -64,6 +65,7 @@ def test_good_problems_are_certified(path: Path, place: Path) -> None:
     assert all(check["name"] in result.stdout for check in certificate["checks"])
     least = least_duration(path)
     assert least <= certificate["duration"] < 3.0 * least + 1.0
+    assert not differences(certificate, path)
 
 
 def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:

@@ -6,10 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from baseline import SWARMS as PLANNED
+from baseline import differences
 from click.testing import CliRunner, Result
 from problem_files import ROOT
 
 from hitchopt.cli import main
+from hitchopt.planning import solve
 
 SWARMS = ROOT / "problems" / "swarms"
 
@@ -60,3 +63,8 @@ def test_mistakes_end_with_two() -> None:
     assert "2 points" in result.stderr
     result = run("solve", SWARMS / "head_on.yaml", "--rate", "1e9")
     assert result.exit_code == 2
+
+
+@pytest.mark.parametrize("path", PLANNED, ids=lambda path: path.stem)
+def test_swarms_are_planned_as_before(path: Path) -> None:
+    assert not differences(solve(path).certificate.to_dict(), path)
