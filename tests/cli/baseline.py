@@ -1,4 +1,4 @@
-"""Figures of the problems of this repository, as they were planned when ``baseline.json`` was written.
+"""Durations and figures of this repository's problems when ``baseline.json`` was written.
 
 A change of structure must not change them. Where a planner is meant to plan otherwise, write them
 anew with ``python tests/cli/baseline.py`` and say so in the changelog.
