@@ -26,7 +26,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.environment import environment
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"

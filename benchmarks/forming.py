@@ -23,8 +23,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.form_records import Assign
 from hitchopt.mission.free_flight import staged
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.settings import SwapSettings
-from hitchopt.planners.forming.tying import tied
+from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.tying_stages import tied
 from hitchopt.requirements import Limits, Requirements, Separation
 
 Array = NDArray[np.float64]

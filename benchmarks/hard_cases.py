@@ -11,9 +11,9 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.outline import Outline
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
-from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.path import ShapePath
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
 
 

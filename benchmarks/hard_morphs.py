@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.environment import busy, environment
 from benchmarks.hard_cases import Case, named_cases, random_case, random_name
 from benchmarks.hard_restarts import CAP, restarts
-from hitchopt.planners.optimise.search import ROUNDS, candidates
+from hitchopt.planners.optimise.candidates import ROUNDS, candidates
 
 LIMITATIONS = (
     "one machine, one run, other jobs beside it; processor time, not the wall's; "

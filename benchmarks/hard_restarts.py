@@ -11,11 +11,11 @@ import numpy as np
 
 from benchmarks.hard_cases import Case
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.planners.optimise.candidates import searched
+from hitchopt.planners.optimise.evaluation import Candidate, Search
 from hitchopt.planners.optimise.guesses import mean_turn
-from hitchopt.planners.optimise.judging import Candidate, Search
+from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.screening import end_margin
-from hitchopt.planners.optimise.search import searched
-from hitchopt.planners.optimise.way import Way
 
 CAP = 20.0
 """[s] of processor time for one restart; what has found nothing by then counts as not found."""

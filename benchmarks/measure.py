@@ -109,7 +109,7 @@ def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Me
     import hitchopt as ho
     from benchmarks.sampled import check_samples, kept_duration
     from benchmarks.samples import of_motion
-    from hitchopt.export.setpoints import write_setpoints
+    from hitchopt.exports.setpoints import write_setpoints
 
     def plan() -> ho.Plan:
         goal, separation = task.end.polygon, task.separation

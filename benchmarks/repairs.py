@@ -19,7 +19,7 @@ import hitchopt as ho
 from benchmarks.environment import print_environment
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair.mapping import edited, put
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 

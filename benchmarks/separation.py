@@ -18,11 +18,11 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.environment import busy, print_environment
 from benchmarks.separation_rival import KNOTS, RivalError, RivalFlight, fly_opti
-from hitchopt.certificate import certify
+from hitchopt.checks import certify
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_problems import antipodal_circle, random_team
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.requirements import Requirements
 

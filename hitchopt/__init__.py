@@ -18,8 +18,8 @@ if TYPE_CHECKING:
         move_vertex,
         transport,
     )
-    from hitchopt.certificate import Certificate, CertificateError, Check, certify
-    from hitchopt.certificate.closeness import Closeness
+    from hitchopt.checks import Certificate, CertificateError, Check, certify
+    from hitchopt.checks.bounds.closest_pairs import Closeness
     from hitchopt.errors import (
         FileError,
         HitchoptError,
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
         UnsupportedError,
         Violation,
     )
-    from hitchopt.export.lint.linting import lint
-    from hitchopt.export.sampling import States
+    from hitchopt.exports.lint.linting import lint
     from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
     from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
     from hitchopt.hitch.assignment import Assignment
@@ -54,7 +53,8 @@ if TYPE_CHECKING:
     )
     from hitchopt.mission.repair import Change, Suggestion
     from hitchopt.mission.swarm import SwarmProblem
-    from hitchopt.model.motion import Motion, Phase
+    from hitchopt.motion.motion import Motion, Phase
+    from hitchopt.motion.states import States
     from hitchopt.plan import Plan, closest, load
     from hitchopt.planning import repair, separate, solve, suggestions
     from hitchopt.requirements import Arena, Limits, Prism, Separation
@@ -65,11 +65,11 @@ _HOMES = {
     "Adjust": "mission.problem",
     "Arena": "requirements",
     "Assignment": "hitch.assignment",
-    "Certificate": "certificate",
-    "CertificateError": "certificate",
+    "Certificate": "checks",
+    "CertificateError": "checks",
     "Change": "mission.repair",
-    "Check": "certificate",
-    "Closeness": "certificate.closeness",
+    "Check": "checks",
+    "Closeness": "checks.bounds.closest_pairs",
     "ConvexArc": "geometry",
     "ConvexPolygon": "geometry",
     "DronesStart": "mission.problem",
@@ -85,10 +85,10 @@ _HOMES = {
     "Land": "mission.problem",
     "Limits": "requirements",
     "Morph": "mission.problem",
-    "Motion": "model.motion",
+    "Motion": "motion.motion",
     "MoveEdge": "mission.problem",
     "MoveVertex": "mission.problem",
-    "Phase": "model.motion",
+    "Phase": "motion.motion",
     "PiecewisePolynomial": "trajectory",
     "Plan": "plan",
     "Prism": "requirements",
@@ -96,7 +96,7 @@ _HOMES = {
     "Quadrotor": "hitch",
     "Release": "mission.problem",
     "Separation": "requirements",
-    "States": "export.sampling",
+    "States": "motion.states",
     "Suggestion": "mission.repair",
     "SwapSettings": "mission.problem",
     "Swarm": "hitch",
@@ -107,14 +107,14 @@ _HOMES = {
     "UnsupportedError": "errors",
     "Violation": "errors",
     "adjust": "actions",
-    "certify": "certificate",
+    "certify": "checks",
     "closest": "plan",
     "follow_vertex": "actions",
     "forget": "mission.memory",
     "form": "tying",
     "hold": "actions",
     "land": "tying",
-    "lint": "export.lint.linting",
+    "lint": "exports.lint.linting",
     "load": "plan",
     "load_problem": "mission.loading",
     "load_swarm": "mission.loading",

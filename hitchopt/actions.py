@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.problem import (
     Adjust,

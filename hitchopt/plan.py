@@ -10,15 +10,15 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from hitchopt.certificate import Certificate, certify
-from hitchopt.certificate.closeness import SPANS, Closeness, closeness
+from hitchopt.checks import Certificate, certify
+from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
 from hitchopt.errors import FileError
-from hitchopt.export.asking import Wish, export_motion
-from hitchopt.export.directory import PLAN, SUMMARY, save_plan
-from hitchopt.export.exporting import Export
-from hitchopt.export.plan_file import read_plan, read_title
-from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.exports.directory import PLAN, SUMMARY, save_plan
+from hitchopt.exports.exporting import Export
+from hitchopt.exports.options import Wish, export_motion
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.plan_file import read_plan, read_title
+from hitchopt.motion.states import States, states_at
 
 Progress = Callable[[str], None]
 
@@ -173,7 +173,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     """
     found = closeness(plan.motion, spans)
     if picture is not None:
-        from hitchopt.view.closeness import save_closeness
+        from hitchopt.view.closeness_picture import save_closeness
 
         try:
             save_closeness(picture, plan.motion, found)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.form_records import Assign, Form, Land, Release
 from hitchopt.mission.leg_sharing import leg_sharing
 from hitchopt.mission.problem import DronesStart, Problem, SwapSettings

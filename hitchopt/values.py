@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.geometry.outline import MAX_COORDINATE
+
+MAX_COORDINATE = 1e5
+"""[m] Beyond this double precision no longer resolves the tolerances of a plan."""
 
 
 def positive(key: str, value: object) -> float:

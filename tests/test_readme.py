@@ -35,7 +35,7 @@ def test_links_lead_to_files() -> None:
 
 
 def test_the_certificates_table_names_every_check() -> None:
-    from hitchopt.certificate.certify import CHECKS
+    from hitchopt.checks.certify import CHECKS
 
     rows = [line.split("|")[1] for line in README.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)`", row)}

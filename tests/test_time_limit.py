@@ -130,7 +130,7 @@ def test_suggestions_found_before_the_limit_are_kept(monkeypatch: pytest.MonkeyP
         done.append(solve_problem(*arguments, **options))
         return done[0]
 
-    monkeypatch.setattr("hitchopt.mission.repair.search.solve_problem", until_one_does)
+    monkeypatch.setattr("hitchopt.mission.repair.suggest.solve_problem", until_one_does)
     found = find_suggestions(problem, refused.value, budget=60.0)
     assert ended > 0
     assert len(found) == 1

@@ -22,11 +22,11 @@ from hitchopt.errors import (
 )
 
 if TYPE_CHECKING:
-    from hitchopt.certificate.report import Certificate
+    from hitchopt.checks.certificate import Certificate
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
-    from hitchopt.model.motion import Motion
+    from hitchopt.motion.motion import Motion
     from hitchopt.plan import Plan
 
 MAX_RATE = 10_000.0
@@ -152,7 +152,7 @@ def _leave_diagnosis(
 
     With a problem, what would mend it is searched for in the time ``left`` [s] and told as well.
     """
-    from hitchopt.export.directory import save_diagnosis
+    from hitchopt.exports.directory import save_diagnosis
 
     complain(error)  # first, in case that the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
@@ -203,9 +203,9 @@ def _suggested(
 )
 def check(directory: Path, closest: bool, picture: Path | None) -> None:
     """Certify the plan in DIR (or the plan.npz that is named) anew, from its polynomials only."""
-    from hitchopt.certificate import certify
+    from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.export.plan_file import read_plan
+    from hitchopt.motion.plan_file import read_plan
     from hitchopt.plan import Plan
 
     path = plan_path(directory)
@@ -230,7 +230,7 @@ def init(name: str) -> None:
 
 
 def _show(title: str, motion: Motion, certificate: Certificate) -> None:
-    from hitchopt.cli.tables import certificate_table, phase_table
+    from hitchopt.cli.console_tables import certificate_table, phase_table
 
     if title:
         say(title)
@@ -241,7 +241,7 @@ def _show(title: str, motion: Motion, certificate: Certificate) -> None:
 
 
 def _show_closest(plan: Plan, picture: Path | None) -> None:
-    from hitchopt.cli.tables import closeness_table
+    from hitchopt.cli.console_tables import closeness_table
     from hitchopt.plan import closest
 
     found = closest(plan, picture=picture)

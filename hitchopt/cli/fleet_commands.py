@@ -14,7 +14,7 @@ from hitchopt.cli.failures import UNMET, say
 from hitchopt.cli.paths import GivenPath, plan_path
 
 if TYPE_CHECKING:
-    from hitchopt.export.exporting import Export
+    from hitchopt.exports.exporting import Export
 
 
 @main.command()
@@ -91,9 +91,9 @@ def export(
     parquet, npz, json for scripts.
     """
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.export.asking import Wish, export_motion
-    from hitchopt.export.formats.registry import format_of
-    from hitchopt.export.plan_file import read_plan, read_title
+    from hitchopt.exports.formats.registry import format_of
+    from hitchopt.exports.options import Wish, export_motion
+    from hitchopt.motion.plan_file import read_plan, read_title
 
     format_of(name)  # a wrong name before a long read
     path = plan_path(directory)
@@ -117,8 +117,8 @@ def _place(directory: Path, name: str) -> Path:
 
 
 def _show(part: Export) -> None:
-    from hitchopt.certificate import Certificate
-    from hitchopt.cli.tables import certificate_table
+    from hitchopt.checks import Certificate
+    from hitchopt.cli.console_tables import certificate_table
 
     verdict = part.verdict
     say(certificate_table(Certificate(verdict.duration, verdict.checks)))
@@ -183,8 +183,8 @@ def lint(
     itself are always held. Ends with 3 if there are errors.
     """
     from hitchopt.cli.lint_report import say_report
-    from hitchopt.export.lint.linting import lint as linted
-    from hitchopt.export.lint.together import Rules
+    from hitchopt.exports.lint.linting import lint as linted
+    from hitchopt.exports.lint.together import Rules
     from hitchopt.requirements import Separation
     from hitchopt.values import positive
 

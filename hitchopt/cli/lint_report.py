@@ -7,11 +7,11 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from hitchopt.cli.failures import say
-from hitchopt.export.formats.memory import BYTES
-from hitchopt.export.lint.findings import ERROR, WARNING
+from hitchopt.exports.formats.memory_budget import BYTES
+from hitchopt.exports.lint.findings import ERROR, WARNING
 
 if TYPE_CHECKING:
-    from hitchopt.export.lint.findings import Report
+    from hitchopt.exports.lint.findings import Report
 
 SAME = 5
 """Findings of one rule that are written out; the rest are counted."""

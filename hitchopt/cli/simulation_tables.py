@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.text import Text
 
-from hitchopt.cli.tables import new_table, rendered
+from hitchopt.cli.console_tables import new_table, rendered
 
 if TYPE_CHECKING:
     from hitchopt.simulate.campaign import Campaign

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.values import MAX_COORDINATE
 
 Array = NDArray[np.float64]
 
@@ -20,9 +21,6 @@ MIN_EXTERIOR_ANGLE = 1e-6
 
 MIN_EDGE = 1e-6
 """[m] Points closer than this are taken to be the same."""
-
-MAX_COORDINATE = 1e5
-"""[m] Beyond this double precision no longer resolves the tolerances of a plan."""
 
 
 @dataclass(frozen=True, eq=False)

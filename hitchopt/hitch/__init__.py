@@ -1,6 +1,6 @@
 """Teams, hitches, leg lengths and equilibrium; knows no time."""
 
-from hitchopt.hitch.configuration import Hitch
+from hitchopt.hitch.hitch import Hitch
 from hitchopt.hitch.swarm import Swarm
 from hitchopt.hitch.team import GRAVITY, Quadrotor, Team
 

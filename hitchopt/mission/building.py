@@ -9,7 +9,7 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
@@ -43,7 +43,7 @@ from hitchopt.mission.steps import (
     StepKeys,
     TransportKeys,
 )
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.requirements import Arena, Limits, Separation
 
 StepOfKeys = (

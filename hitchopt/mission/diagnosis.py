@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hitchopt.certificate import Certificate, Check
+from hitchopt.checks import Certificate, Check
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.model.motion import Phase
+from hitchopt.motion.motion import Phase
 from hitchopt.requirements import Separation
 
 REMEDIES = {

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.fitting import cable_slack
+from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
-from hitchopt.planners.path import ShapePath, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, legs_along
 from hitchopt.requirements import Requirements
 
 

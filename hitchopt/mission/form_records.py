@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.mission.leg_sharing import LegSharing
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.values import coordinate, positive
 
 Assign = Literal["auto", "fixed"]

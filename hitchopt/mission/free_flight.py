@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.certificate import certify
-from hitchopt.certificate.hanging_clearance import ground_clearance
+from hitchopt.checks import certify
+from hitchopt.checks.bounds.hanging_clearance import ground_clearance
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.form_records import Land
 from hitchopt.mission.situation import Situation, Tied
-from hitchopt.model.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
 from hitchopt.requirements import Requirements

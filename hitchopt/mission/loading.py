@@ -10,14 +10,14 @@ from pydantic import ValidationError
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.building import built_problem
 from hitchopt.mission.faults import JointInputError
-from hitchopt.mission.plain import Plain, plain
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.steps import ProblemKeys
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_building import built_swarm
 from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.plain import Plain, plain
+from hitchopt.storage.yaml_file import read_yaml
 
 __all__ = [
     "AnyProblem",

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from hitchopt.certificate import Certificate
+from hitchopt.checks import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.motions import Certified, certified, flying
-from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.flight import Flight
-from hitchopt.planners.flown import fly_unhurried
-from hitchopt.planners.lead import leading
-from hitchopt.planners.leg_law import legs_clear
-from hitchopt.planners.optimise.search import candidates
-from hitchopt.planners.path import ShapePath
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.optimise.candidates import candidates
+from hitchopt.planners.path.leading_legs import leading
+from hitchopt.planners.path.leg_law import legs_clear
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import Flight
+from hitchopt.planners.timing.flown import fly_unhurried
 from hitchopt.requirements import Requirements
 
 

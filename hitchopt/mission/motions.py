@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchopt.certificate import Certificate, certify
+from hitchopt.checks import Certificate, certify
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
-from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.flown import Flown
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.timing.flown import Flown
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 

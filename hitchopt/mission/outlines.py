@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Team
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import leg_sharing
 from hitchopt.mission.step_records import (
@@ -28,6 +27,7 @@ from hitchopt.mission.step_records import (
     Step,
     Transport,
 )
+from hitchopt.values import MAX_COORDINATE
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.certificate import Certificate
+from hitchopt.checks import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch
 from hitchopt.mission.ends import End, broken_on_the_way, end_of_action, end_of_morph, shared_hitch
@@ -25,16 +25,16 @@ from hitchopt.mission.step_records import (
     ShapeStep,
     Transport,
 )
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.flying import Flying, fly_action
 from hitchopt.planners.actions.following import follow_vertex
 from hitchopt.planners.actions.shape_moves import adjust, move_edge, move_vertex
-from hitchopt.planners.blended_path import SAME, blended, check_turns, passing_times
-from hitchopt.planners.feasibility import check_loads, check_shapes
-from hitchopt.planners.flown import Flown, fly_unhurried
-from hitchopt.planners.morph import straight_morph
-from hitchopt.planners.rigid_path import RigidPath
+from hitchopt.planners.path.blended_path import SAME, blended, check_turns, passing_times
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
+from hitchopt.planners.path.rigid_path import RigidPath
+from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.timing.flown import Flown, fly_unhurried
 from hitchopt.requirements import Requirements
 
 IDLE = 0.01

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Team
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
 from hitchopt.mission.outlines import fitting_steps
@@ -26,9 +25,9 @@ from hitchopt.mission.step_records import (
     Step,
     Transport,
 )
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.values import coordinate
+from hitchopt.values import MAX_COORDINATE, coordinate
 
 __all__ = [
     "Adjust",

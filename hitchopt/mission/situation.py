@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate import Certificate
+from hitchopt.checks import Certificate
 from hitchopt.hitch import Hitch, Team
-from hitchopt.model.motion import Motion
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.forming.swap_settings import SwapSettings
 
 Array = NDArray[np.float64]
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from hitchopt.certificate import Certificate, merged
+from hitchopt.checks import Certificate, merged
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.form_records import Form, Land, Release
+from hitchopt.mission.form_steps import plan_form, plan_release
 from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
-from hitchopt.mission.friction import against_friction
+from hitchopt.mission.friction_steps import against_friction
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.motions import Certified, certified, check_at_rest
 from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.mission.situation import Situation, Tied
 from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
-from hitchopt.mission.tying import plan_form, plan_release
-from hitchopt.model.motion import Motion, joined_motions
+from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 

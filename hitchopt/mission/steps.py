@@ -31,7 +31,7 @@ from hitchopt.mission.schema import (
     fault,
 )
 from hitchopt.mission.step_records import MAX_TURNS
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.swap_settings import SwapSettings
 
 BLEND_TEXT = "Go on into the next step without a stop"
 

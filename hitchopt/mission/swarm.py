@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.geometry.outline import MAX_COORDINATE
 from hitchopt.hitch import Swarm
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.values import positive
+from hitchopt.values import MAX_COORDINATE, positive
 
 Array = NDArray[np.float64]
 

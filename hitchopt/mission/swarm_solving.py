@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.certificate import Certificate, certify
+from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from hitchopt.errors import InputError
 from hitchopt.mission.faults import one_or_all
 from hitchopt.mission.json_schema import entries_at, kind_schema
-from hitchopt.mission.plain import key_path
 from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE, Keys
 from hitchopt.mission.steps import ProblemKeys
+from hitchopt.storage.plain import key_path
 
 Schema = dict[str, Any]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.hitch.equilibrium import contact_forces
+from hitchopt.hitch.statics import contact_forces
 from hitchopt.simulate.tables import VertexTable
 from hitchopt.simulate.world import World
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
-from hitchopt.export.atomic import Writer, replace_files
-from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulate.measures import Spread, tracking_errors
 from hitchopt.simulate.outcome import NOT_SIMULATED, START, SUCCEEDED, Failure
 from hitchopt.simulate.report import CAMPAIGN, OWNED, RUNS, settings_summary
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.simulation import Task, simulate
+from hitchopt.storage.atomic import Writer, replace_files
+from hitchopt.storage.strict_json import write_strict_json
 
 Progress = Callable[[str], None]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.export.atomic import Writer, replace_files
-from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulate.measures import Spread, tracking_errors
 from hitchopt.simulate.picture import save_picture
 from hitchopt.simulate.settings import Settings
 from hitchopt.simulate.simulation import Simulation
+from hitchopt.storage.atomic import Writer, replace_files
+from hitchopt.storage.strict_json import write_strict_json
 
 Array = NDArray[np.float64]
 

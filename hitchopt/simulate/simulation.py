@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hitchopt.errors import UnsupportedError
-from hitchopt.export.directory import PLAN, SETPOINTS, VERTICES
-from hitchopt.export.plan_file import read_plan
+from hitchopt.exports.directory import PLAN, SETPOINTS, VERTICES
 from hitchopt.hitch import Team
+from hitchopt.motion.plan_file import read_plan
 from hitchopt.simulate.flight import fly
 from hitchopt.simulate.measures import VertexErrors, vertex_errors
 from hitchopt.simulate.outcome import Outcome, judge

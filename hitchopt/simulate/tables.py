@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.export.setpoints import HEADER as SETPOINTS_HEADER
-from hitchopt.export.vertices import HEADER as VERTICES_HEADER
+from hitchopt.exports.setpoints import HEADER as SETPOINTS_HEADER
+from hitchopt.exports.vertices import HEADER as VERTICES_HEADER
 from hitchopt.hitch import Team
 
 Array = NDArray[np.float64]

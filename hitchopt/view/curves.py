@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.export.sampling import States, states_at
-from hitchopt.model.motion import Motion
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import States, states_at
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.export.sampling import States, states_at
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.model.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.states import States, states_at
 from hitchopt.view.plan_view import CABLE_COLOURS, PATH_COLOUR
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.export.sampling import States
 from hitchopt.hitch.layout import Layout
-from hitchopt.model.motion import Motion
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import States
 from hitchopt.view.curves import Curves
 
 Array = NDArray[np.float64]

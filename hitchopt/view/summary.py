@@ -9,8 +9,8 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hitchopt.certificate.report import Certificate
-from hitchopt.model.motion import Motion
+from hitchopt.checks.certificate import Certificate
+from hitchopt.motion.motion import Motion
 from hitchopt.view.curves import sampled_curves
 from hitchopt.view.plan_view import draw_plan_view
 from hitchopt.view.swarm_view import draw_swarm_view

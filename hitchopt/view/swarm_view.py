@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from numpy.typing import NDArray
 
-from hitchopt.model.motion import Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.view.curves import Curves
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
-from hitchopt.certificate.report import Certificate
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.checks.certificate import Certificate
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.view.curves import Curves
 
 Array = NDArray[np.float64]

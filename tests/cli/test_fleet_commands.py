@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hitchopt.cli import main
-from hitchopt.export.formats.registry import HOMES
-from hitchopt.export.plan_file import write_plan
-from hitchopt.export.refit import settling
+from hitchopt.exports.formats.registry import HOMES
+from hitchopt.exports.refit import lattice_rounding
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
+from hitchopt.motion.plan_file import write_plan
 
 PROBLEM = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -63,7 +63,7 @@ def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(settling, "MOST", -1)  # rounding is left as it is
+    monkeypatch.setattr(lattice_rounding, "MOST", -1)  # rounding is left as it is
     done = run("export", plan, "--format", "compressed", "-o", "files")
     assert done.exit_code == 3
     assert done.stdout == ""

@@ -13,12 +13,12 @@ from baseline import differences
 from click.testing import CliRunner, Result
 from problem_files import GOOD, INFEASIBLE, header
 
-from hitchopt.certificate import Certificate
-from hitchopt.certificate.report import Check
+from hitchopt.checks import Certificate
+from hitchopt.checks.certificate import Check
 from hitchopt.cli import main
-from hitchopt.mission.yaml_file import read_yaml
 from hitchopt.plan import Plan
 from hitchopt.planning import solve
+from hitchopt.storage.yaml_file import read_yaml
 
 TRIANGLE = next(path for path in GOOD if path.stem == "triangle")
 

@@ -6,10 +6,10 @@ import time
 
 import pytest
 
-from hitchopt.certificate.report import Certificate, Check
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.cli.console_tables import certificate_table, new_table, number, phase_table, rendered
 from hitchopt.cli.progress import LateProgress
-from hitchopt.cli.tables import certificate_table, new_table, number, phase_table, rendered
-from hitchopt.model.motion import Phase
+from hitchopt.motion.motion import Phase
 
 CERTIFICATE = Certificate(
     12.5,

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from problem_files import BAD, GOOD, header
 
 from hitchopt import interrupts
-from hitchopt.certificate.report import CertificateError
+from hitchopt.checks.certificate import CertificateError
 from hitchopt.cli import main
 from hitchopt.cli.commands import MAX_ROWS
 from hitchopt.cli.failures import SafeGroup
@@ -209,7 +209,7 @@ def test_signals_within_imports_end_quietly(module: str, name: str, code: int, p
 WRITING = """
 import os, signal, sys
 from pathlib import Path
-import hitchopt.export.directory as directory
+import hitchopt.exports.directory as directory
 
 def kill(*_):
     seen = [path.name for path in Path().iterdir()]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hitchopt.geometry import random_convex_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.equilibrium import clasp_residuals, contact_forces, leg_directions
+from hitchopt.hitch.statics import clasp_residuals, contact_forces, leg_directions
 
 
 def hitch(seed: int, n: int, *, equal: bool) -> Hitch:

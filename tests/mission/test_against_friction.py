@@ -12,7 +12,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.model.motion import Motion
+from hitchopt.motion.motion import Motion
 
 TEAM = {"robots": 3, "cable_length": 2.4, "tension": 0.5}
 START = {"hitch": {"polygon": [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]], "altitude": 1.0}}

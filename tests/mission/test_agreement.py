@@ -10,7 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

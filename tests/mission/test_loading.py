@@ -27,7 +27,7 @@ from hitchopt.mission.problem import (
     Problem,
     Transport,
 )
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 MINIMAL: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -176,7 +176,7 @@ def test_the_templates_commented_values_are_the_defaults() -> None:
 
 
 def read_yaml_text(text: str) -> dict[str, Any]:
-    from hitchopt.mission.yaml_file import parse_yaml
+    from hitchopt.storage.yaml_file import parse_yaml
 
     data: Any = parse_yaml(text)
     assert isinstance(data, dict)

@@ -10,7 +10,7 @@ from problem_cases import BAD, GOOD, INFEASIBLE, TEMPLATE, header, triangle
 
 from hitchopt.errors import HitchoptError
 from hitchopt.mission.json_schema import SCHEMA_FILE, entries_at, problem_schema, schema_text
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 

@@ -14,8 +14,8 @@ from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
-from hitchopt.mission.plain import MAX_NODES, key_path
-from hitchopt.mission.yaml_file import MAX_BYTES, parse_yaml, read_yaml
+from hitchopt.storage.plain import MAX_NODES, key_path
+from hitchopt.storage.yaml_file import MAX_BYTES, parse_yaml, read_yaml
 
 printable = st.characters(
     codec="utf-8", exclude_categories=("Cc", "Cn", "Cs", "Zl", "Zp"), exclude_characters="\ufeff"
@@ -147,7 +147,7 @@ def test_depth_and_count_are_bounded() -> None:
 
 def test_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_NODES > 8 * 3 * 10_000  # several polygons of the largest team
-    monkeypatch.setattr("hitchopt.mission.plain.MAX_NODES", 100)
+    monkeypatch.setattr("hitchopt.storage.plain.MAX_NODES", 100)
     assert parse_yaml(f"a: [{'1, ' * 98}]") is not None
     with pytest.raises(InputError, match=r"a\[98\] = '101 values': must be within 100"):
         parse_yaml(f"a: [{'1, ' * 120}]")

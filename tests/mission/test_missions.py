@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.cli.tables import phase_table
+from hitchopt.cli.console_tables import phase_table
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.mission.problem import Step
 

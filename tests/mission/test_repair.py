@@ -17,7 +17,7 @@ from hitchopt.mission.repair import Edit
 from hitchopt.mission.repair.change import tidy
 from hitchopt.mission.repair.editing import with_outlines_scaled, with_thrust
 from hitchopt.mission.repair.mapping import edited
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
 

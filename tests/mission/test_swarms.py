@@ -23,7 +23,7 @@ from hitchopt.mission.swarm_problems import (
     through_a_door,
 )
 from hitchopt.mission.swarm_solving import flyable_accelerations
-from hitchopt.mission.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = Path(__file__).parents[2] / "problems" / "swarms"
 GOOD = sorted(SWARMS.glob("*.yaml"))

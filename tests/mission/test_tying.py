@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.certificate import certify
+from hitchopt.checks import certify
 from hitchopt.mission.loading import load_problem, problem_from_dict
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hitchopt.certificate import certify
-from hitchopt.certificate.report import Check, most_pressing
+from hitchopt.checks import certify
+from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
-from hitchopt.model.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hitchopt.geometry import ConvexArc, random_convex_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.equilibrium import clasp_residuals as plain_residuals
+from hitchopt.hitch.statics import clasp_residuals as plain_residuals
 from hitchopt.model.evaluation import DroneJets, FlatJets, clasp_residuals, drone_jets
 
 H = 1e-4

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hitchopt.geometry import random_convex_polygon
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.equilibrium import clasp_residuals as hitch_residuals
+from hitchopt.hitch.statics import clasp_residuals as hitch_residuals
 from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, clasp_residuals, drone_jets
 from hitchopt.model.planar import planar_function

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.hitch import Team
-from hitchopt.model.motion import Motion
-from hitchopt.planners.friction import FARTHEST, ROOM
-from hitchopt.planners.leaning import Leaning, leaning
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.friction.leaning import Leaning, leaning
+from hitchopt.planners.friction.slip_tensions import FARTHEST, ROOM
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
-from hitchopt.hitch.sharing import measured
-from hitchopt.planners.leg_law import sharing_task, with_legs_clear
-from hitchopt.planners.morph import straight_morph
-from hitchopt.planners.path import ShapePath, legs_along
+from hitchopt.hitch.leg_lengths import measured
+from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
+from hitchopt.planners.path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.straight_morph import straight_morph
 from hitchopt.requirements import Requirements
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]

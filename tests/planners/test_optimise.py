@@ -9,16 +9,16 @@ from optimise_cases import FREE, OCTAGON, PENTAGON, SQUARE, ends
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, random_convex_polygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.model.motion import Motion, Phase
-from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.morph import straight_morph
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise import settling
+from hitchopt.planners.optimise.candidates import Candidate, candidates
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
-from hitchopt.planners.optimise.program import WayProgram
-from hitchopt.planners.optimise.search import Candidate, candidates
+from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.morph_program import WayProgram
 from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.optimise.way import Way
-from hitchopt.planners.path import ShapePath
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
 
 

@@ -10,22 +10,22 @@ from optimise_cases import ends
 import hitchopt as ho
 from hitchopt.geometry import random_convex_polygon, regular_polygon
 from hitchopt.hitch import Team
-from hitchopt.hitch.sharing import measured
-from hitchopt.hitch.sharing_task import SharingTask
+from hitchopt.hitch.leg_lengths import measured
+from hitchopt.hitch.leg_task import SharingTask
 from hitchopt.planners.optimise.between import (
     LEG_INSET,
     LEG_REACH,
     between_rows,
     instants,
 )
-from hitchopt.planners.optimise.bounds import Bounds, Step
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.guesses import guesses
-from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.morph_program import WayProgram, build_program
 from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
-from hitchopt.planners.optimise.program import WayProgram, build_program
 from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.optimise.way import Way
+from hitchopt.planners.optimise.variable_bounds import Bounds, Step
+from hitchopt.planners.optimise.variables import Layout
 from hitchopt.requirements import Requirements
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}

@@ -15,7 +15,6 @@ from scipy.optimize import LinearConstraint, minimize
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.planners.separation import SeparationTask, Tether
-from hitchopt.planners.separation.course import course_of
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.planners.separation.guess import Manners, pushed_apart
@@ -25,11 +24,12 @@ from hitchopt.planners.separation.planes import (
     hull_points,
     planes_between,
 )
-from hitchopt.planners.separation.program import Around, build_program
 from hitchopt.planners.separation.qp import QuadraticProgram, Solver
+from hitchopt.planners.separation.routes import ways_around
+from hitchopt.planners.separation.separation_program import Around, build_program
+from hitchopt.planners.separation.setting import course_of
 from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
 from hitchopt.planners.separation.walls import walls_before
-from hitchopt.planners.separation.ways import ways_around
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import bernstein
 

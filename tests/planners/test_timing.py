@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
 from hitchopt.geometry import random_convex_polygon, regular_polygon
-from hitchopt.planners import jets, timing
-from hitchopt.planners.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.flight import Flight, fly
-from hitchopt.planners.mesh import time_mesh
-from hitchopt.planners.path import ShapePath, drones_along
-from hitchopt.planners.timing import acceleration_rows, fastest_profile, path_grid
+from hitchopt.planners.path import jets
+from hitchopt.planners.path.shape_path import ShapePath, drones_along
+from hitchopt.planners.timing import speed_profile
+from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
+from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.mesh import time_mesh
+from hitchopt.planners.timing.speed_profile import acceleration_rows, fastest_profile, path_grid
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 
@@ -100,7 +101,7 @@ def test_rows_are_the_same_however_many_rays_are_cast_at_a_time(
     found = demands(straight(5, 3, Limits()), Limits(), 40)
     rows = {}
     for chunk in (1, 3000, 10**9):
-        monkeypatch.setattr(timing, "CHUNK", chunk)
+        monkeypatch.setattr(speed_profile, "CHUNK", chunk)
         rows[chunk] = acceleration_rows(found)
     for other in (rows[1], rows[3000]):
         np.testing.assert_array_equal(other.normals, rows[10**9].normals)

@@ -9,11 +9,11 @@ import pytest
 from scripted import regular_hitch, standing
 
 from hitchopt.errors import FileError
-from hitchopt.export.setpoints import HEADER, write_setpoints
-from hitchopt.export.vertices import write_vertices
+from hitchopt.exports.setpoints import HEADER, write_setpoints
+from hitchopt.exports.vertices import write_vertices
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.model.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.simulate.tables import read_setpoints, read_vertices
 from hitchopt.trajectory import PiecewisePolynomial
@@ -43,7 +43,7 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
 def test_what_was_written_is_read(tmp_path: Path, topology: str) -> None:
-    from hitchopt.export.sampling import states_at
+    from hitchopt.motion.states import states_at
 
     motion = made(topology)
     write_setpoints(tmp_path / "s.csv", motion, 50.0)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.certificate.report import Certificate, Check
+from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

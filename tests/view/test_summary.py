@@ -17,8 +17,8 @@ from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 from pictured import made_certificate, make_motion
 
-from hitchopt.certificate.report import Certificate, Check
-from hitchopt.model.motion import Phase
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.motion.motion import Phase
 from hitchopt.view.plan_view import CABLE_COLOURS, _colours
 from hitchopt.view.summary import draw_summary, save_summary
 

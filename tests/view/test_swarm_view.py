@@ -10,13 +10,13 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
 
-from hitchopt.certificate import certify
-from hitchopt.certificate.closeness import closeness
+from hitchopt.checks import certify
+from hitchopt.checks.bounds.closest_pairs import closeness
 from hitchopt.hitch import Swarm
-from hitchopt.model.motion import Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.view.closeness import draw_closeness
+from hitchopt.view.closeness_picture import draw_closeness
 from hitchopt.view.summary import draw_summary, save_summary
 
 PRISM = Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)

@@ -1,6 +1,6 @@
 """What would mend a problem that cannot be met, found by planning it."""
 
 from hitchopt.mission.repair.change import Change, Edit, Suggestion
-from hitchopt.mission.repair.search import BUDGET, NO_CHANGE, find_suggestions
+from hitchopt.mission.repair.suggest import BUDGET, NO_CHANGE, find_suggestions
 
 __all__ = ["BUDGET", "NO_CHANGE", "Change", "Edit", "Suggestion", "find_suggestions"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.fitting import fitting_polygon
+from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited

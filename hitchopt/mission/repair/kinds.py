@@ -12,7 +12,6 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.form_records import Form
 from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
-from hitchopt.mission.repair.bounds import all_walls, limit_kinds, time_kinds, wall_kinds
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
 from hitchopt.mission.repair.constraints import RATES, SPACE, TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
@@ -24,6 +23,7 @@ from hitchopt.mission.repair.editing import (
     with_separation,
     with_tensions,
 )
+from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, time_kinds, wall_kinds
 
 MOST_NAMED = 3
 """Single cables tried, those that the broken limits name first."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.fitting import balanced_legs
+from hitchopt.hitch.cable_slack import balanced_legs
 from hitchopt.mission.ends import shared_hitch
 from hitchopt.mission.outlines import outline_left
 from hitchopt.mission.problem import HitchStart, LegSharing, Problem

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch
-from hitchopt.planners.forming.measures import Measures, measured
-from hitchopt.planners.forming.settings import SwapSettings
+from hitchopt.planners.forming.swap_measures import Measures, measured
+from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.turns import APART, Turns, half_that_clears, rise_that_clears
 from hitchopt.requirements import Separation
 from hitchopt.time_limit import check_time

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch
-from hitchopt.model.phases import CableState
+from hitchopt.motion.phases import CableState
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

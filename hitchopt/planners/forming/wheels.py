@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
-from hitchopt.planners.forming.fitting import fitted, needed_stretch
+from hitchopt.planners.forming.curve_fitting import fitted, needed_stretch
 from hitchopt.planners.forming.reserve import accelerations
 from hitchopt.planners.forming.straight import PAUSE
 from hitchopt.requirements import Limits

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hitchopt.planners.optimise.bounds import Bounds
-from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.pairs import near_pairs
-from hitchopt.planners.optimise.way import Way
+from hitchopt.planners.optimise.variable_bounds import Bounds
+from hitchopt.planners.optimise.variables import Layout
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

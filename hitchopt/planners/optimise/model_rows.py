@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.model.planar import planar_function
 from hitchopt.planners.optimise.between import between_rows, instants
-from hitchopt.planners.optimise.bounds import Bounds, Step
 from hitchopt.planners.optimise.draft import Draft
-from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.pairs import pair_rows
-from hitchopt.planners.optimise.way import Way
+from hitchopt.planners.optimise.variable_bounds import Bounds, Step
+from hitchopt.planners.optimise.variables import Layout
 
 Array = NDArray[np.float64]
 

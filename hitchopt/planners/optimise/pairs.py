@@ -11,7 +11,7 @@ from scipy import sparse
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
-from hitchopt.planners.optimise.layout import Layout
+from hitchopt.planners.optimise.variables import Layout
 from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]

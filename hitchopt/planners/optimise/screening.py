@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.sharing import measured
-from hitchopt.hitch.sharing_task import SharingTask
-from hitchopt.planners.optimise.way import Way
+from hitchopt.hitch.leg_lengths import measured
+from hitchopt.hitch.leg_task import SharingTask
+from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.planners.optimise.bounds import Bounds, Step
-from hitchopt.planners.optimise.program import build_program
+from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.morph_program import build_program
 from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.optimise.way import Way
+from hitchopt.planners.optimise.variable_bounds import Bounds, Step
 
 SETTLED = 0.3
 """Of its stride: a step of the optimiser that moves no vertex by more is the last one."""

@@ -8,9 +8,9 @@ from collections import deque
 import casadi as ca
 import numpy as np
 
-from hitchopt.planners.optimise.program import WayProgram
+from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.morph_program import WayProgram
 from hitchopt.planners.optimise.signals import answered_later
-from hitchopt.planners.optimise.way import Way
 from hitchopt.time_limit import check_time, time_left
 
 TOLERANCE = 1e-3

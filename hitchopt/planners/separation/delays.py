@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import tied_order
-from hitchopt.planners.separation.ways import Ways
+from hitchopt.planners.separation.routes import Ways
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.geometry.vectors import TIE
-from hitchopt.planners.separation.course import SAMPLES, Course, inside
+from hitchopt.planners.separation.setting import SAMPLES, Course, inside
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
-from hitchopt.planners.separation.course import Course
 from hitchopt.planners.separation.rows import Rows
+from hitchopt.planners.separation.setting import Course
 from hitchopt.planners.separation.spline import HELD
 
 Array = NDArray[np.float64]

@@ -1,0 +1,40 @@
+"""Check ``arena``: the drones stay within the walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING, magnitude
+from hitchopt.checks.certificate import Check, within
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+
+Array = NDArray[np.float64]
+
+
+def check(motion: Motion) -> Check | None:
+    """Return the smallest distance of any drone to a wall, negative outside; None without arena."""
+    arena = motion.requirements.arena
+    if arena is None:
+        return None
+    x = motion.drones.coefficients
+    inside = np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)
+    walls = float(max(np.max(np.abs(arena.lower)), np.max(np.abs(arena.upper))))
+    size = magnitude(motion)  # walls that are farther off matter to nobody
+    margin = ROUNDING * (size + walls)
+    cells = Cells.over(motion.drones.breaks, [inside], margin)
+    found = smallest(cells, _bound, within(0.0, "min", size, 0.5))
+    where = (motion.team.drone_names[found.item],)
+    # Who rests on the floor, to the last place in which a plan is written, is not below it.
+    worst = max(found.worst, 0.0) if np.min(inside) >= -LAST_PLACE * walls else found.worst
+    return Check.of("arena", worst, 0.0, "min", "m", found.time, where, size)
+
+
+def _bound(blocks: tuple[Array, ...]) -> Estimate:
+    (walls,) = blocks
+    nearest = np.min(walls, axis=1)
+    x = np.argmin(nearest, axis=-1) / max(1, bernstein.degree(walls))
+    value = np.min(bernstein.evaluate(walls, x[:, None]), axis=-1)
+    return Estimate(np.min(nearest, axis=-1), value, x)

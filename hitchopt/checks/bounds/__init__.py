@@ -1,0 +1,1 @@
+"""Bounds for all of continuous time that several checks share."""

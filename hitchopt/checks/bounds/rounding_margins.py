@@ -1,0 +1,60 @@
+"""How much is allowed for rounding, in one place. Every ``worst`` is moved outward by this.
+
+Coefficients and breaks are taken as exact: they are the plan. What is computed from them errs by a
+few units in the last place of the numbers that enter, say 2**-50 of them after halving forty
+times; ``ROUNDING`` leaves a factor of a thousand, also for whoever samples the same polynomials.
+"""
+
+from __future__ import annotations
+
+from math import perm
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+ROUNDING = 2.0**-40
+"""Relative to the magnitude of the numbers that enter a quantity."""
+
+LAST_PLACE = 2.0**-50
+"""What a difference of two numbers errs by at most, relative to it, with room to spare."""
+
+
+def magnitude(motion: Motion) -> float:
+    """Return the largest coordinate of the plan [m]."""
+    parts = (motion.drones, motion.vertices)
+    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+
+
+def position_margin(motion: Motion) -> float:
+    """Return the margin of distances and lengths [m]."""
+    return ROUNDING * magnitude(motion)
+
+
+def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
+    """Return the margin of the norm of a derivative by time.
+
+    The k-th differences of the coefficients amplify what the first ones err by, 2^(k-1) times,
+    and N!/(N-k)! / h^k times that is the derivative.
+
+    Parameters
+    ----------
+    part: of shape (items, d).
+    order: of the derivative, k >= 1.
+
+    Returns
+    -------
+    (pieces, items)
+    """
+    c = part.coefficients
+    if part.degree == 0:
+        return np.zeros(c.shape[:2])
+    differences = np.max(np.abs(bernstein.differentiate(c)), axis=(-2, -1)) / part.degree
+    gain = 2.0**order * perm(part.degree, order) / part.durations**order
+    size = np.max(np.abs(part.differentiated(order).coefficients), axis=(-2, -1))
+    margin: Array = LAST_PLACE * gain[:, None] * differences + ROUNDING * size
+    return margin

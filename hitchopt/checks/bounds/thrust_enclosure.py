@@ -1,0 +1,142 @@
+"""The thrust that every drone needs, enclosed: what the checks thrust and tilt have in common.
+
+It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg (at a chain's end, along
+the edge) and down by half of the cable's weight. That direction is no polynomial; it is enclosed by
+one. A cable that hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ)
+/ 2`` more than half of it (w its weight per length; see ``hitchopt.hitch.catenary``): enclosed by
+the range of its steepness σ. While a cable is drawn taut that part fades with its tautness, a
+polynomial (see ``hitchopt.motion.tensions``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.bounds.bodies import pull_vectors
+from hitchopt.checks.bounds.hanging_links import steepness_range
+from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.catenary import pull_terms
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.tensions import tautness
+from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.trajectory.extremum import Cells
+
+Array = NDArray[np.float64]
+
+NO_DIRECTION = 1e-5
+"""[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
+
+
+def thrust_cells(motion: Motion, unit: Array) -> Cells:
+    """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
+
+    Parameters
+    ----------
+    unit: (drones,) [N], what each drone's forces are divided by.
+    """
+    mass = (motion.team.mass / unit)[:, None]
+    free = motion.drones.differentiated(2).coefficients * mass[..., None]
+    free[:, :, 2] += mass * GRAVITY
+    if motion.team.has_cables:
+        free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
+        legs = pull_vectors(motion)
+        # Without a hitch there is no leg, whatever the plan says that it pulls with.
+        pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+        tension = lowered(pulls / unit[:, None])
+    else:  # no cable, no pull, whichever way it points
+        legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
+        tension = np.zeros((*free.shape[:2], 1))
+    pull = np.max(np.abs(tension), axis=-1)
+    slop = derivative_margin(motion.drones, 2) * mass[:, 0]
+    slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
+    blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
+    if motion.team.has_cables and motion.team.cable_density > 0.0:
+        blocks += _hanging_blocks(motion, unit)
+    return Cells.over(motion.drones.breaks, blocks)
+
+
+def _hanging_blocks(motion: Motion, unit: Array) -> list[Array]:
+    """Return, per piece and drone, its partner's offset, its cable's weight per length, and length.
+
+    The weight is that of the share that still hangs free. Nothing is returned where no cable does.
+    """
+    c, team = motion.drones.coefficients, motion.team
+    across = c.reshape(len(c), team.robots, 2, *c.shape[2:])
+    partner = across[:, :, ::-1].reshape(c.shape) - c
+    hanging = np.repeat(1.0 - lowered(tautness(motion)), 2, axis=1)
+    if not np.any(hanging):
+        return []
+    weight = hanging * (GRAVITY * team.cable_density / unit)[:, None]
+    length = np.broadcast_to(np.repeat(team.cable_length, 2), weight.shape[:2])
+    return [partner, weight[:, :, None], length[..., None, None]]
+
+
+def lowered(coefficients: Array) -> Array:
+    """Return constants written in degree 0, anything else as it is: products get cheaper."""
+    if np.all(coefficients == coefficients[..., :1]):
+        return coefficients[..., :1]
+    return coefficients
+
+
+def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclosure:
+    """Return polynomials (cells, 3, degree + 1) and radii (cells,) around the thrusts.
+
+    Parameters
+    ----------
+    blocks: of ``thrust_cells``.
+    noise: of the positions [m].
+    """
+    free, legs, tension, slop = blocks[:4]
+    along = enclosure.direction(legs, noise)
+    pull = bernstein.multiply(along.coefficients, tension)
+    parts = [free, pull]
+    radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
+    if len(blocks) > 4:
+        hanging = _hanging_weight(*blocks[4:])
+        parts.append(hanging.coefficients)
+        radius = radius + hanging.radius
+    order = max(bernstein.degree(part) for part in parts)
+    thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
+    return enclosure.Enclosure(thrust, radius)
+
+
+def _hanging_weight(partner: Array, weight: Array, length: Array) -> enclosure.Enclosure:
+    """Enclose what free cables add to the thrust (cells, 3), half of their weight left out."""
+    lower, upper = steepness_range(partner, length[:, 0, 0])
+    most, least = (np.array(pull_terms(sigma)) for sigma in (lower, upper))  # both fall with σ
+    middle, spread = 0.5 * (most + least), 0.5 * (most - least)
+    factors = np.stack([-middle[0], -middle[0], -middle[1]], axis=1)
+    size = np.max(np.abs(partner), axis=-1)
+    radius = spread[0] * np.hypot(size[:, 0], size[:, 1]) + spread[1] * size[:, 2]
+    pull = bernstein.multiply(weight, 0.5 * factors[..., None] * partner)
+    return enclosure.Enclosure(pull, 0.5 * np.max(np.abs(weight), axis=(-2, -1)) * radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Thrust:
+    """Thrusts at one time a cell.
+
+    Attributes
+    ----------
+    vectors: (cells, 3); without the cable's pull where the leg has no direction.
+    pull: (cells,), how large a pull comes on top there, else 0.
+    """
+
+    vectors: Array
+    pull: Array
+
+
+def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
+    """Return the thrusts at x (cells,)."""
+    free, legs, tension, _ = (bernstein.evaluate(block, x[:, None]) for block in blocks[:4])
+    length = np.linalg.norm(legs, axis=-1, keepdims=True)
+    known = length > NO_DIRECTION
+    pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
+    if len(blocks) > 4:
+        there = [bernstein.evaluate(block, x[:, None])[..., None] for block in blocks[4:]]
+        free = free + _hanging_weight(*there).coefficients[..., 0]
+    return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

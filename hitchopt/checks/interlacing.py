@@ -1,0 +1,107 @@
+"""Check ``interlacing``: cables are in the states that phases state, from paths alone.
+
+The *crossing number* of two cables counts how often their chords have passed through each other,
+with signs. Free cables, on the ground or hanging, have 0. A hitch is right when neighbours have ±1
+(either way of turning holds) and all others 0; so they have while cables are being tightened, and
+clasping leads from the one to the other. A hitch that is there at first is taken to have been tied
+with every q going up first, which is 1. Besides, no drone may fly inside the hanging cable of
+another: what it pulls there is caught although no chords have met. What else a state asks of the
+motion is in ``hitchopt.checks.bounds.cable_states``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+
+import numpy as np
+
+from hitchopt.checks.bounds.cable_states import Wrong, contradicted, neighbouring
+from hitchopt.checks.bounds.chord_crossings import chord_crossings
+from hitchopt.checks.bounds.free_phases import phase_parts
+from hitchopt.checks.bounds.hanging_crossing import neighbours
+from hitchopt.checks.bounds.strands import entered
+from hitchopt.checks.certificate import Check
+from hitchopt.hitch.layout import Layout
+from hitchopt.motion.motion import JOINT, CableState, Motion
+
+NUMBERS = {
+    CableState.GROUND: 0,
+    CableState.FREE: 0,
+    CableState.TIGHTENING: 1,
+    CableState.HITCHED: 1,
+}
+"""Size of the crossing numbers of neighbours before and after phases in these states."""
+
+MOST_NAMED = 12
+"""Pairs that ``where`` names at most."""
+
+
+def check(motion: Motion) -> Check | None:
+    """Return how many pairs of cables, or single ones, are not in the state that a phase states.
+
+    ``where`` names the first phase in which that is so, the vertex of neighbours, both cables of
+    other pairs and single cables. None for a plan that has its hitch all of the time.
+    """
+    if np.all(motion.formed):
+        return None
+    layout = motion.team.layout
+    found = list(_wrong(motion))
+    pairs = np.concatenate([each.pairs for each in found])
+    times = np.concatenate([each.time for each in found])
+    wrong, first = np.unique(pairs, return_index=True)
+    order = np.argsort(times[first], kind="stable")
+    named = [name for pair in wrong[order][:MOST_NAMED] for name in _names(layout, int(pair))]
+    time = float(motion.drones.breaks[-1])
+    if len(times):
+        time = float(np.min(times))
+        phase = next(each.phase for each in found if time in each.time)
+        named.insert(0, f"phase {motion.phases.index(phase)} ({phase.name})")
+    return Check.of("interlacing", float(len(wrong)), 0.0, "max", "1", time, tuple(named))
+
+
+def _wrong(motion: Motion) -> Iterator[Wrong]:
+    """Yield the pairs and cables that are wrong, run by run of phases in one state."""
+    n, beside = motion.team.robots, np.sort(neighbouring(motion.team.layout))
+    # A hitch that is there at first has been tied with every q going up first: 1 for neighbours.
+    numbers = np.full(len(beside), int(motion.formed[0]), dtype=np.intp)
+    for state, run in groupby(phase_parts(motion), lambda part: part.phase.state):
+        parts = list(run)
+        first, last = parts[0], parts[-1]
+        asked = NUMBERS.get(state)
+        if asked is not None:
+            yield Wrong.at(beside[np.abs(numbers) != asked], first.start, first.phase)
+        if state is CableState.HITCHED:
+            continue
+        span = motion.taken(slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts])
+        met = chord_crossings(span.drones)
+        pairs = met.first * n + met.second
+        known = np.isin(pairs, beside)
+        bad = ~met.certain | (~known & (met.count != 0))
+        in_part = np.searchsorted([part.end for part in parts[:-1]], met.time - JOINT)
+        counted = np.zeros(len(beside), dtype=np.intp)
+        counted[np.searchsorted(beside, pairs[known])] = met.count[known]
+        numbers = numbers + counted
+        if last.pieces.stop == motion.drones.pieces:
+            asked = 0
+        if asked is not None:
+            yield Wrong.at(beside[np.abs(numbers) != asked], last.end, last.phase)
+        for i, part in enumerate(parts):
+            here = bad & (in_part == i)
+            yield Wrong(pairs[here], met.time[here], part.phase)
+            yield from contradicted(part)
+            inside = entered(part.motion)
+            own = inside.drone // 2
+            caught = np.minimum(own, inside.cable) * n + np.maximum(own, inside.cable)
+            yield Wrong(caught, inside.time, part.phase)
+
+
+def _names(layout: Layout, pair: int) -> tuple[str, ...]:
+    i, j = divmod(pair, layout.robots)
+    if i == j:
+        return (f"cable {i}",)
+    if neighbours(layout, np.array([i]), np.array([j]))[0]:
+        shared = (layout.ahead == i) & (layout.behind == j)
+        shared |= (layout.ahead == j) & (layout.behind == i)
+        return (f"p{layout.clasps[int(np.argmax(shared))]}",)
+    return (f"cable {i}", f"cable {j}")

@@ -1,0 +1,72 @@
+"""Check ``tilt``: no drone leans farther than allowed."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.bounds.rounding_margins import position_margin
+from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
+from hitchopt.checks.certificate import Check, within
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Estimate, largest
+
+Array = NDArray[np.float64]
+
+UPSIDE_DOWN = 180.0
+"""[deg] The largest angle there is; also that of a thrust of no direction."""
+
+
+def check(motion: Motion) -> Check:
+    """Return the largest angle of any drone's thrust from vertical, in degrees."""
+    cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
+    limit = math.degrees(motion.requirements.limits.tilt)
+    aim = within(limit, "max", share=0.5)
+    found = largest(cells, partial(_bound, noise=position_margin(motion)), aim)
+    where = (motion.team.drone_names[found.item],)
+    worst = min(found.worst, UPSIDE_DOWN)
+    return Check.of("tilt", worst, limit, "max", "deg", found.time, where)
+
+
+def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    thrust = thrust_enclosure(blocks, noise)
+    f, radius = thrust.coefficients, thrust.radius[:, None]
+    angles = _angle(np.linalg.norm(f[:, :2], axis=1), f[:, 2])
+    # A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball
+    # of the radius about every coefficient.
+    reach = angles + _spread(radius, np.linalg.norm(f, axis=1))
+    upright = np.max(reach, axis=-1)
+    # Else look at it in the plane of ẑ and the azimuth at mid time: where a thrust points below
+    # the horizon, leaving out the third coordinate turns it farther down.
+    middle = np.full((len(f), 1), 0.5)
+    azimuth = bernstein.evaluate(f[:, :2], middle)
+    size = np.linalg.norm(azimuth, axis=-1, keepdims=True)
+    azimuth = np.divide(azimuth, size, out=np.zeros_like(azimuth), where=size > 0.0)
+    across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
+    level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
+    downward = np.maximum(np.max(level, axis=-1), 90.0)
+    sideways = np.where(np.min(across - radius, axis=-1) > 0.0, downward, UPSIDE_DOWN)
+    bound = np.minimum(np.where(upright < 90.0, upright, UPSIDE_DOWN), sideways)
+    x = np.argmax(angles, axis=-1) / max(1, bernstein.degree(f))
+    there = thrust_at(blocks, x)
+    length = np.linalg.norm(there.vectors, axis=-1)
+    value = _angle(np.linalg.norm(there.vectors[:, :2], axis=-1), there.vectors[:, 2])
+    value = np.minimum(value + _spread(there.pull, length), UPSIDE_DOWN)
+    return Estimate(bound, np.where(there.pull >= length, UPSIDE_DOWN, value), x)
+
+
+def _angle(across: Array, upward: Array) -> Array:
+    """Return the angle from +z in the half plane of (across, upward) [deg]."""
+    angle: Array = np.degrees(np.arctan2(across, upward))
+    return angle
+
+
+def _spread(radius: Array, length: Array) -> Array:
+    """Return by how much a ball of ``radius`` at ``length`` can turn a direction [deg]."""
+    ratio = np.divide(radius, length, out=np.ones_like(length), where=length > radius)
+    turned: Array = np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
+    return turned

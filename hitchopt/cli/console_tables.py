@@ -1,0 +1,109 @@
+"""What a plan does and what its certificate says, as tables to read on a terminal or in a file."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from hitchopt.checks.bounds.closest_pairs import Closeness
+    from hitchopt.checks.certificate import Certificate
+    from hitchopt.motion.motion import Phase
+
+LEAST_WIDTH = 100
+"""Columns that nothing is cut to where no terminal tells its own width."""
+
+MOST_NAMES = 4
+"""Drones, cables or vertices shown of one check."""
+
+
+def phase_table(phases: Iterable[Phase]) -> str:
+    """Return the table of a plan's phases, with a column for remarks where there are any."""
+    rows = tuple(phases)
+    table = new_table(
+        "Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"]
+    )
+    if any(phase.remark for phase in rows):
+        table.add_column("remark", overflow="fold")
+    for phase in rows:
+        times = (phase.start, phase.end, phase.end - phase.start)
+        remark = (Text(phase.remark),) if phase.remark else ()
+        table.add_row(Text(phase.name), str(phase.step), *(f"{t:.3f} s" for t in times), *remark)
+    return rendered(table)
+
+
+def certificate_table(certificate: Certificate) -> str:
+    """Return the table of a certificate's checks, each with its worst value over all of time."""
+    table = new_table("Certificate", [("check", "left")], ["worst", "limit"])
+    for name in ("unit", "where", "when", "holds"):
+        table.add_column(name, overflow="fold")
+    for check in certificate.checks:
+        relation = "≥" if check.sense == "min" else "≤"
+        table.add_row(
+            Text(check.name),
+            number(check.worst),
+            f"{relation} {number(check.limit)}",
+            Text("" if check.unit == "1" else check.unit),
+            Text(_names(check.where)),
+            f"{check.time:.3f} s" if math.isfinite(check.time) else "",
+            Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
+        )
+    return rendered(table)
+
+
+def closeness_table(closest: Closeness) -> str:
+    """Return the table of the closest neighbours, each with its smallest separation for all t."""
+    table = new_table("Closest neighbours", [("pair", "left")], ["separation", "apart", "when"])
+    table.add_column("closest for", justify="right", overflow="fold")
+    span = (closest.spans[-1].end - closest.spans[0].start) / len(closest.spans)
+    for pair in closest.pairs:
+        table.add_row(
+            Text(", ".join(pair.pair)),
+            f"≥ {number(pair.bound)}",
+            f"{pair.apart:.4g} m",
+            f"{pair.time:.3f} s",
+            f"{span * pair.spans:.3f} s",
+        )
+    return rendered(table)
+
+
+def number(value: float) -> str:
+    """Return ``value`` in six significant digits; beyond all numbers it is infinite."""
+    if abs(value) >= sys.float_info.max:
+        return "inf" if value > 0 else "-inf"
+    return f"{value:.6g}"
+
+
+def _names(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:MOST_NAMES])
+    return f"{shown}, and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+
+
+def new_table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
+    """Return an empty table: columns of words, each with its side, then columns of numbers."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, side in words:
+        table.add_column(name, justify="left" if side == "left" else "right", overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", overflow="fold")
+    return table
+
+
+def rendered(table: Table) -> str:
+    """Return the table as lines of text, as wide as the terminal."""
+    terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
+    width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
+    text = StringIO()
+    # Without markup: units in brackets are text.
+    console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
+    console.print(table)
+    return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())

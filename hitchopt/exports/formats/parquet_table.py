@@ -1,0 +1,148 @@
+"""Format parquet: ``setpoints.parquet``, a row per sample and drone; its metadata say the frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import FileError
+from hitchopt.exports.formats.extras import needed
+from hitchopt.exports.formats.format import Candidate, Task
+from hitchopt.exports.formats.long_table import (
+    COLUMNS,
+    FLOWN,
+    PLACED,
+    Rows,
+    Table,
+    blocks_of,
+    columns_told,
+    first_names,
+    grouped,
+    recording_of_rows,
+    spread_out,
+)
+from hitchopt.exports.frame import AXES
+from hitchopt.exports.recording import Recording
+from hitchopt.storage.archive import BROKEN, refuse_expansion
+
+FILE = "setpoints.parquet"
+
+FRAME, ROOM = b"hitchopt.frame", b"hitchopt.room"
+"""Keys of the schema's metadata: the frame's name, and where the plan lies in it, as JSON."""
+
+GROUP = 200_000
+"""Rows of a row group at most, or one sample: readers skip and share work by groups. 35 MB of
+numbers wait until one is full."""
+
+
+class ParquetTable(Table):
+    """Columns for data frames; a row group holds whole samples."""
+
+    name = "parquet"
+    summary = "one table of columns, a row per sample and drone"
+
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give the one table there is."""
+        needed("pyarrow")
+        yield Candidate({FILE: lambda path: write_parquet(path, task)})
+
+    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
+        """Return what the table says."""
+        return read_parquet(folder / FILE)
+
+
+def write_parquet(path: Path, task: Task) -> None:
+    """Write the table, block by block, in double precision.
+
+    Raises
+    ------
+    UnsupportedError: pyarrow is not installed.
+    OSError: the file cannot be written.
+    """
+    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    names = arrow.array(task.names)
+    number = arrow.float64()
+    fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
+    fields += [(column, number) for column in COLUMNS]
+    room = task.room
+    place = json.dumps(room.to_dict(), allow_nan=False)
+    schema = arrow.schema(fields, metadata={FRAME: room.frame.encode(), ROOM: place.encode()})
+    with parquet.ParquetWriter(path, schema) as writer:
+        waiting: list[Any] = []
+        for block in blocks_of(task):
+            samples, drones = block.values.shape[:2]
+            who = np.tile(np.arange(drones, dtype=np.int32), samples)
+            columns = [
+                arrow.array(np.repeat(block.t, drones)),
+                arrow.DictionaryArray.from_arrays(who, names),
+                *(arrow.array(block.values[..., i].ravel()) for i in range(len(COLUMNS))),
+            ]
+            if sum(map(len, waiting)) + samples * drones > GROUP:
+                _write_group(writer, waiting)
+            waiting.append(arrow.Table.from_arrays(columns, schema=schema))
+        _write_group(writer, waiting)
+
+
+def _write_group(writer: Any, tables: list[Any]) -> None:
+    """Write the tables, if there are any, as one row group, and forget them."""
+    if tables:
+        whole = needed("pyarrow").concat_tables(tables)
+        writer.write_table(whole, row_group_size=len(whole))
+        tables.clear()
+
+
+def read_parquet(path: Path) -> Recording:
+    """Return what a table of these columns says; other columns are not looked at.
+
+    Raises
+    ------
+    UnsupportedError: pyarrow is not installed.
+    FileError: it is not such a table, or a damaged one; from the windows too.
+    """
+    with _opened(path) as file:
+        metadata = file.schema_arrow.metadata or {}
+        first = next(_rows(path), None)
+    if first is None:
+        raise FileError(f"{path}: holds no rows; it is truncated")
+    names = first_names(first)
+    frame = metadata.get(FRAME, b"").decode("ascii", "replace")
+    return recording_of_rows(
+        names, lambda: grouped(_rows(path), names), frame if frame in AXES else ""
+    )
+
+
+def _opened(path: Path) -> Any:
+    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    try:
+        file = parquet.ParquetFile(path)
+        missing = [name for name in PLACED if name not in file.schema_arrow.names]
+        refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
+    except (arrow.ArrowException, *BROKEN) as error:
+        raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
+    if missing:
+        raise FileError(
+            f"{path}: has no column {missing[0]!r}; hitchopt writes t, drone and others"
+        )
+    return file
+
+
+def _rows(path: Path) -> Iterator[Rows]:
+    arrow = needed("pyarrow")
+    try:
+        with _opened(path) as file:
+            told = columns_told(file.schema_arrow.names)
+            wanted = ["t", "drone", *(FLOWN[i] for i in told)]
+            for batch in file.iter_batches(columns=wanted):
+                values = np.column_stack([batch[name].to_numpy(False) for name in wanted[2:]])
+                t = batch["t"].to_numpy(False).astype(np.float64)
+                if len(t):
+                    names = [str(name) for name in batch["drone"].to_pylist()]
+                    yield Rows(t, names, spread_out(values.astype(np.float64), told))
+    except FileError:
+        raise
+    except (arrow.ArrowException, *BROKEN) as error:
+        raise FileError(f"{path}: is damaged: {error}") from error

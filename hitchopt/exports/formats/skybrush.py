@@ -1,0 +1,184 @@
+"""Format skybrush: ``show.skyc``, cubic Bézier curves of every drone for Skybrush.
+
+A zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y, z], control
+points]``, t in seconds from takeoff, north-west-up, the control points leading into their point.
+Skybrush's server stores whole milliseconds and whole millimetres (multiples of s millimetres from
+32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
+back and certified are the curves that the server stores.
+
+Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
+their own; the format has no place for accelerations, so the cable's pull is not in it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator
+from functools import partial
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.exports.formats.compressed import keeping_of
+from hitchopt.exports.formats.format import Candidate, Task, Whole
+from hitchopt.exports.formats.skybrush_show import MILLI, drones_of_show, storage_scale, stored
+from hitchopt.exports.recording import Recording, lasted, recording_of_curves
+from hitchopt.exports.refit.breaks import greedy_breaks, span_error
+from hitchopt.exports.refit.joint_rounding import rounded
+from hitchopt.exports.refit.lattice_rounding import settled
+from hitchopt.exports.refit.pieces import Kind, Scale, fitted
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+FILE = "show.skyc"
+
+KIND = Kind(degree=3, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
+"""From 1.001 s on the server's arithmetic loses a millisecond of some durations; a millimetre of a
+control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
+
+SMOOTH = 1
+"""After rounding, acceleration jumps; so does velocity, by as much as the note tells."""
+
+SCALE = Scale(position=1e-3, velocity=3e-2, acceleration=0.5)
+
+BOUNDS = (1.0, 1.4, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2)
+"""Of the refit over SCALE, the best first: long segments fit worse and suffer less from rounding;
+below the last one rounding costs more than the refit gains."""
+
+ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
+"""Errors of rounding that weigh alike."""
+
+NUDGE = 1e-6
+"""[m] By which points in the file lie beyond their whole millimetres: the server cuts digits off,
+and in binary most of them lie just below."""
+
+
+class SkybrushShow(Whole):
+    """Cubic curves in one show."""
+
+    name = "skybrush"
+    summary = "a show of cubic curves for Skybrush (.skyc)"
+    frames = ("nwu",)
+    rate = 0.0
+    accuracy = 2e-3
+    feed_forward = (
+        "not in this file: the autopilots track positions with controllers of their own, and the "
+        "format has no accelerations"
+    )
+
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give refits, each with more points than the one before."""
+        curves = task.motion.drones
+        error = span_error(curves, KIND, SCALE)
+        most = ceil(curves.duration / KIND.quantum) + 1
+        for bound in BOUNDS:
+            breaks = greedy_breaks(error, float(curves.breaks[-1]), KIND, bound, most)
+            if breaks is None:
+                continue
+            fit = task.room.placed(fitted(lasted(curves, float(breaks[-1])), breaks, KIND))
+            quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
+            keeping = keeping_of(task, breaks, self.accuracy)
+            for rounding in _roundings(fit, quantum):
+                whole = settled(rounding, fit, quantum, keeping)
+                notes = (
+                    f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to "
+                    "Skybrush",
+                    f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
+                    f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
+                    "join",
+                )
+                write = partial(write_show, task=task, breaks=breaks, points=whole.coefficients)
+                yield Candidate({FILE: write}, notes)
+
+    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
+        """Return the curves of the show as Skybrush's server stores them."""
+        drones = drones_of_show(folder / FILE)
+        curves = [stored(curve) for curve in drones.values()]
+        return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
+
+
+def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
+    """Return the curves rounded together and one point at a time, the smoother ones first.
+
+    The former costs less velocity in short pieces, the latter less place where drones rest.
+    """
+    nearest = np.rint(curves.coefficients / quantum) * quantum
+    each = PiecewisePolynomial(curves.breaks, nearest)
+    return sorted([rounded(curves, quantum, ROUNDING), each], key=_jump)
+
+
+def _jump(curves: PiecewisePolynomial) -> float:
+    """Return the largest jump of velocity where pieces join [m/s]."""
+    left, right = curves.ends(1)
+    return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
+
+
+def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
+    """Write the show.
+
+    Parameters
+    ----------
+    path: of the zip.
+    task: with title, names and limits.
+    breaks: (pieces + 1,) [s]
+    points: (pieces, D, 3, 4) Bézier control points [m], north-west-up, of whole millimetres.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    times = [round(t, 3) for t in breaks.tolist()]
+    points = np.round(points + np.copysign(NUDGE, points) * (points != 0.0), 6) + 0.0
+    drones = []
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for i, name in enumerate(task.names):
+            here = points[:, i]  # (pieces, 3, 4)
+            rows: list[Any] = [[times[0], here[0, :, 0].tolist(), []]]
+            rows += [
+                [t, piece[:, 3].tolist(), [piece[:, 1].tolist(), piece[:, 2].tolist()]]
+                for t, piece in zip(times[1:], here, strict=True)
+            ]
+            trajectory = {
+                "version": 1,
+                "takeoffTime": 0,
+                "landingTime": times[-1],
+                "points": rows,
+            }
+            file = f"drones/{name}/trajectory.json"
+            archive.writestr(file, json.dumps(trajectory, allow_nan=False))
+            settings = {
+                "name": name,
+                "home": here[0, :, 0].tolist(),
+                "landAt": here[-1, :, 3].tolist(),
+                "trajectory": {"$ref": f"./{file}#"},
+            }
+            drones.append({"type": "generic", "settings": settings})
+        archive.writestr("show.json", json.dumps(_show(task, drones), allow_nan=False))
+
+
+def _show(task: Task, drones: list[Any]) -> dict[str, Any]:
+    motion = task.motion
+    return {
+        "version": 1,
+        "environment": {"type": "indoor"},
+        "settings": {
+            "validation": {
+                "minDistance": 2.0 * motion.requirements.separation.radius,
+                "maxVelocityXY": motion.requirements.limits.speed,
+                "maxVelocityZ": motion.requirements.limits.speed,
+            }
+        },
+        "meta": {
+            "title": task.title,
+            "frame": "nwu",
+            "origin_enu": task.room.origin.tolist(),
+            "yaw_deg": math.degrees(task.room.yaw),
+        },
+        "swarm": {"drones": drones},
+    }

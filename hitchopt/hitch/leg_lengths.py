@@ -1,0 +1,103 @@
+"""Leg sharing: how a cable's slack is split between its two legs so that distances are kept.
+
+On a given polygon every drone slides along a fixed line, so positions are affine in ``d``. For a
+pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
+lower bound of their distance and linear in ``d``. With ν from the present sharing the bounds are
+tight there: a convex QP whose every solution keeps the true distances at least as well as the
+QP says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
+Wright 1978).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry.vectors import first_smallest
+from hitchopt.hitch.convex_qp import solve_qp
+from hitchopt.hitch.leg_program import PENALTY, SharingBodies, sharing_bounds, sharing_program
+from hitchopt.hitch.leg_task import Sharing, SharingTask
+from hitchopt.time_limit import check_time
+
+Array = NDArray[np.float64]
+
+ROUNDS = 60
+GAIN = 1e-6
+"""Share of the merit: a sharing that gains less, such as a mirror image, is no better."""
+
+SETTLED = 1e-9
+"""[m] A round that moves no drone by more ends the iteration."""
+
+
+def share(task: SharingTask) -> Sharing:
+    """Return the sharing nearest to the reference that keeps the margin, else the best found.
+
+    A local search: it starts from the reference and, where that fails on a single polygon, from
+    a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
+    linear in J·n.
+    """
+    slack, bodies = task.slack, SharingBodies(task, *sharing_bounds(task))
+    start = np.clip(task.reference, *sharing_bounds(task))
+    if task.roughness == 0.0 and np.array_equal(start, task.reference):
+        # To the last bit, where a solver would come within its tolerance.
+        margin = bodies.margin(task, start)
+        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
+            return Sharing(start, margin, 0.0)
+    best = _refined(task, bodies, start)
+    single = len(task.reference) == 1
+    if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
+        return best
+    for pattern in _uneven_fractions(task):
+        start = np.clip(pattern * slack, *sharing_bounds(task))
+        found = _refined(task, bodies, start)
+        if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
+            best = found
+    return best
+
+
+def _uneven_fractions(task: SharingTask) -> Array:
+    """Return (4 or 6, n) fractions: all alike, or in turns from the sharpest clasp either way.
+
+    Counted from there, a hitch that is renumbered or mirrored finds the same ones.
+    """
+    layout = task.team.layout
+    edges = layout.edges(task.polygons[0])
+    ahead, behind = edges[layout.ahead], edges[layout.behind]
+    lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
+    cosines = np.sum(ahead * behind, axis=1) / lengths
+    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
+    k = np.arange(layout.robots)
+    onward = (k - sharpest) % layout.robots % 2 == 0
+    back = (sharpest - 1 - k) % layout.robots % 2 == 1
+    alike = np.ones_like(onward)
+    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+
+
+def measured(task: SharingTask) -> float:
+    """Return the margin of the reference itself: the smallest distance over its limit.
+
+    Pairs that keep the wanted margin and more need not be among those that are looked at.
+    """
+    bodies = SharingBodies(task, task.reference, task.reference)
+    return bodies.margin(task, task.reference)
+
+
+def _merit(task: SharingTask, sharing: Sharing) -> float:
+    short = max(0.0, task.wanted - sharing.margin)
+    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * sharing.deviation
+
+
+def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
+    """Return the sharing that repeated convex approximation reaches from ``start``."""
+    d = start
+    for _ in range(ROUNDS):
+        check_time()
+        x = solve_qp(sharing_program(task, bodies, d))
+        if x is None:
+            break
+        moved = x[: d.size].reshape(d.shape)
+        step = float(np.max(np.abs(moved - d)))
+        d = moved
+        if step < SETTLED:
+            break
+    return Sharing(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))

@@ -1,0 +1,68 @@
+"""Steps whose cables slide against friction: the planned way again, with legs that lean."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from hitchopt.mission.motions import certified
+from hitchopt.mission.planning import Planned
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.friction.leaning import leaning, worth_leaning
+from hitchopt.requirements import Requirements
+
+SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
+"""Of the friction that is counted on: the largest at which every limit is kept."""
+
+REFUSED = 0.5
+"""Of a share with which a limit is broken, what is tried next: certificates take time."""
+
+NO_ROOM = "legs do not lean against friction: limits leave no room for it"
+
+LONGER = 1.5
+"""Times as long as without friction, and no longer, may a step last for legs to lean so far."""
+
+
+def against_friction(planned: Planned, requirements: Requirements, *, timed: bool) -> Planned:
+    """Return the plan with legs that lean against friction as far as limits allow.
+
+    It is the given one where the team's cables have no friction or none of them slides, and where
+    limits leave no room for leaning, which its remarks then say. The way may take up to LONGER
+    times as long for it, unless its time is given or the whole plan's is limited.
+
+    Parameters
+    ----------
+    planned: from rest to rest, of a hitch.
+    kept: what every step has to keep.
+    timed: whether the step's own time is given.
+    """
+    motion = planned.motion
+    if motion.team.cable_friction == 0.0:
+        return planned
+    slower = not timed and requirements.limits.duration is None
+    most = 1.0
+    for share in SHARES:
+        if share > most:
+            continue
+        found = leaning(motion, requirements.limits, share, slower=slower)
+        if found is None or found.motion.duration > LONGER * motion.duration:
+            continue
+        words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
+        if share < 1.0:
+            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+        judged = certified(_remarked(found.motion, words))
+        if judged.certificate.certified:
+            return replace(planned, motion=judged.motion, certificate=judged.certificate)
+        most = REFUSED * share
+    if not worth_leaning(motion):
+        return planned
+    return replace(planned, motion=_remarked(motion, NO_ROOM))
+
+
+def _remarked(motion: Motion, words: str) -> Motion:
+    """Return the same, the remarks of its phases with these words at their end."""
+    phases = tuple(
+        replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
+        for phase in motion.phases
+    )
+    return replace(motion, phases=phases)

@@ -1,0 +1,1 @@
+"""Motions of a team: polynomials, states at given times, plan files, cutting."""

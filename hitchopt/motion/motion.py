@@ -1,0 +1,224 @@
+"""The polynomials of a plan and what they must satisfy, nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Team
+from hitchopt.hitch.assignment import Assignment
+from hitchopt.motion.phases import JOINT, CableState, Phase, check_phases
+from hitchopt.requirements import Requirements
+from hitchopt.trajectory import PiecewisePolynomial, joined
+
+__all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where drones, vertices, legs and tensions are at every time, and what they must satisfy.
+
+    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
+    stored so that one plan has one set of arrays. A team of single drones has none of them.
+
+    Parameters
+    ----------
+    team: who flies.
+    requirements: what must be satisfied.
+    drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) of single drones.
+    vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
+    legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
+    tensions: of shape (n,) [N].
+    phases: one after the other, covering all of the time.
+    assignment: which robots fly which roles, where that was chosen.
+    leg_tensions: of shape (n, 2) [N], what the legs ``d_k``, ``e_k`` pull with where cables slide
+        against friction; None where every leg pulls with its cable's tension.
+
+    Raises
+    ------
+    InputError: shapes that do not fit the team, breaks that are not the same for all, phases that
+        leave a gap or go back, or cables that change their state within a piece.
+    """
+
+    team: Team
+    requirements: Requirements
+    drones: PiecewisePolynomial
+    vertices: PiecewisePolynomial
+    legs: PiecewisePolynomial
+    tensions: PiecewisePolynomial
+    phases: tuple[Phase, ...]
+    assignment: Assignment | None = None
+    leg_tensions: PiecewisePolynomial | None = None
+
+    def __post_init__(self) -> None:
+        n = self.team.robots
+        points = self.team.layout.points
+        shapes = {
+            "drones": (self.team.drones, 3),
+            "vertices": (points, 3),
+            "legs": (n, 2),
+            "tensions": (n,),
+            "leg_tensions": (n, 2),
+        }
+        for name, shape in shapes.items():
+            part: PiecewisePolynomial | None = getattr(self, name)
+            if part is None:
+                continue
+            if part.shape != shape:
+                raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
+            if not np.array_equal(part.breaks, self.drones.breaks):
+                raise InputError(name, "its breaks", "those of the drones", "split them alike")
+        check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
+        if any((phase.state is CableState.NONE) is self.team.has_cables for phase in self.phases):
+            raise InputError(
+                "phases.state",
+                [str(phase.state) for phase in self.phases],
+                "none without cables, another state with them",
+                "give what cables do",
+            )
+        changes = np.array(
+            [b.start for a, b in pairwise(self.phases) if a.state != b.state], dtype=np.float64
+        )
+        apart = np.abs(changes[:, None] - self.drones.breaks)
+        if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
+            raise InputError(
+                "phases", changes.tolist(), "breaks where states change", "split the pieces there"
+            )
+        if self.assignment is not None and len(self.assignment.robots) != n:
+            raise InputError(
+                "assignment", len(self.assignment.robots), f"{n} robots", "give one per role"
+            )
+
+    @classmethod
+    def single(
+        cls,
+        team: Team,
+        requirements: Requirements,
+        drones: PiecewisePolynomial,
+        phases: Sequence[Phase],
+    ) -> Motion:
+        """Return the motion of drones without cables; the state of its phases becomes ``none``."""
+        breaks = drones.breaks
+        n = team.robots
+        vertices, legs, tensions = (
+            PiecewisePolynomial.constant(breaks, np.zeros(shape))
+            for shape in ((team.layout.points, 3), (n, 2), (n,))
+        )
+        stateless = tuple(replace(phase, state=CableState.NONE) for phase in phases)
+        return cls(team, requirements, drones, vertices, legs, tensions, stateless)
+
+    @property
+    def duration(self) -> float:
+        """Duration of all phases together [s]."""
+        return self.drones.duration
+
+    @property
+    def untimed(self) -> Motion:
+        """The same motion without a limit on its duration."""
+        return replace(self, requirements=self.requirements.untimed)
+
+    @property
+    def pulls(self) -> PiecewisePolynomial:
+        """Of shape (2n,) [N]: what the cable pulls each drone with, q0, r0, q1, …."""
+        if self.leg_tensions is None:
+            each = np.repeat(self.tensions.coefficients, 2, axis=1)
+        else:
+            each = self.leg_tensions.coefficients
+            each = each.reshape(len(each), -1, each.shape[-1])
+        return PiecewisePolynomial(self.drones.breaks, each)
+
+    @property
+    def formed(self) -> NDArray[np.bool_]:
+        """(pieces,): whether the hitch exists on each piece.
+
+        Without phases it does, unless there are no cables.
+        """
+        if not self.phases:
+            return np.full(self.drones.pieces, self.team.has_cables)
+        here: NDArray[np.bool_] = np.array([p.formed for p in self.phases])[self.phase_of_piece]
+        return here
+
+    @property
+    def phase_of_piece(self) -> NDArray[np.intp]:
+        """(pieces,): index of the phase in which the middle of each piece lies."""
+        middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
+        ends = np.array([phase.end for phase in self.phases[:-1]])
+        here: NDArray[np.intp] = np.searchsorted(ends, middles)
+        return here
+
+    def spans(self, *, formed: bool) -> tuple[Motion, ...]:
+        """Return the longest runs of pieces on which the hitch exists, or cables are free of it.
+
+        Each at its own times, as a motion of the phases that it overlaps. None without cables.
+        """
+        if not self.team.has_cables:
+            return ()
+        wanted = self.formed == formed
+        if np.all(wanted):
+            return (self,)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
+        return tuple(
+            self._run(slice(int(first), int(last))) for first, last in edges.reshape(-1, 2)
+        )
+
+    def _run(self, pieces: slice) -> Motion:
+        breaks = self.drones.breaks[pieces.start : pieces.stop + 1]
+        overlapping = tuple(
+            phase
+            for phase in self.phases
+            if phase.end > breaks[0] + JOINT and phase.start < breaks[-1] - JOINT
+        )
+        return self.taken(pieces, overlapping)
+
+    def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
+        """Return the motion on a run of pieces, at the same times, and its phases."""
+        return self.changed(lambda part: part.taken(pieces), phases)
+
+    def changed(
+        self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
+    ) -> Motion:
+        """Return the motion with all of its polynomials changed alike, and other phases."""
+        legs = self.leg_tensions
+        return replace(
+            self,
+            drones=change(self.drones),
+            vertices=change(self.vertices),
+            legs=change(self.legs),
+            tensions=change(self.tensions),
+            leg_tensions=None if legs is None else change(legs),
+            phases=tuple(phases),
+        )
+
+
+def joined_motions(motions: Sequence[Motion]) -> Motion:
+    """Return one motion of the given ones in a row; team and limits are the first one's."""
+    first = motions[0]
+    phases: list[Phase] = []
+    offset = 0.0
+    for motion in motions:
+        phases += [replace(p, start=offset + p.start, end=offset + p.end) for p in motion.phases]
+        offset += motion.duration
+    return Motion(
+        first.team,
+        first.requirements,
+        joined([m.drones for m in motions]),
+        joined([m.vertices for m in motions]),
+        joined([m.legs for m in motions]),
+        joined([m.tensions for m in motions]),
+        tuple(phases),
+        first.assignment,
+        _joined_leg_tensions(motions),
+    )
+
+
+def _joined_leg_tensions(motions: Sequence[Motion]) -> PiecewisePolynomial | None:
+    if all(motion.leg_tensions is None for motion in motions):
+        return None
+    both = joined([motion.pulls for motion in motions])
+    c = both.coefficients
+    return PiecewisePolynomial(both.breaks, c.reshape(len(c), -1, 2, c.shape[-1]))

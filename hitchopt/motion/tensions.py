@@ -1,0 +1,56 @@
+"""Which tensions a plan states, and how far its cables are drawn from hanging free to taut."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.motion.motion import JOINT, Motion
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""Relative: a tension that is this close to the least stated one draws its cable taut."""
+
+
+def ranged_phases(motion: Motion) -> NDArray[np.intp]:
+    """Return (pieces,) the index of the phase whose own range of tensions holds there, else -1.
+
+    A range holds on the pieces that lie within its phase as a whole.
+    """
+    starts, ends = motion.drones.breaks[:-1], motion.drones.breaks[1:]
+    index = np.full(motion.drones.pieces, -1, dtype=np.intp)
+    for i, phase in enumerate(motion.phases):
+        if phase.tension is not None:
+            index[(starts >= phase.start - JOINT) & (ends <= phase.end + JOINT)] = i
+    return index
+
+
+def stated_tensions(motion: Motion) -> Array:
+    """Return (pieces, n, 2) [N] the least and largest tension that each piece's phase states.
+
+    Both are the team's tension where the phase states no range.
+    """
+    teams = np.repeat(motion.team.tension[:, None], 2, axis=1)
+    stated = np.tile(teams, (motion.drones.pieces, 1, 1))
+    index = ranged_phases(motion)
+    for i in np.unique(index[index >= 0]):
+        stated[index == i] = motion.phases[i].tension
+    return stated
+
+
+def tautness(motion: Motion) -> Array:
+    """Return how far every cable is drawn taut, from 0 (it hangs free) to 1 (all straight parts).
+
+    Weight and level pull of a hanging cable pass to a taut one by this share, as its tension rises
+    from 0 to the least that is stated, or falls from there: it is ``T / T_stated``, coefficient by
+    coefficient clipped to [0, 1], and 0 while there is no hitch. So it is a polynomial, and
+    continuous wherever tensions are. A morph whose tensions change within its own range keeps 1.
+
+    Returns
+    -------
+    (pieces, n, degree + 1): Bernstein coefficients over the motion's pieces.
+    """
+    least = np.minimum(stated_tensions(motion)[..., :1], motion.team.tension[:, None])
+    share = motion.tensions.coefficients / ((1.0 - ROUNDING) * least)
+    return np.where(motion.formed[:, None, None], np.clip(share, 0.0, 1.0), 0.0)

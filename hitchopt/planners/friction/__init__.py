@@ -1,0 +1,1 @@
+"""Legs that lean against friction while cables slide."""

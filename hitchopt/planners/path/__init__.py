@@ -1,0 +1,1 @@
+"""Paths of a hitch in its own parameter, without time."""

@@ -1,0 +1,143 @@
+"""What a task looks like to the planner: a grid of time, splines, limits and scales."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.planners.separation.delays import departures, progress_along
+from hitchopt.planners.separation.fastest import fastest_ramps
+from hitchopt.planners.separation.routes import ways_along, ways_around
+from hitchopt.planners.separation.spline import HELD, Grid
+from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.requirements import Arena
+
+Array = NDArray[np.float64]
+
+RAMP_PIECES = 3
+"""Pieces in which a drone gets up to speed: what the fastest flight needs to within 2 %."""
+
+MOST_PIECES = 20
+"""Of the time between the ramps; otherwise each is as long as one of them."""
+
+WALL = 1e-9
+"""Relative to an arena's coordinates: curves stay off its walls by so much."""
+
+SHORTEST_RAMP = 1e-5
+"""Of the duration: splines do not resolve ramps of microseconds in flights of a month."""
+
+SHORTEST = 0.2
+"""Share of the longest flight's time that even the shortest flight is given."""
+
+SAMPLES = 3
+"""Of every piece, where curves are looked at between their ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A task on its grid.
+
+    Attributes
+    ----------
+    task: what is asked.
+    grid: the pieces of time.
+    nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
+    caps: (3, N): largest norms of the first three derivatives of each drone, by time.
+    bound: no flight of all drones takes less [s].
+    alone: what the drones would take about on their ways around prisms, if each were alone [s].
+    size: the longest way [m], by which deviations are measured.
+    """
+
+    task: SeparationTask
+    grid: Grid
+    nominal: Array
+    caps: Array
+    bound: float
+    alone: float
+    size: float
+
+    @property
+    def scale(self) -> Array:
+        """(3,) [1/m]: the norm of an offset times this is a separation."""
+        return self.task.requirements.separation.scale
+
+
+def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
+    """Return the task's course: its grid suits the drone that takes longest.
+
+    Parameters
+    ----------
+    task: what is asked.
+    patience: how many times what the slowest takes there is for all, who then leave one after the
+        other where they would meet; 1: all leave at once.
+
+    Raises
+    ------
+    InfeasibleError: the prisms leave no way.
+    """
+    limits = task.requirements.limits
+    n = task.drones
+    given = limits.acceleration if task.acceleration is None else task.acceleration
+    acceleration = np.minimum(np.broadcast_to(np.asarray(given), (n,)), limits.acceleration)
+    caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
+    straight = np.linalg.norm(task.goal - task.start, axis=1)
+    bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
+    ways = ways_along(task.nominal) if task.nominal is not None else ways_around(task)
+    ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
+    slowest = int(np.argmax(ramps.duration))
+    alone = float(ramps.duration[slowest])
+    rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
+    size = max(float(np.max(ways.lengths)), 2.0 * task.requirements.separation.radius)
+    going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
+    first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
+    middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
+    lasting = 1.0 + np.linspace(0.0, cruise, middle + 1)
+    breaks = np.concatenate([first[:-1], lasting, 1.0 + cruise + first[1:]])
+    grid = Grid(breaks / breaks[-1])
+    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    if task.nominal is not None:
+        curves = task.nominal
+        points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
+    elif patience > 1.0 and going:
+        shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
+        rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
+        leaving = departures(ways, shares, rises, task.requirements.separation.scale)
+        own = [
+            progress_along((s - leave) / share, float(rise))
+            for leave, share, rise in zip(leaving, shares, rises, strict=True)
+        ]
+        points = ways.points(np.stack(own))
+    else:
+        share = progress_along(s, 1.0 / breaks[-1])
+        points = ways.points(np.broadcast_to(share, (n, len(share))))
+    nominal = _fitted(task, grid, s, points)
+    return Course(task, grid, nominal, caps, float(bound), alone, size)
+
+
+def inside(arena: Arena, points: Array) -> Array:
+    """Return points (…, 3) [m], those outside moved in, off the walls by what rounding may err."""
+    room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
+    return np.clip(points, arena.lower + room, arena.upper - room)
+
+
+def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
+    """(N, count, 3): coefficients held at both ends, zero between."""
+    coefficients = np.zeros((len(start), grid.count, 3))
+    coefficients[:, :HELD] = start[:, None]
+    coefficients[:, -HELD:] = goal[:, None]
+    return coefficients
+
+
+def _fitted(task: SeparationTask, grid: Grid, s: Array, points: Array) -> Array:
+    """Return the splines nearest to points (N, samples, 3) at ``s``."""
+    basis = grid.sampled(s)
+    coefficients = at_rest(grid, task.start, task.goal)
+    rest = points - np.einsum("sc,ncd->nsd", basis, coefficients)
+    free = basis[:, grid.free]
+    fitting = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
+    coefficients[:, grid.free] = np.einsum("fs,nsd->nfd", fitting, rest)
+    return coefficients

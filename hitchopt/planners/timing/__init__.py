@@ -1,0 +1,1 @@
+"""Timing of paths: toppra's optimum, limited in jerk, as piecewise polynomials."""

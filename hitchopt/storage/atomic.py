@@ -1,0 +1,188 @@
+"""A set of files in a directory, replaced all at once or not at all.
+
+Where the directory can be exchanged for its successor (see ``swap``), readers and killed processes
+only ever see all of the old files or all of the new ones. Where it cannot (other systems and some
+file systems, a mount point, the current directory or one above it, a parent that is not writable),
+the files are made in a hidden subdirectory and renamed one by one: the ``seal``, say the
+certificate, is removed first and comes last, so that files without it are known to be unfinished.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+
+from hitchopt.errors import FileError
+from hitchopt.storage.directory_swap import (
+    SUFFIX,
+    ExchangeUnavailableError,
+    Swap,
+    abandoned,
+    prefix,
+    sync,
+)
+from hitchopt.storage.lock import locked
+
+STAGE = ".hitchopt-"
+"""How the name of the hidden subdirectory begins."""
+
+Writer = Callable[[Path], None]
+"""Writes one file at the path that it is given."""
+
+
+def replace_files(
+    directory: Path | str, writers: Mapping[str, Writer], owned: Collection[str], seal: str
+) -> Path:
+    """Let ``directory`` hold the named files and of ``owned`` no others; leave the rest alone.
+
+    Parameters
+    ----------
+    directory: made if it is missing, with its parents; a symbolic link is followed.
+    writers: for each file's name, what writes it.
+    owned: the names that may be replaced and removed, those of ``writers`` among them.
+    seal: the name among ``owned`` that tells a whole set where files come one by one.
+
+    Returns
+    -------
+    The directory, as it was given.
+
+    Raises
+    ------
+    FileError: it is no directory or cannot be written to; nothing in it has changed, or the seal
+        is missing.
+    """
+    given = Path(directory)
+    target = _resolved(given)
+    made: list[Path] = []
+    try:
+        _refuse_directories(target, owned)
+        made = _make_parents(target)
+        with locked(_lock(target)):
+            _finish_abandoned(target, owned)
+            try:
+                _exchange(target, writers, owned)
+            except ExchangeUnavailableError:
+                _rename_one_by_one(target, writers, owned, seal)
+    except OSError as error:
+        culprit = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
+        raise FileError(
+            f"{given}: cannot be written: {error.strerror or error}{culprit}; free space or "
+            "permissions there, or name another directory"
+        ) from error
+    finally:
+        for parent in reversed(made):
+            with contextlib.suppress(OSError):  # not empty: it is in use now
+                parent.rmdir()
+    return given
+
+
+def _resolved(given: Path) -> Path:
+    try:
+        target = Path(os.path.realpath(given))
+        if not target.exists() or target.is_dir():
+            return target
+    except (OSError, ValueError) as error:
+        raise FileError(f"{given}: no path: {error}; name another directory") from error
+    raise FileError(f"{given}: is a file, not a directory; name another one")
+
+
+def _refuse_directories(target: Path, owned: Collection[str]) -> None:
+    for name in owned:
+        path = target / name
+        if path.is_dir() and not path.is_symlink():
+            raise FileError(f"{path}: is a directory where a file is to go; move it away")
+
+
+def _make_parents(target: Path) -> list[Path]:
+    """Make the missing parents and return them, from the top."""
+    missing = [parent for parent in target.parents if not parent.exists()][::-1]
+    for i, parent in enumerate(missing):
+        try:
+            parent.mkdir(exist_ok=True)
+        except OSError:
+            for made in reversed(missing[:i]):
+                made.rmdir()
+            raise
+    return missing
+
+
+def _lock(target: Path) -> Path:
+    """Return where writers of ``target`` wait for each other."""
+    if os.access(target.parent, os.W_OK | os.X_OK) or not target.exists():
+        return target.parent / f"{prefix(target)}lock"
+    return target / f"{STAGE}lock"
+
+
+def _finish_abandoned(target: Path, owned: Collection[str]) -> None:
+    for swap in abandoned(target, owned):
+        with contextlib.suppress(ExchangeUnavailableError):
+            swap.settle()
+    for stage in target.glob(f"{STAGE}*{SUFFIX}/"):
+        _remove_stage(stage, owned)
+
+
+def _exchange(target: Path, writers: Mapping[str, Writer], owned: Collection[str]) -> None:
+    if os.path.ismount(target) or _holds_current_directory(target):
+        raise ExchangeUnavailableError
+    swap = Swap.begun(target, owned)
+    try:
+        _write_all(swap.new, writers)
+        swap.commit()
+    finally:
+        swap.settle()
+
+
+def _rename_one_by_one(
+    target: Path, writers: Mapping[str, Writer], owned: Collection[str], seal: str
+) -> None:
+    with _staged(target, owned) as stage:
+        _write_all(stage, writers)
+        old = [seal, *(name for name in owned if name != seal and name not in writers)]
+        for name in old:
+            (target / name).unlink(missing_ok=True)
+        sync(target)
+        for name in sorted(writers, key=lambda name: name == seal):
+            (stage / name).replace(target / name)
+        sync(target)
+
+
+@contextlib.contextmanager
+def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
+    made = not target.exists()
+    target.mkdir(exist_ok=True)
+    stage = None
+    try:
+        stage = Path(tempfile.mkdtemp(SUFFIX, STAGE, target))
+        yield stage
+    finally:
+        if stage is not None:
+            _remove_stage(stage, owned)
+        if made:
+            with contextlib.suppress(OSError):  # not empty: the files are there
+                target.rmdir()
+
+
+def _remove_stage(stage: Path, owned: Collection[str]) -> None:
+    with contextlib.suppress(OSError):  # not empty: something in it is not ours to delete
+        for name in owned:
+            (stage / name).unlink(missing_ok=True)
+        stage.rmdir()
+
+
+def _write_all(directory: Path, writers: Mapping[str, Writer]) -> None:
+    for name, write in writers.items():
+        write(directory / name)
+        sync(directory / name)
+    sync(directory)
+
+
+def _holds_current_directory(target: Path) -> bool:
+    """Whether the shell that we were started from would be left in a removed directory."""
+    try:
+        current = Path(os.path.realpath(os.getcwd()))
+    except OSError:
+        return False
+    return target == current or target in current.parents

@@ -1,0 +1,75 @@
+"""Drones on free cables in motion, and what samples say of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+
+def free_motion(
+    team: Team,
+    drones: PiecewisePolynomial,
+    names: tuple[str, ...] = ("approach",),
+    arena: Arena | None = None,
+    formed: tuple[bool, ...] = (),
+) -> Motion:
+    """Phases of those names, one per piece (the last name for all that follow)."""
+    named = [*names, *[names[-1]] * (drones.pieces - len(names))]
+    states = [*formed, *[False] * (drones.pieces - len(formed))]
+    phases = tuple(
+        Phase(name, 0, float(a), float(b), state=CableState.of_label(name, formed=state))
+        for name, a, b, state in zip(
+            named, drones.breaks[:-1], drones.breaks[1:], states, strict=True
+        )
+    )
+    constant = PiecewisePolynomial.constant
+    n = team.robots
+    return Motion(
+        team,
+        Requirements(Limits(), Separation(), arena),
+        drones,
+        constant(drones.breaks, np.zeros((team.layout.points, 3))),
+        constant(drones.breaks, np.zeros((n, 2))),
+        constant(drones.breaks, np.zeros(n)),
+        phases,
+    )
+
+
+def through(times: Array, places: Array) -> PiecewisePolynomial:
+    """From rest to rest between places (J, 2n, 3) at times (J,)."""
+    still = np.zeros_like(places[:-1])
+    return PiecewisePolynomial.hermite(
+        times, np.stack([places[:-1], still, still]), np.stack([places[1:], still, still])
+    )
+
+
+def random_flight(seed: int, n: int = 4, pieces: int = 3) -> tuple[Team, PiecewisePolynomial]:
+    """Robots that wander, no cable ever taut; off the origin, cables unequal."""
+    rng = np.random.default_rng(seed)
+    topology = "closed" if n > 2 else "open"
+    team = Team(n, 1.6 + 0.1 * np.arange(n), cable_density=0.01, topology=topology)
+    middles = rng.uniform(-1.0, 1.0, (pieces + 1, n, 3)) * [1.2, 1.2, 0.3] + [3.0, -2.0, 2.5]
+    arms = rng.uniform(-0.45, 0.45, (pieces + 1, n, 3)) * [1.0, 1.0, 0.4]
+    places = np.stack([middles - arms, middles + arms], axis=2).reshape(pieces + 1, -1, 3)
+    return team, through(np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, pieces))]), places)
+
+
+def cable_points(team: Team, drones: Array, count: int = 201) -> Array:
+    """Points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    cables = Catenary.between(q, r, team.cable_length)
+    mu = np.moveaxis(
+        np.array([cables.place(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
+    )
+    points = q[..., None, :] + (0.5 * (1.0 + mu))[..., None] * (r - q)[..., None, :]
+    stacked = Catenary(*(x[..., None] for x in vars(cables).values()))
+    points[..., 2] -= stacked.depth(mu)
+    return points

@@ -1,0 +1,315 @@
+"""Cables are in the states that phases state: polynomials say so, names and flags do not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from free_cases import cable_points, free_motion, through
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from hitchopt.checks import Certificate, certify
+from hitchopt.checks.bounds.chord_crossings import chord_crossings
+from hitchopt.errors import FileError
+from hitchopt.hitch import Team
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.plan_file import read_plan, write_plan
+from hitchopt.trajectory import PiecewisePolynomial
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+TYING = ("tie_carry_untie", "form_triangle")
+CABLES = tuple(state for state in CableState if state is not CableState.NONE)
+
+
+@cache
+def motion_of(name: str) -> Motion:
+    motion = ho.solve(PROBLEMS / f"{name}.yaml").motion
+    assert isinstance(motion, Motion)
+    return motion
+
+
+@cache
+def certificate_of(name: str) -> Certificate:
+    return certify(motion_of(name))
+
+
+def renamed(motion: Motion, names: list[str]) -> Motion:
+    phases = (replace(p, name=names[i % len(names)]) for i, p in enumerate(motion.phases))
+    return replace(motion, phases=tuple(phases))
+
+
+def claimed(motion: Motion, i: int, state: CableState) -> Motion:
+    """Phase i in another state."""
+    phases = motion.phases
+    return replace(motion, phases=(*phases[:i], replace(phases[i], state=state), *phases[i + 1 :]))
+
+
+def merged(motion: Motion, first: int, last: int, state: CableState) -> Motion:
+    """Phases ``first`` to ``last`` as one in some state."""
+    phases = motion.phases
+    one = replace(phases[first], end=phases[last].end, state=state)
+    return replace(motion, phases=(*phases[:first], one, *phases[last + 1 :]))
+
+
+def slackened(motion: Motion) -> Motion:
+    """Neither legs nor tensions anywhere, so that these do not tell of a hitch."""
+    breaks, n = motion.drones.breaks, motion.team.robots
+    constant = PiecewisePolynomial.constant
+    return replace(
+        motion, legs=constant(breaks, np.zeros((n, 2))), tensions=constant(breaks, np.zeros(n))
+    )
+
+
+def refused(motion: Motion) -> tuple[str, ...]:
+    """Where ``interlacing`` fails, and that it says in which phase, and when."""
+    check = certify(motion)["interlacing"]
+    assert not check.holds
+    assert check.where[0].startswith("phase ")
+    phase = motion.phases[int(check.where[0].split()[1])]
+    assert check.where[0].endswith(f"({phase.name})")
+    assert phase.start - 1e-6 <= check.time <= phase.end + 1e-6
+    return check.where
+
+
+def index_of(motion: Motion, name: str) -> int:
+    return [phase.name for phase in motion.phases].index(name)
+
+
+@pytest.mark.parametrize("name", TYING)
+def test_renaming_every_phase_changes_no_figure(name: str) -> None:
+    motion = motion_of(name)
+    for names in (["take-off"], ["hold", "swap 1", "parked", "tighten"]):
+        assert certify(renamed(motion, names)).to_dict() == certificate_of(name).to_dict()
+
+
+@pytest.mark.parametrize("name", TYING)
+def test_every_other_state_fails(name: str) -> None:
+    motion = motion_of(name)
+    assert certificate_of(name).certified
+    for i, phase in enumerate(motion.phases):
+        for state in set(CABLES) - {phase.state}:
+            assert not certify(claimed(motion, i, state)).certified, (phase.name, state)
+
+
+@pytest.mark.parametrize("name", TYING)
+def test_states_are_those_that_samples_show(name: str) -> None:
+    motion = motion_of(name)
+    assert [sampled_state(motion, i) for i in range(len(motion.phases))] == [
+        phase.state for phase in motion.phases
+    ]
+
+
+def sampled_state(motion: Motion, i: int) -> CableState:
+    """The state of a phase by samples of positions; vertices only say where a hitch would be."""
+    phase, team, layout = motion.phases[i], motion.team, motion.team.layout
+    drones, vertices = (
+        part.at(np.linspace(phase.start, phase.end, 1501))
+        for part in (motion.drones, motion.vertices)
+    )
+    legs = np.linalg.norm(drones - vertices[:, layout.anchors], axis=-1).reshape(-1, 3, 2)
+    edges = np.linalg.norm(vertices[:, layout.ends] - vertices[:, layout.starts], axis=-1)
+    if np.max(np.abs(legs.sum(axis=-1) + edges - team.cable_length)) < 1e-4 * 2.4:
+        return CableState.HITCHED
+    if all(meet(drones, k, (k + 1) % 3) for k in range(3)):
+        return CableState.CLASPING
+    before = motion.drones.at(np.linspace(0.0, phase.start, 20001))
+    if all(abs(passed(before, k, (k + 1) % 3)) == 1 for k in range(3)):
+        return CableState.TIGHTENING
+    low = np.min(cable_points(team, drones[::50])[..., 2])
+    return CableState.GROUND if low < motion.requirements.separation.cable else CableState.FREE
+
+
+def heights_and_shares(drones: NDArray[Any], i: int, j: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """How far one chord's line is above the other's, and where both come closest."""
+    ends = drones.reshape(len(drones), -1, 2, 3)
+    a, u = ends[:, i, 0], ends[:, i, 1] - ends[:, i, 0]
+    b, v = ends[:, j, 0], ends[:, j, 1] - ends[:, j, 0]
+    normal = np.cross(u, v)
+    size = np.maximum(np.sum(normal**2, axis=1), 1e-18)  # parallel chords do not meet inside
+    s = np.sum(np.cross(b - a, v) * normal, axis=1) / size
+    t = np.sum(np.cross(b - a, u) * normal, axis=1) / size
+    return np.sum((b - a) * normal, axis=1) / np.sqrt(size), np.stack([s, t])
+
+
+def meet(drones: NDArray[Any], i: int, j: int) -> bool:
+    height, shares = heights_and_shares(drones, i, j)
+    inside = np.all((shares > 0.0) & (shares < 1.0), axis=0)
+    return bool(np.any(np.abs(height[inside]) < 2e-3))
+
+
+def passed(drones: NDArray[Any], i: int, j: int) -> int:
+    """How often chords passed through each other: signs of heights before and after, if inside."""
+    height, shares = heights_and_shares(drones, i, j)
+    inside = np.all((shares > 0.0) & (shares < 1.0), axis=0)
+    sure = np.flatnonzero(np.abs(height) > 1e-6)  # chords rest in one plane between two swaps
+    sign = np.sign(height[sure]).astype(int)
+    through = np.flatnonzero((sign[1:] != sign[:-1]) & inside[sure[1:]])
+    return int(np.sum(sign[through + 1]))
+
+
+def test_the_time_before_a_swap_is_not_clasping() -> None:
+    motion = motion_of("tie_carry_untie")
+    approach = index_of(motion, "approach")
+    where = refused(merged(motion, approach, approach + 2, CableState.CLASPING))
+    assert set(where[1:]) == {"p0", "p1", "p2"}
+
+
+def test_what_follows_a_swap_is_not_clasping() -> None:
+    """Else nothing would look at whether cables are torn as they are tightened."""
+    motion = motion_of("tie_carry_untie")
+    swap = index_of(motion, "swap 1")
+    assert motion.phases[swap + 2].name == "tighten"
+    where = refused(merged(motion, swap, swap + 2, CableState.CLASPING))
+    assert set(where[1:]) == {"p0", "p1", "p2"}
+
+
+def test_swaps_are_no_tightening() -> None:
+    motion = motion_of("tie_carry_untie")
+    swap = index_of(motion, "swap 1")
+    where = refused(merged(motion, swap, swap + 2, CableState.TIGHTENING))
+    assert set(where[1:]) == {"p0", "p1", "p2"}
+
+
+def test_what_is_at_full_length_is_not_being_tightened() -> None:
+    """Whatever the plan says of legs and tensions, and wherever it puts the clasps."""
+    motion = motion_of("tie_carry_untie")
+    tighten, loosen = index_of(motion, "tighten"), index_of(motion, "loosen")
+    whole = merged(motion, tighten, loosen, CableState.TIGHTENING)
+    assert set(refused(whole)[1:]) == {"cable 0", "cable 1", "cable 2"}
+    whole = slackened(whole)
+    assert set(refused(whole)[1:]) == {"cable 0", "cable 1", "cable 2"}
+    moved = whole.vertices.coefficients.copy()
+    moved[:, 0, 0] += 0.02
+    elsewhere = replace(whole, vertices=PiecewisePolynomial(whole.drones.breaks, moved))
+    assert set(refused(elsewhere)[1:]) == {"cable 0", "cable 1", "cable 2"}
+
+
+def test_drones_with_cables_on_the_ground_do_not_fly_sideways() -> None:
+    motion = motion_of("form_triangle")
+    where = refused(merged(motion, 0, 1, CableState.GROUND))
+    assert set(where[1:]) == {"cable 0", "cable 1", "cable 2"}
+
+
+@pytest.mark.parametrize(
+    ("height", "states"), [(0.0, {"ground"}), (0.3, {"ground"}), (2.0, {"free"})]
+)
+def test_cables_on_the_ground_reach_it(height: float, states: set[str]) -> None:
+    """At rest: cables that come nearer to the ground than those that hang may do lie on it."""
+    team = Team(3, 1.5)
+    places = np.array([[x, y, height] for y in (0.0, 1.0, 2.0) for x in (4.0, 5.0)])
+    drones = through(np.array([0.0, 1.0]), np.stack([places, places]))
+    held = {
+        name
+        for name, label in (("ground", "parked"), ("free", "hold"))
+        if certify(free_motion(team, drones, (label,))).certified
+    }
+    assert held == states
+
+
+def test_a_clasp_turns_about_a_point_at_rest() -> None:
+    """Swaps whose pairs wander by two millimetres as they turn."""
+    motion = motion_of("form_triangle")
+    swap = index_of(motion, "swap 1")
+    run = motion.phase_of_piece
+    c = motion.drones.coefficients.copy()
+    layout = motion.team.layout
+    middle = np.flatnonzero(run == swap)[len(np.flatnonzero(run == swap)) // 2]
+    bump = np.zeros(c.shape[-1])
+    bump[3:-3] = 0.02
+    for drone in (2 * layout.ahead[1], 2 * layout.behind[1] + 1):
+        c[middle, drone, 0] += bump
+    wandering = replace(motion, drones=PiecewisePolynomial(motion.drones.breaks, c))
+    met = chord_crossings(wandering.drones)
+    assert np.all(met.certain)
+    assert refused(wandering)[1:] == (f"p{layout.clasps[1]}",)
+
+
+def test_no_leg_and_no_tension_without_a_hitch() -> None:
+    motion = motion_of("form_triangle")
+    tighten = np.flatnonzero(motion.phase_of_piece == index_of(motion, "tighten"))
+    for part in ("legs", "tensions"):
+        given: PiecewisePolynomial = getattr(motion, part)
+        c = given.coefficients.copy()
+        c[tighten[0], 1] += 0.1
+        changed = PiecewisePolynomial(motion.drones.breaks, c)
+        told = (
+            replace(motion, legs=changed) if part == "legs" else replace(motion, tensions=changed)
+        )
+        assert refused(told) == (f"phase {index_of(motion, 'tighten')} (tighten)", "cable 1")
+
+
+def as_before(path: Path, motion: Motion, change: Callable[[dict[str, Any]], object]) -> Motion:
+    """The motion of a file as it was written before: ``formed`` for a state, and then changed."""
+    write_plan(path, motion)
+    with np.load(path) as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    for entry in settings["phases"]:
+        entry["formed"] = entry.pop("state") == CableState.HITCHED
+        change(entry)
+    arrays["settings"] = np.array(json.dumps(settings))
+    np.savez(path, allow_pickle=False, **arrays)
+    read = read_plan(path)
+    assert isinstance(read, Motion)
+    return read
+
+
+def test_plans_of_before_are_read(tmp_path: Path) -> None:
+    motion = motion_of("tie_carry_untie")
+    read = as_before(tmp_path / "plan.npz", motion, dict.copy)
+    assert read.phases == motion.phases
+
+
+def test_a_flag_in_the_file_frees_no_hitch(tmp_path: Path) -> None:
+    motion = motion_of("tie_carry_untie")
+
+    def unformed(entry: dict[str, Any]) -> None:
+        entry["formed"] = False
+
+    read = as_before(tmp_path / "plan.npz", motion, unformed)
+    assert {"cable 0", "cable 1", "cable 2"} <= set(refused(read))
+    assert "p1" in refused(slackened(read))
+
+
+@pytest.mark.parametrize("name", ["parked", "take-off", "land"])
+@pytest.mark.parametrize("slack", [False, True])
+def test_a_name_in_the_file_frees_no_drone_in_midair(
+    tmp_path: Path, name: str, slack: bool
+) -> None:
+    motion = motion_of("tie_carry_untie")
+
+    def other_name(entry: dict[str, Any]) -> None:
+        if entry["name"] == "hold":
+            entry |= {"name": name, "formed": False}
+
+    read = as_before(tmp_path / "plan.npz", motion, other_name)
+    assert read.phases[index_of(motion, "hold")].state is CableState.GROUND
+    where = refused(slackened(read) if slack else read)
+    assert where[0] == f"phase {index_of(motion, 'hold')} ({name})" or slack
+
+
+@pytest.mark.parametrize("state", ["standing", "none", 3, ["clasping"]])
+def test_a_state_in_a_file_is_one_of_cables(tmp_path: Path, state: object) -> None:
+    motion = motion_of("form_triangle")
+
+    def stated(entry: dict[str, Any]) -> None:
+        entry["state"] = state
+        del entry["formed"]
+
+    with pytest.raises(FileError, match=r"phases\.state"):
+        as_before(tmp_path / "plan.npz", motion, stated)
+
+
+def test_a_flag_beside_a_state_is_refused(tmp_path: Path) -> None:
+    def stated(entry: dict[str, Any]) -> None:
+        entry["state"] = "hitched"
+
+    with pytest.raises(FileError, match=r"phases\.state"):
+        as_before(tmp_path / "plan.npz", motion_of("form_triangle"), stated)

@@ -1,0 +1,234 @@
+"""What friction may do to legs' pulls, held against samples."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.checks.bounds.friction_range import beyond_friction, wrapped
+from hitchopt.checks.equilibrium import check
+from hitchopt.hitch import Team
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+FRICTION = 0.2
+POLYGON = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
+
+
+def team(friction: float) -> Team:
+    tension = [0.5, 0.45, 0.55, 0.5]
+    return Team(4, [2.9, 2.8, 2.7, 3.0], tension=tension, cable_friction=friction)
+
+
+@pytest.fixture(scope="module")
+def leaned() -> Motion:
+    start = ho.Hitch.spread(team(FRICTION), POLYGON, altitude=1.2)
+    motion = ho.move_vertex(start, 0, by=[0.25, 0.1], duration=4.0).motion
+    assert isinstance(motion, Motion)
+    assert motion.leg_tensions is not None
+    return motion
+
+
+def residuals(motion: Motion, t: Array) -> Array:
+    """(times, clasps): unbalanced forces over the weaker tension, by hand."""
+    p, x = motion.vertices.at(t), motion.drones.at(t)
+    T, P = motion.tensions.at(t), motion.pulls.at(t)
+    n = motion.team.robots
+    found = np.empty((len(t), n))
+    for k in range(n):
+        i = (k - 1) % n
+        force = np.zeros((len(t), 3))
+        for pull, way in (
+            (P[:, 2 * k], x[:, 2 * k] - p[:, k]),
+            (T[:, k], p[:, (k + 1) % n] - p[:, k]),
+            (P[:, 2 * i + 1], x[:, 2 * i + 1] - p[:, k]),
+            (T[:, i], p[:, i] - p[:, k]),
+        ):
+            force += pull[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+        found[:, k] = np.linalg.norm(force, axis=1) / np.minimum(T[:, k], T[:, i])
+    return found
+
+
+def ratios(motion: Motion, t: Array) -> Array:
+    """(times, n, 2, 2): pull over tension, and what friction makes of it at most.
+
+    A cable wraps by how much it turns on its way from the drone along its edge.
+    """
+    p, x, T = motion.vertices.at(t), motion.drones.at(t), motion.tensions.at(t)
+    P = motion.pulls.at(t).reshape(len(t), -1, 2)
+    n = motion.team.robots
+    found = np.empty((len(t), n, 2, 2))
+    for k in range(n):
+        ends = p[:, k], p[:, (k + 1) % n]
+        for end in range(2):
+            arriving, leaving = ends[end] - x[:, 2 * k + end], ends[1 - end] - ends[end]
+            cosine = np.sum(arriving * leaving, axis=1)
+            cosine /= np.linalg.norm(arriving, axis=1) * np.linalg.norm(leaving, axis=1)
+            found[:, k, end, 0] = P[:, k, end] / T[:, k]
+            found[:, k, end, 1] = np.exp(motion.team.cable_friction * np.arccos(cosine))
+    return found
+
+
+def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
+    t = np.linspace(0.0, leaned.duration, 20_001)
+    found = check(leaned)
+    assert found.holds
+    assert np.max(residuals(leaned, t)) <= found.worst
+    ratio, most = np.moveaxis(ratios(leaned, t), -1, 0)
+    assert np.all((ratio <= most) & (ratio >= 1.0 / most))
+    assert np.ptp(ratio) > 0.05  # there is something to hold against it
+
+
+def test_legs_at_their_cables_tension_are_judged_as_those_that_say_nothing(leaned: Motion) -> None:
+    """Also where friction is none: then nothing else is allowed."""
+    start = ho.Hitch.spread(team(0.0), POLYGON, altitude=1.2)
+    plain = ho.move_vertex(start, 0, by=[0.25, 0.1], duration=4.0).motion
+    assert isinstance(plain, Motion)
+    assert plain.leg_tensions is None
+    c = np.repeat(plain.tensions.coefficients[:, :, None], 2, axis=2)
+    told = replace(plain, leg_tensions=PiecewisePolynomial(plain.drones.breaks, c))
+    assert check(told).worst == pytest.approx(check(plain).worst, rel=2e-4)
+    thrusts = [certify(motion)["thrust"].worst for motion in (plain, told)]
+    assert thrusts[0] == pytest.approx(thrusts[1], rel=2e-4)
+    assert not check(replace(leaned, team=team(0.0))).holds
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.02, 0.05])
+def test_more_than_friction_gives_is_unbalanced_by_as_much(leaned: Motion, friction: float) -> None:
+    motion = replace(leaned, team=team(friction))
+    t = np.linspace(0.0, motion.duration, 20_001)
+    ratio, most = np.moveaxis(ratios(motion, t), -1, 0)
+    beyond = np.maximum(ratio - most, 1.0 / most - ratio)
+    found = check(motion)
+    assert not found.holds
+    worst = float(np.max(beyond))
+    assert worst <= found.worst <= worst * 1.001 + 1e-6
+    when, cable, end = np.unravel_index(np.argmax(beyond), beyond.shape)
+    assert found.where == (f"p{(cable + end) % 4}",)
+    assert found.time == pytest.approx(t[when], abs=0.05)
+
+
+def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
+    assert leaned.leg_tensions is not None
+    c = leaned.leg_tensions.coefficients.copy()
+    c[:, 2, 1] *= 1.02
+    tampered = replace(leaned, leg_tensions=PiecewisePolynomial(leaned.drones.breaks, c))
+    found = check(tampered)
+    t = np.linspace(0.0, leaned.duration, 4_001)
+    assert not found.holds
+    assert np.max(residuals(tampered, t)) <= found.worst
+    assert found.worst == pytest.approx(0.02, rel=0.3)
+    assert found.where == ("p3",)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed: int) -> None:
+    """Pulls that no leg would have, larger or smaller, swinging between all breaks."""
+    assert leaned.leg_tensions is not None
+    rng = np.random.default_rng(seed)
+    lower, upper = ((0.9, 1.4), (0.6, 1.05), (0.5, 1.5))[seed % 3]
+
+    def swinging(part: PiecewisePolynomial, least: float, most: float) -> PiecewisePolynomial:
+        c = part.elevated(7).coefficients
+        swing = rng.uniform(least, most, c.shape)
+        swing[..., [0, -1]] = 1.0  # pieces still join
+        return PiecewisePolynomial(part.breaks, c * swing)
+
+    motion = replace(
+        leaned,
+        team=team(0.04),
+        leg_tensions=swinging(leaned.leg_tensions, lower, upper),
+        tensions=swinging(leaned.tensions, 0.97, 1.03),
+    )
+    assert motion.leg_tensions is not None
+    found = beyond_friction(motion, motion.leg_tensions)
+    ratio, most = np.moveaxis(ratios(motion, np.linspace(0.0, motion.duration, 40_001)), -1, 0)
+    worst = float(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
+    assert worst <= found.worst <= worst * 1.001 + 1e-6
+
+
+def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
+    """Not the legs' pulls, which may be larger: of a cable that hardly pulls along its edge."""
+    assert leaned.leg_tensions is not None
+    c = leaned.tensions.coefficients.copy()
+    c[:, 1] *= 0.1
+    weak = replace(leaned, tensions=PiecewisePolynomial(leaned.tensions.breaks, c))
+    sampled = np.max(residuals(weak, np.linspace(0.0, leaned.duration, 20_001)))
+    assert sampled <= check(weak).worst <= 1.001 * sampled
+
+
+def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:
+    assert leaned.leg_tensions is not None
+    wrong = PiecewisePolynomial(leaned.drones.breaks, leaned.leg_tensions.coefficients[:, :3])
+    with pytest.raises(ho.InputError, match="leg_tensions"):
+        replace(leaned, leg_tensions=wrong)
+
+
+def test_before_it_is_halved_a_bound_holds_as_well() -> None:
+    """Of the angles that cables wrap, from the coefficients of edges and legs that turn far."""
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(500, 6, 1)) + 0.5 * rng.normal(size=(500, 6, 4))
+    angles = wrapped(rows, 1e-9)
+    a, b = np.split(bernstein.evaluate(rows[:, None], np.linspace(0.0, 1.0, 101)[:, None]), 2, -1)
+    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    sampled = np.min(np.pi - np.arccos(cosine), axis=1)
+    assert np.all(angles <= sampled)
+    assert np.sum(angles > 0.0) > 100
+
+
+def test_tensions_that_rise_from_zero_are_the_legs_own_or_hold_nothing(leaned: Motion) -> None:
+    breaks = leaned.drones.breaks
+    rising = np.linspace(0.0, 0.5, len(breaks))
+    c = np.stack([rising[:-1], rising[1:]], axis=-1)
+    tensions = np.repeat(c[:, None], 4, axis=1)
+    for factor, beyond in ((1.0, 0.0), (1.01, math.inf)):
+        pulls = factor * np.repeat(tensions[:, :, None], 2, axis=2)
+        motion = replace(
+            leaned,
+            tensions=PiecewisePolynomial(breaks, tensions),
+            leg_tensions=PiecewisePolynomial(breaks, pulls),
+        )
+        assert motion.leg_tensions is not None
+        found = beyond_friction(motion, motion.leg_tensions).worst
+        assert found == beyond if beyond else found < 1e-9
+
+
+@pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])
+def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
+    cable: int, end: int, point: int
+) -> None:
+    chain = Team(3, 2.4, topology="open", tension=0.5, cable_friction=0.1)
+    points = [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]]
+    start = ho.Hitch.spread(chain, points, altitude=1.0)
+    motion = ho.move_vertex(start, 1, by=[0.1, 0.15], duration=4.0).motion
+    assert isinstance(motion, Motion)
+    assert motion.leg_tensions is not None
+    assert check(motion).holds
+    for factor in (0.0, 0.98, 1.02):
+        c = motion.leg_tensions.coefficients.copy()
+        c[:, cable, end] *= factor
+        tampered = replace(motion, leg_tensions=PiecewisePolynomial(motion.drones.breaks, c))
+        found = check(tampered)
+        assert not found.holds
+        assert found.worst == pytest.approx(abs(1.0 - factor), rel=1e-3)
+        assert found.where == (f"p{point}",)
+
+
+def test_thrust_and_setpoints_take_the_legs_pull(leaned: Motion) -> None:
+    t = np.linspace(0.0, leaned.duration, 2_001)
+    states = ho.Plan(leaned, certify(leaned)).at(t)
+    p, x = leaned.vertices.at(t), leaned.drones.at(t)
+    legs = x - p[:, leaned.team.layout.anchors]
+    pulls = np.linalg.norm(states.cable_forces, axis=-1)
+    np.testing.assert_allclose(pulls, leaned.pulls.at(t), rtol=1e-12)
+    along = np.sum(states.cable_forces * legs, axis=-1) / np.linalg.norm(legs, axis=-1)
+    np.testing.assert_allclose(along, -pulls, rtol=1e-12)
+    thrust = np.linalg.norm(states.thrusts(leaned.team), axis=-1)
+    found = certify(leaned)["thrust"].worst
+    assert np.max(thrust) <= found <= np.max(thrust) * 1.001

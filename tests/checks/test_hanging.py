@@ -1,0 +1,212 @@
+"""Distances to hanging cables, spans and pulls: bounds that no sample beats, and that are close."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from free_cases import cable_points, free_motion, random_flight, through
+
+from hitchopt.checks import certify, span
+from hitchopt.checks.bounds import hanging_clearance, hanging_crossing
+from hitchopt.checks.bounds.hanging_links import chains, cut
+from hitchopt.checks.bounds.thrust_enclosure import thrust_cells, thrust_enclosure
+from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.segments import differences
+from hitchopt.hitch import Team
+from hitchopt.motion.states import states_at
+from hitchopt.requirements import Arena
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+CLOSE = 6e-3
+"""[m] What bounds may leave: links of cables, and the search's tolerance."""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_sample_of_a_drone_or_the_ground_is_closer_to_a_cable(seed: int) -> None:
+    team, drones = random_flight(seed)
+    motion = free_motion(team, drones)
+    t = np.linspace(0.0, motion.duration, 801)
+    places = drones.at(t)
+    points = cable_points(team, places)
+    apart = np.linalg.norm(places[:, :, None, None] - points[:, None], axis=-1)
+    own = np.arange(8) // 2
+    apart[:, np.arange(8), own] = np.inf
+    to_ground = np.min(points[..., 2])
+    smallest = min(float(np.min(apart)), float(to_ground))
+    found = hanging_clearance.check(motion)
+    assert found is not None
+    assert found.worst <= smallest + 1e-9
+    assert found.worst >= smallest - CLOSE
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_ground_is_the_arenas_floor(seed: int) -> None:
+    team, drones = random_flight(seed, n=2)
+    # Robots a long way apart, so that the ground is what is nearest.
+    offset = np.repeat([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]], 2, axis=0)
+    drones = PiecewisePolynomial(drones.breaks, drones.coefficients + offset[..., None])
+    arena = Arena([-50, -50, 0.8], [50, 50, 9])
+    motion = free_motion(team, drones, arena=arena)
+    t = np.linspace(0.0, motion.duration, 3001)
+    lowest = float(np.min(cable_points(motion.team, drones.at(t))[..., 2])) - 0.8
+    found = hanging_clearance.check(motion)
+    assert found is not None
+    assert found.where[0] == "ground"
+    assert lowest - CLOSE <= found.worst <= lowest + 1e-9
+    lower = hanging_clearance.check(
+        replace(motion, requirements=replace(motion.requirements, arena=None))
+    )
+    assert lower is not None
+    assert lower.worst == pytest.approx(found.worst + 0.8, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", ["take-off", "land"])
+def test_cables_on_the_ground_are_looked_at_from_above(name: str) -> None:
+    """They lie between their drones: a drone right above one is at distance zero."""
+    team, drones = random_flight(3)
+    motion = free_motion(team, drones, (name,))
+    t = np.linspace(0.0, motion.duration, 1501)
+    places = drones.at(t)[..., :2]
+    ends = places.reshape(len(t), 4, 2, 2)
+    gaps = []
+    for k in range(4):
+        others = np.delete(places, [2 * k, 2 * k + 1], axis=1)
+        segment = np.broadcast_to(ends[:, k][:, None], (len(t), 6, 2, 2))
+        gaps.append(
+            np.linalg.norm(shortest_offset(differences(others[:, :, None], segment)), axis=-1)
+        )
+    found = hanging_clearance.check(motion)
+    assert found is not None
+    smallest = float(np.min(gaps))
+    assert found.worst <= smallest + 1e-9
+    assert found.worst == pytest.approx(smallest, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_spans_and_crossings_against_samples(seed: int) -> None:
+    team, drones = random_flight(seed)
+    motion = free_motion(team, drones)
+    t = np.linspace(0.0, motion.duration, 2001)
+    pairs = drones.at(t).reshape(len(t), 4, 2, 3)
+    longest = np.max(np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1) / team.cable_length)
+    assert span.check(motion).worst == pytest.approx(longest, rel=2e-4)
+    assert span.check(motion).worst >= longest - 1e-12
+    i, j = np.triu_indices(4, 1)
+    flat = pairs[..., :2]
+    gaps = np.linalg.norm(shortest_offset(differences(flat[:, i], flat[:, j])), axis=-1)
+    apart = hanging_crossing.check(motion)
+    assert apart is not None
+    assert np.min(gaps) - 2e-3 <= apart.worst <= np.min(gaps) + 1e-9
+    neighbours = ((j - i) == 1) | ((j - i) == 3)
+    clasping = hanging_crossing.check(free_motion(team, drones, ("swap 1",)))
+    assert clasping is not None
+    assert clasping.worst <= np.min(gaps[:, ~neighbours]) + 1e-9
+    assert clasping.worst >= np.min(gaps[:, ~neighbours]) - 2e-3
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_thrust_and_tilt_take_the_cables_pull_along(seed: int) -> None:
+    team, drones = random_flight(seed)
+    slow = drones.stretched(3.0)
+    heavy = Team(4, team.cable_length, cable_density=0.03)
+    motion = free_motion(heavy, slow)
+    certificate = certify(motion)
+    states = states_at(motion, np.linspace(0.0, motion.duration, 4001))
+    thrusts = states.thrusts(heavy)
+    sizes = np.linalg.norm(thrusts, axis=-1)
+    tilts = np.degrees(np.arctan2(np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]))
+    for name, sampled in (("thrust", np.max(sizes)), ("tilt", np.max(tilts))):
+        assert certificate[name].worst >= sampled - 1e-9
+        assert certificate[name].worst <= sampled * 1.002
+
+
+def test_before_it_is_halved_an_enclosure_of_thrusts_holds_as_well() -> None:
+    """The radius is needed: the pull of a cable that moves is no polynomial."""
+    team, drones = random_flight(1)
+    motion = free_motion(Team(4, team.cable_length, cable_density=0.03), drones)
+    cells = thrust_cells(motion, np.ones(8))
+    found = thrust_enclosure(cells.blocks, 1e-12)
+    off = []
+    for x in np.linspace(0.0, 1.0, 21)[1:-1]:
+        t = motion.drones.breaks[:-1] + x * motion.drones.durations
+        middle = bernstein.evaluate(found.coefficients, np.full((len(cells), 1), x))
+        thrusts = states_at(motion, t).thrusts(motion.team).reshape(-1, 3)
+        off.append(np.linalg.norm(middle - thrusts, axis=-1))
+    assert np.all(np.max(off, axis=0) <= found.radius)
+    assert np.max(off) > 1e-3
+
+
+@pytest.mark.parametrize("told", [-0.3, 0.2, 5.0])
+def test_no_leg_pulls_where_there_is_none(told: float) -> None:
+    """Whatever a plan says that cables are under while they hang free."""
+    motion = free_motion(*random_flight(0))
+    true = certify(motion)
+    constant, breaks = PiecewisePolynomial.constant, motion.drones.breaks
+    for said in (
+        replace(motion, tensions=constant(breaks, np.full(4, told))),
+        replace(motion, leg_tensions=constant(breaks, np.full((4, 2), told))),
+    ):
+        found = certify(said)
+        for name in ("thrust", "tilt"):
+            assert found[name].worst == true[name].worst
+
+
+def test_moving_turning_and_mirroring_change_nothing() -> None:
+    team, drones = random_flight(7)
+    motion = free_motion(team, drones)
+    found = hanging_clearance.check(motion)
+    assert found is not None
+    turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    for matrix, offset in ((turn, [5.0, -3.0, 0.0]), (np.diag([-1.0, 1.0, 1.0]), [0.0, 0.0, 0.0])):
+        moved = np.einsum("ij,pdjk->pdik", matrix, drones.coefficients)
+        moved = moved + np.array(offset)[:, None]
+        again = hanging_clearance.check(
+            free_motion(team, PiecewisePolynomial(drones.breaks, moved))
+        )
+        assert again is not None
+        assert again.worst == pytest.approx(found.worst, abs=1.1e-3)
+        assert again.where == found.where
+    back = hanging_clearance.check(free_motion(team, drones.reversed()))
+    assert back is not None
+    assert back.worst == pytest.approx(found.worst, abs=1.1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cables_stay_as_near_to_their_chains_as_is_said(seed: int) -> None:
+    team, drones = random_flight(seed)
+    c = cut(drones).coefficients
+    q, r = c[:, 0::2].reshape(-1, 3, 6), c[:, 1::2].reshape(-1, 3, 6)
+    hung = chains(q, r, np.tile(team.cable_length, len(c)))
+    for x in (0.0, 0.2, 0.5, 0.9, 1.0):
+        motionless = PiecewisePolynomial(np.array([0.0, 1.0]), c.reshape(-1, 3, 6)[None]).at(
+            np.array(x)
+        )
+        one = Team(len(q), np.tile(team.cable_length, len(c)), topology="open")
+        points = cable_points(one, motionless)
+        links = PiecewisePolynomial(np.array([0.0, 1.0]), hung.points[None]).at(np.array(x))
+        for k in range(0, len(q), 5):
+            gaps = np.stack([links[k, :-1], links[k, 1:]], axis=1)[None] - points[k][:, None, None]
+            to_links = np.linalg.norm(shortest_offset(gaps), axis=-1) - hung.off[k]
+            assert np.max(np.min(to_links, axis=1)) <= 1e-9
+
+
+def test_a_drone_in_a_cable_is_told_with_time_and_names() -> None:
+    """q1 goes straight through the lowest point of cable 0, which hangs still."""
+    team = Team(2, [1.5, 0.8], topology="open")
+    low = float(
+        np.min(
+            cable_points(team, np.array([[0, 0, 2], [1, 0, 2], [9, 9, 9], [9, 9.5, 9]]))[0, :, 2]
+        )
+    )
+    first = np.array([[0, 0, 2], [1, 0, 2], [0.5, -1, low], [0.9, -1.3, low]], dtype=np.float64)
+    last = first.copy()
+    last[2:, 1] += 2.0
+    motion = free_motion(team, through(np.array([0.0, 4.0]), np.stack([first, last])))
+    found = hanging_clearance.check(motion)
+    assert found is not None
+    assert not found.holds
+    assert found.worst < 1e-2
+    assert found.where == ("q1", "cable 0")
+    assert found.time == pytest.approx(2.0, abs=0.1)

@@ -1,0 +1,126 @@
+"""Plans to export: off the origin, unequal cables and masses, an arena; swarms; long ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks import Certificate, certify
+from hitchopt.exports.exporting import Export, export_plan
+from hitchopt.exports.fleet import placeholder_fleet
+from hitchopt.exports.formats.format import Task
+from hitchopt.exports.formats.registry import format_of
+from hitchopt.exports.frame import Room
+from hitchopt.hitch import Quadrotor, Swarm
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.solving import solve_problem
+from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+PROBLEM = {
+    "title": 'A triangle with "quotes" and ünïcode',
+    "team": {
+        "robots": 3,
+        "cable_length": [2.4, 2.6, 2.5],
+        "cable_density": 0.002,
+        "tension": [0.4, 0.45, 0.42],
+        "quadrotor": [{"mass": 0.13 + 0.01 * k, "max_thrust": 2.6} for k in range(3)],
+    },
+    "arena": {"lower": [-3, -3, 0], "upper": [5, 6, 3]},
+    "start": {"hitch": {"polygon": [[1.0, 0.5], [0.6, 2.0], [1.5, 2.1]], "altitude": 1.2}},
+    "mission": [
+        {"morph": {"polygon": [[1.0, 0.9], [0.6, 2.0], [1.5, 2.1]]}},
+        {"hold": {"seconds": 0.3}},
+        {"move_vertex": {"vertex": 1, "by": [-0.05, 0.1]}},
+    ],
+}
+
+
+@lru_cache
+def hitch_plan() -> Motion:
+    motion = solve_problem(problem_from_dict(PROBLEM)).motion
+    assert isinstance(motion, Motion)
+    return motion
+
+
+@lru_cache
+def certificate_of(motion: Motion) -> Certificate:
+    return certify(motion)
+
+
+def swarm_of(places: Array, breaks: Array, degree_match: int = 4) -> Motion:
+    """Drones through places (K, D, 3) at breaks (K,), at rest at each."""
+    left = np.zeros((degree_match, len(breaks) - 1, *places.shape[1:]))
+    right = left.copy()
+    left[0], right[0] = places[:-1], places[1:]
+    drones = PiecewisePolynomial.hermite(breaks, left, right)
+    kinds = [Quadrotor(0.03 + 0.001 * i, 0.6) for i in range(places.shape[1])]
+    return Motion.single(
+        Swarm(len(kinds), quadrotor=kinds),
+        Requirements(Limits(), Separation(), Arena([-5, -5, 0], [5, 5, 3])),
+        drones,
+        (Phase("morph", 0, float(breaks[0]), float(breaks[-1])),),
+    )
+
+
+@lru_cache
+def swarm_plan() -> Motion:
+    places = np.array(
+        [
+            [[0.1, 0.2, 1.0], [1.1, 0.3, 1.1], [2.1, -0.4, 1.2]],
+            [[0.3, 0.5, 1.0], [1.1, 0.6, 1.3], [2.4, -0.2, 1.2]],
+            [[0.3, 0.5, 1.2], [1.4, 0.6, 1.3], [2.4, 0.2, 1.0]],
+        ]
+    )
+    return swarm_of(places, np.array([0.0, 1.7, 3.4123]))
+
+
+@lru_cache
+def long_plan(times: int = 3) -> Motion:
+    """There and back, again and again: rests in between."""
+    there = hitch_plan()
+    end = there.duration
+    phases = tuple(replace(p, start=end - p.end, end=end - p.start) for p in reversed(there.phases))
+    back = there.changed(lambda part: part.reversed(), phases)
+    assert isinstance(back, Motion)
+    return joined_motions([there, back] * times)
+
+
+@lru_cache
+def restless_plan(duration: float = 40.0) -> Motion:
+    """Two drones on wavy lines that never rest until the end."""
+    t = np.linspace(0.0, duration, int(8 * duration) + 1)
+    ramp = np.sin(np.pi * t / duration) ** 2
+    wave = 0.05 * ramp * np.sin(2.0 * np.pi * 1.1 * t)
+    places = np.stack([wave, 0.0 * t, 1.0 + 0.0 * t], axis=-1)[:, None] + np.array(
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    )
+    slopes = np.gradient(places, t, axis=0)
+    slopes[[0, -1]] = 0.0
+    bends = np.gradient(slopes, t, axis=0)
+    bends[[0, -1]] = 0.0
+    ends = np.stack([places, slopes, bends])
+    drones = PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:])
+    limits = Limits(speed=2.0, acceleration=20.0, jerk=1e4)
+    requirements = replace(swarm_plan().requirements, limits=limits)
+    phase = Phase("wave", 0, 0.0, duration)
+    return Motion.single(Swarm(2), requirements, drones, (phase,))
+
+
+def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **room: object) -> Task:
+    kind = format_of(name)
+    place = Room(**{"frame": kind.frames[0], **room})  # type: ignore[arg-type]
+    fleet = placeholder_fleet(motion.team.drone_names)
+    return Task(motion, "A plan", place, fleet, rate or kind.rate)
+
+
+def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:
+    task = task_of(motion, name, **options)  # type: ignore[arg-type]
+    return export_plan(format_of(name), task, certificate_of(motion), folder)
