@@ -26,11 +26,11 @@ import numpy as np
 
 from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import EXPERIMENTS, experiment, irregular, moved, planned, tied
-from hitchopt.simulate.campaign import run_campaign
-from hitchopt.simulate.capstan import capstan_test
-from hitchopt.simulate.measures import Spread
-from hitchopt.simulate.settings import ACCURATE, FAST, USUAL, Settings
-from hitchopt.simulate.simulation import Task, simulate
+from hitchopt.simulation.campaign import run_campaign
+from hitchopt.simulation.capstan import capstan_test
+from hitchopt.simulation.error_measures import Spread
+from hitchopt.simulation.settings import ACCURATE, FAST, USUAL, Settings
+from hitchopt.simulation.simulate import Task, simulate
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; errors are distances "

@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 from benchmarks.flight_plans import moved, planned
-from hitchopt.simulate.settings import ACCURATE, Settings
-from hitchopt.simulate.simulation import simulate
+from hitchopt.simulation.settings import ACCURATE, Settings
+from hitchopt.simulation.simulate import simulate
 
 FRICTION = 0.1
 

@@ -10,13 +10,13 @@ from rich.text import Text
 from hitchopt.cli.tables import new_table, rendered
 
 if TYPE_CHECKING:
-    from hitchopt.simulate.campaign import Campaign
-    from hitchopt.simulate.simulation import Simulation
+    from hitchopt.simulation.campaign import Campaign
+    from hitchopt.simulation.simulate import Simulation
 
 
 def flight_tables(simulation: Simulation) -> str:
     """Return how the vertices, cables and drones of one flight fared."""
-    from hitchopt.simulate.measures import Spread, tracking_errors
+    from hitchopt.simulation.error_measures import Spread, tracking_errors
 
     outcome, errors, record = simulation.outcome, simulation.errors, simulation.flight.record
     vertices = new_table(

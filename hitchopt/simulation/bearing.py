@@ -1,0 +1,94 @@
+"""Where the hitch's vertices are: where neighbouring cables bear on each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import Team
+from hitchopt.hitch.equilibrium import contact_forces
+from hitchopt.simulation.setpoint_tables import VertexTable
+from hitchopt.simulation.world import World
+
+Array = NDArray[np.float64]
+
+BEARING_SHARE = 0.3
+"""Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
+and by what drones deviate, and Gauss's integral counts some of them as linked, since the lines that
+close them cross there too."""
+
+
+def least_bearing(team: Team, vertices: VertexTable) -> Array:
+    """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
+
+    It is a share of the force with which a clasp presses without friction, which is
+    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike.
+
+    Parameters
+    ----------
+    team: whose hitch it is.
+    vertices: the plan's outlines and tensions; a cable without tension bears nothing.
+    """
+    least = np.zeros((len(vertices.t), len(team.layout.clasps)))
+    pulled = np.all(vertices.tensions > 0.0, axis=-1)
+    edges = team.layout.edges(vertices.positions[pulled])
+    directions = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    forces = contact_forces(directions, vertices.tensions[pulled], team.topology)
+    least[pulled] = BEARING_SHARE * forces
+    return least
+
+
+class Bearing:
+    """Contact forces between neighbouring cables, and their centre, gathered over some steps.
+
+    Parameters
+    ----------
+    world: whose contacts they are.
+    team: whose cables meet at which clasps.
+    """
+
+    def __init__(self, world: World, team: Team) -> None:
+        self._world = world
+        layout = team.layout
+        n = team.robots
+        self._clasp = np.full((n, n), -1)
+        ranks = np.arange(len(layout.clasps))
+        self._clasp[layout.behind, layout.ahead] = ranks
+        self._clasp[layout.ahead, layout.behind] = ranks
+        self._force = np.zeros(len(ranks))
+        self._moment = np.zeros((len(ranks), 3))
+        self._count = 0
+
+    def gather(self) -> None:
+        """Add the contacts of the last step."""
+        self._count += 1
+        data = self._world.data
+        if not data.ncon:
+            return
+        flexes, rows = data.contact.flex, data.contact.efc_address
+        between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
+        clasp = self._clasp[flexes[between, 0], flexes[between, 1]]
+        chosen = between[clasp >= 0]
+        clasp = clasp[clasp >= 0]
+        force = np.maximum(data.efc_force[rows[chosen]], 0.0)  # elliptic: the normal comes first
+        np.add.at(self._force, clasp, force)
+        np.add.at(self._moment, clasp, force[:, None] * data.contact.pos[chosen])
+
+    def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return the vertices and the forces since the last time, and begin anew.
+
+        Parameters
+        ----------
+        least: (clasps,) [N], cables that press less do not bear on each other.
+
+        Returns
+        -------
+        vertices: (clasps, 3) [m], centres of the contact force; nan where cables do not bear.
+        forces: (clasps,) [N], mean sums of normal forces.
+        """
+        forces = self._force / max(self._count, 1)
+        bears = (forces > 0.0) & (forces >= least)
+        vertices = np.full_like(self._moment, np.nan)
+        vertices[bears] = self._moment[bears] / self._force[bears, None]
+        self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
+        return vertices, forces

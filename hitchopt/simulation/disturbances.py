@@ -1,0 +1,65 @@
+"""Everything random about a flight, from one seed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.simulation.settings import Perturbations
+
+Array = NDArray[np.float64]
+
+NOISE_TIME = 0.3
+"""[s] Over which the error of a believed position forgets itself."""
+
+GUST_TIME = 1.0
+"""[s] Over which a gust does."""
+
+
+class Drift:
+    """An Ornstein-Uhlenbeck process: a random walk that is drawn back to zero.
+
+    Its steps are exact, so that its spread does not depend on how often it is asked.
+
+    Parameters
+    ----------
+    spread: standard deviation at every time.
+    memory: correlation time [s].
+    shape: of the values.
+    random: where the numbers come from.
+    """
+
+    def __init__(
+        self, spread: float, memory: float, shape: tuple[int, ...], random: np.random.Generator
+    ) -> None:
+        self._spread = spread
+        self._memory = memory
+        self._random = random
+        self.value: Array = spread * random.standard_normal(shape)
+
+    def advance(self, seconds: float) -> Array:
+        """Return the value ``seconds`` later."""
+        kept = np.exp(-seconds / self._memory)
+        new = self._spread * np.sqrt(1.0 - kept**2)
+        self.value = kept * self.value + new * self._random.standard_normal(self.value.shape)
+        return self.value
+
+
+class Disturbances:
+    """What one flight meets.
+
+    Parameters
+    ----------
+    perturbations: how strong.
+    robots: number n of catenary robots.
+    seed: every quantity has a stream of its own, so that switching one off leaves the others.
+    """
+
+    def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
+        streams = np.random.SeedSequence(seed).spawn(4)
+        cables, start, noise, wind = (np.random.default_rng(stream) for stream in streams)
+        drones = (2 * robots, 3)
+        self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
+        self.start_offset: Array = perturbations.start_error * start.standard_normal(drones)
+        self.noise = Drift(perturbations.noise, NOISE_TIME, drones, noise)
+        self.wind = Drift(perturbations.wind / np.sqrt(3.0), GUST_TIME, drones, wind)
