@@ -24,13 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.capstan import capstan_test
 from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import EXPERIMENTS, experiment, irregular, moved, planned, tied
 from hitchopt.simulation.campaign import run_campaign
-from hitchopt.simulation.capstan import capstan_test
 from hitchopt.simulation.error_measures import Spread
-from hitchopt.simulation.settings import ACCURATE, FAST, USUAL, Settings
 from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, USUAL, Settings
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; errors are distances "

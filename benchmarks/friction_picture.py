@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 from benchmarks.flight_plans import moved, planned
-from hitchopt.simulation.settings import ACCURATE, Settings
 from hitchopt.simulation.simulate import simulate
+from hitchopt.simulation.simulation_settings import ACCURATE, Settings
 
 FRICTION = 0.1
 

@@ -13,8 +13,8 @@ from hitchopt.cli.failures import UNMET, say
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchopt.simulation.settings import Settings
     from hitchopt.simulation.simulate import Simulation, Task
+    from hitchopt.simulation.simulation_settings import Settings
 
 RESULTS = "simulation"
 """The directory in DIR that results go to unless another one is named."""
@@ -98,7 +98,7 @@ def simulate(
 
 
 def _check_film(film: Path, runs: int | None) -> None:
-    from hitchopt.simulation.film import check_film
+    from hitchopt.simulation.flight_film import check_film
 
     check_film(film)
     if runs is not None:
@@ -106,7 +106,13 @@ def _check_film(film: Path, runs: int | None) -> None:
 
 
 def _settings(options: dict[str, float | str | bool | None]) -> Settings:
-    from hitchopt.simulation.settings import CALM, PRESETS, USUAL, Perturbations, Settings
+    from hitchopt.simulation.simulation_settings import (
+        CALM,
+        PRESETS,
+        USUAL,
+        Perturbations,
+        Settings,
+    )
 
     usual = USUAL if options.pop("perturbed") else CALM
     names = ("noise", "wind", "lag", "cable_error", "start_error", "downwash")
@@ -120,8 +126,8 @@ def _settings(options: dict[str, float | str | bool | None]) -> Settings:
 def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables
-    from hitchopt.simulation.film import save_film
-    from hitchopt.simulation.outcome import FAILED, NOT_SIMULATED, UNSIMULATED
+    from hitchopt.simulation.flight_film import save_film
+    from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.run_report import save_simulation
     from hitchopt.simulation.simulate import simulate as simulated
 

@@ -18,10 +18,10 @@ from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulation.error_measures import Spread, tracking_errors
-from hitchopt.simulation.outcome import NOT_SIMULATED, START, SUCCEEDED, Failure
+from hitchopt.simulation.flight_outcome import NOT_SIMULATED, START, SUCCEEDED, Failure
 from hitchopt.simulation.run_report import CAMPAIGN, OWNED, RUNS, settings_summary
-from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.simulation_settings import Settings
 
 Progress = Callable[[str], None]
 

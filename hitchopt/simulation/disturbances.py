@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.simulation.settings import Perturbations
+from hitchopt.simulation.simulation_settings import Perturbations
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.simulation.control import POSITION_GAIN
-from hitchopt.simulation.records import Flight
-from hitchopt.simulation.sag import predicted_sag
+from hitchopt.simulation.drone_control import POSITION_GAIN
+from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.hitch_sag import predicted_sag
 from hitchopt.simulation.setpoint_tables import SAME_SAMPLE, Setpoints, VertexTable
 
 Array = NDArray[np.float64]

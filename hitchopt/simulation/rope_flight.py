@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import HitchoptError
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.simulation.air import downwash, drag
-from hitchopt.simulation.bearing import least_bearing
-from hitchopt.simulation.control import Reference, wanted_forces
-from hitchopt.simulation.description import BODY
+from hitchopt.simulation.air_forces import downwash, drag
+from hitchopt.simulation.cable_shapes import clasped, hanging
+from hitchopt.simulation.clasp_contacts import least_bearing
 from hitchopt.simulation.disturbances import Disturbances
-from hitchopt.simulation.drones import make_drones
-from hitchopt.simulation.linking import linking_matrix
-from hitchopt.simulation.recorder import Recorder
-from hitchopt.simulation.records import Flight
+from hitchopt.simulation.drone_control import Reference, wanted_forces
+from hitchopt.simulation.drone_motors import make_drones
+from hitchopt.simulation.flight_recorder import Recorder
+from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.linking_numbers import linking_matrix
+from hitchopt.simulation.mujoco_world import World, build_world, imported_mujoco
+from hitchopt.simulation.mujoco_xml import BODY
+from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
 from hitchopt.simulation.ropes import Ropes, ropes_of
 from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
-from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.shapes import clasped, hanging
-from hitchopt.simulation.thickness import thickness_allowance, thickness_offsets
-from hitchopt.simulation.watch import check_valid
-from hitchopt.simulation.world import World, build_world, imported_mujoco
+from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.simulation.validity import check_valid
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.simulation.settings import DENSITY, Preset
+from hitchopt.simulation.simulation_settings import DENSITY, Preset
 from hitchopt.values import not_negative, positive
 
 Array = NDArray[np.float64]

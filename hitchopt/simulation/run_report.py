@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.strict_json import write_strict_json
 from hitchopt.simulation.error_measures import Spread, tracking_errors
-from hitchopt.simulation.picture import save_picture
-from hitchopt.simulation.settings import Settings
+from hitchopt.simulation.flight_picture import save_picture
 from hitchopt.simulation.simulate import Simulation
+from hitchopt.simulation.simulation_settings import Settings
 
 Array = NDArray[np.float64]
 

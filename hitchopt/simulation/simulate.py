@@ -13,8 +13,8 @@ from hitchopt.export.directory import PLAN, SETPOINTS, VERTICES
 from hitchopt.export.plan_file import read_plan
 from hitchopt.hitch import Team
 from hitchopt.simulation.error_measures import VertexErrors, vertex_errors
-from hitchopt.simulation.outcome import Outcome, judge
-from hitchopt.simulation.records import Flight
+from hitchopt.simulation.flight_outcome import Outcome, judge
+from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.rope_flight import fly
 from hitchopt.simulation.setpoint_tables import (
     Setpoints,
@@ -22,7 +22,7 @@ from hitchopt.simulation.setpoint_tables import (
     read_setpoints,
     read_vertices,
 )
-from hitchopt.simulation.settings import Settings
+from hitchopt.simulation.simulation_settings import Settings
 
 Progress = Callable[[str], None]
 

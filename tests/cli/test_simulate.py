@@ -82,7 +82,7 @@ def test_a_campaign_says_how_often(solved: Path, tmp_path: Path) -> None:
 def test_a_flight_that_fails_ends_with_3_and_says_what(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.simulation.outcome.HELD", 1e-4)  # every vertex moves more
+    monkeypatch.setattr("hitchopt.simulation.flight_outcome.HELD", 1e-4)  # every vertex moves more
     result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
     assert result.exit_code == 3, result.output
     assert "failed: t = " in result.stderr
@@ -97,7 +97,7 @@ def test_a_flight_that_fails_ends_with_3_and_says_what(
 def test_a_run_that_means_nothing_is_not_simulated(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.simulation.watch.MOST_STRAIN", -1.0)  # none can be believed
+    monkeypatch.setattr("hitchopt.simulation.validity.MOST_STRAIN", -1.0)  # none can be believed
     result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
     assert result.exit_code == 3, result.output
     assert "not simulated: t = -2.50 s, simulation: strain of" in result.stderr

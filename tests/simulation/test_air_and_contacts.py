@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hitchopt.simulation.air import BLOCKED, downwash, drag
-from hitchopt.simulation.contacts import touches
-from hitchopt.simulation.description import BODY
+from hitchopt.simulation.air_forces import BLOCKED, downwash, drag
+from hitchopt.simulation.cable_shapes import hanging
+from hitchopt.simulation.drone_contacts import touches
+from hitchopt.simulation.mujoco_world import World, build_world
+from hitchopt.simulation.mujoco_xml import BODY
 from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.settings import FAST
-from hitchopt.simulation.shapes import hanging
-from hitchopt.simulation.world import World, build_world
+from hitchopt.simulation.simulation_settings import FAST
 
 Array = NDArray[np.float64]
 

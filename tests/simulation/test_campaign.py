@@ -19,9 +19,9 @@ from hitchopt.simulation.campaign import (
     save_campaign,
     wilson_interval,
 )
-from hitchopt.simulation.outcome import NOT_SIMULATED
-from hitchopt.simulation.settings import Perturbations, Settings
+from hitchopt.simulation.flight_outcome import NOT_SIMULATED
 from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.simulation_settings import Perturbations, Settings
 
 BRIEF = Settings(
     body="point",

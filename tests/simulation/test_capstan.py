@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from hitchopt.simulation.capstan import capstan_test
-from hitchopt.simulation.settings import ACCURATE, FAST
+from benchmarks.capstan import capstan_test
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST
 
 
 @pytest.mark.parametrize(("friction", "slide"), [(0.0, 0.6), (0.1, 0.8), (0.3, 2.5)])

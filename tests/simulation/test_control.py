@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
-from hitchopt.simulation.control import (
+from hitchopt.simulation.drone_control import (
     ATTITUDE_GAIN,
     POSITION_GAIN,
     VELOCITY_GAIN,

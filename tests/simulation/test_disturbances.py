@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hitchopt.simulation.disturbances import Disturbances, Drift
-from hitchopt.simulation.settings import CALM, USUAL
+from hitchopt.simulation.simulation_settings import CALM, USUAL
 
 
 @pytest.mark.parametrize("step", [0.005, 0.1, 1.0])

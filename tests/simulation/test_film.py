@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hitchopt.errors import FileError, UnsupportedError
-from hitchopt.simulation import film as films
-from hitchopt.simulation.film import check_film, save_film
-from hitchopt.simulation.records import Film
+from hitchopt.simulation import flight_film as films
+from hitchopt.simulation.flight_film import check_film, save_film
+from hitchopt.simulation.flight_records import Film
 
 
 def moving(frames: int) -> Film:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scripted import forming, regular_hitch
 
-from hitchopt.simulation.settings import USUAL, Settings
 from hitchopt.simulation.simulate import Simulation, Task, simulate
+from hitchopt.simulation.simulation_settings import USUAL, Settings
 
 
 def flown(n: int, turns: list[float] | list[tuple[float, float]], settings: Settings) -> Simulation:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from hitchopt.simulation.linking import linking_matrix, linking_number
+from hitchopt.simulation.linking_numbers import linking_matrix, linking_number
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scripted import regular_hitch
 
-from hitchopt.simulation.outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
-from hitchopt.simulation.records import Film, Flight, Record, TouchEvent
-from hitchopt.simulation.watch import InvalidRunError
+from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
+from hitchopt.simulation.flight_records import Film, Flight, Record, TouchEvent
+from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
 

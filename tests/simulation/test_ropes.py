@@ -10,7 +10,7 @@ import pytest
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.simulation.ropes import Ropes, ropes_of
-from hitchopt.simulation.settings import (
+from hitchopt.simulation.simulation_settings import (
     ACCURATE,
     CALM,
     DENSITY,

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from scripted import regular_hitch
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.linking import linking_matrix
+from hitchopt.simulation.cable_shapes import ShapeError, clasped, hanging
+from hitchopt.simulation.linking_numbers import linking_matrix
 from hitchopt.simulation.ropes import Ropes, ropes_of
-from hitchopt.simulation.settings import ACCURATE, FAST, Preset
-from hitchopt.simulation.shapes import ShapeError, clasped, hanging
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Preset
 
 Array = NDArray[np.float64]
 

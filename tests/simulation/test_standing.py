@@ -11,9 +11,9 @@ from scripted import regular_hitch, standing, table
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
-from hitchopt.simulation.settings import FAST, Perturbations, Settings
 from hitchopt.simulation.simulate import Simulation, Task, simulate
-from hitchopt.simulation.watch import InvalidRunError
+from hitchopt.simulation.simulation_settings import FAST, Perturbations, Settings
+from hitchopt.simulation.validity import InvalidRunError
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ from scripted import NOWHERE, regular_hitch, standing
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation import rope_flight
+from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
 from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
-from hitchopt.simulation.settings import ACCURATE, Settings
 from hitchopt.simulation.simulate import Task, simulate
-from hitchopt.simulation.thickness import thickness_allowance, thickness_offsets
+from hitchopt.simulation.simulation_settings import ACCURATE, Settings
 
 Array = NDArray[np.float64]
 

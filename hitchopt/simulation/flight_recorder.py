@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.simulation.bearing import Bearing
-from hitchopt.simulation.contacts import touches
-from hitchopt.simulation.drones import Drones
-from hitchopt.simulation.records import Film, Record, TouchEvent
-from hitchopt.simulation.watch import tensions
-from hitchopt.simulation.world import World
+from hitchopt.simulation.clasp_contacts import Bearing
+from hitchopt.simulation.drone_contacts import touches
+from hitchopt.simulation.drone_motors import Drones
+from hitchopt.simulation.flight_records import Film, Record, TouchEvent
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.validity import tensions
 
 Array = NDArray[np.float64]
 

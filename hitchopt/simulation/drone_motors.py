@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.simulation.control import ARM, Reference, attitude_command
-from hitchopt.simulation.description import BODY
-from hitchopt.simulation.world import World
+from hitchopt.simulation.drone_control import ARM, Reference, attitude_command
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.mujoco_xml import BODY
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.equilibrium import contact_forces
+from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.setpoint_tables import VertexTable
-from hitchopt.simulation.world import World
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.simulation.records import Film
+from hitchopt.simulation.flight_records import Film
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from scripted import regular_hitch, standing
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulation.error_measures import Spread, tracking_errors, vertex_errors
-from hitchopt.simulation.records import Film, Flight, Record
-from hitchopt.simulation.sag import predicted_sag
+from hitchopt.simulation.flight_records import Film, Flight, Record
+from hitchopt.simulation.hitch_sag import predicted_sag
 from hitchopt.simulation.setpoint_tables import VertexTable
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import UnsupportedError
 from hitchopt.hitch import GRAVITY
-from hitchopt.simulation.description import BODY, Body, describe
+from hitchopt.simulation.mujoco_xml import BODY, Body, describe
 from hitchopt.simulation.ropes import Ropes
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.simulation.records import Flight
-from hitchopt.simulation.watch import InvalidRunError
+from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.control import POSITION_GAIN, VELOCITY_GAIN
+from hitchopt.simulation.cable_shapes import clasped
+from hitchopt.simulation.drone_control import POSITION_GAIN, VELOCITY_GAIN
+from hitchopt.simulation.mujoco_world import World, build_world, imported_mujoco
 from hitchopt.simulation.ropes import ropes_of
-from hitchopt.simulation.settings import Preset
-from hitchopt.simulation.shapes import clasped
-from hitchopt.simulation.watch import check_valid, tensions
-from hitchopt.simulation.world import World, build_world, imported_mujoco
+from hitchopt.simulation.simulation_settings import Preset
+from hitchopt.simulation.validity import check_valid, tensions
 
 Array = NDArray[np.float64]
 

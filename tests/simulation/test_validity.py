@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from hitchopt.simulation.cable_shapes import hanging
+from hitchopt.simulation.mujoco_world import World, build_world
 from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.settings import FAST
-from hitchopt.simulation.shapes import hanging
-from hitchopt.simulation.watch import InvalidRunError, check_valid, tensions
-from hitchopt.simulation.world import World, build_world
+from hitchopt.simulation.simulation_settings import FAST
+from hitchopt.simulation.validity import InvalidRunError, check_valid, tensions
 
 PLACES = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 3.0]])
 

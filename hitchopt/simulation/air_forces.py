@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.simulation.description import BODY
-from hitchopt.simulation.world import World
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.mujoco_xml import BODY
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import HitchoptError
-from hitchopt.simulation.world import World
+from hitchopt.simulation.mujoco_world import World
 
 Array = NDArray[np.float64]
 

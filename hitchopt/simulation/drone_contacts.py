@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.simulation.description import BODY
-from hitchopt.simulation.world import World
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.mujoco_xml import BODY
 
 Index = NDArray[np.intp]
 
