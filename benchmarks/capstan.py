@@ -1,8 +1,8 @@
-"""The capstan test: whether the friction of a simulated clasp is what it should be.
+"""The capstan test of the friction of a simulated clasp.
 
-Two cables clasp each other at a right angle, each in its own plane, the planes square to each
-other, without gravity. One is drawn through slowly; the ratio of its tensions before and after the
-clasp is to be ``exp(μ π/2)``.
+Two cables clasp each other at a right angle, each in its own plane, the planes perpendicular to
+each other, without gravity. One is drawn through slowly; the ratio of its tensions before and after
+the clasp should be ``exp(μ π/2)``.
 
 Where both cables lie in one plane, as in a hitch, each goes under the other on one side and over it
 on the other, turns farther in all, and the ratio is larger: about 1.21 for 1.17 at μ = 0.1.
@@ -18,37 +18,40 @@ from numpy.typing import NDArray
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.cable_shapes import clasped
 from hitchopt.simulation.drone_control import POSITION_GAIN, VELOCITY_GAIN
-from hitchopt.simulation.mujoco_world import World, build_world, imported_mujoco
+from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.ropes import ropes_of
-from hitchopt.simulation.simulation_settings import Preset
+from hitchopt.simulation.simulation_settings import Preset, Settings
 from hitchopt.simulation.validity import check_valid, tensions
 
 Array = NDArray[np.float64]
 
 LENGTH, LEG = 1.0, 0.4
-"""[m] Of each cable, and of its part from the clasp to the nearer drone."""
+"""Length of each cable, and of its part from the clasp to the nearer drone [m]."""
 
 TENSION, DENSITY = 0.5, 0.01
-"""[N], [kg/m]"""
+"""Tension [N] and density [kg/m] of the cables."""
 
 DRAWN, TURNED = 1.0, 0.9
-"""[s] After which the cables are tight and one begins to slide, and square to each other."""
+"""Times at which the cables are tight and one begins to slide, and are perpendicular [s]."""
 
-HONEY = 40.0
-"""[1/s] How fast cables lose their speed as they begin to be drawn tight; none once they are."""
+DAMPING = 40.0
+"""Rate at which cables lose speed when they begin to be drawn tight [1/s]; zero once they are."""
 
 SPEED = 0.05
-"""[m/s] Of the sliding cable. Faster, its segments cost tension as they pass the bend."""
+"""Speed of the sliding cable [m/s]; a higher one costs tension as segments pass the bend."""
+
+MARGIN = 2
+"""Number of segments next to a drone that are left out."""
 
 
 @dataclass(frozen=True)
 class CapstanTest:
-    """What was measured.
+    """Measured tensions.
 
     Attributes
     ----------
-    before, after: [N], mean tensions of the pulled side and of the other one.
-    expected: the capstan's ratio.
+    before, after: mean tensions of the pulled side and of the other one [N].
+    expected: ratio of a capstan.
     """
 
     before: float
@@ -57,7 +60,7 @@ class CapstanTest:
 
     @property
     def ratio(self) -> float:
-        """Of the two tensions."""
+        """Ratio of the two tensions."""
         return self.before / self.after
 
 
@@ -68,17 +71,16 @@ def capstan_test(
 
     Parameters
     ----------
-    preset: how finely the ropes are cut.
+    preset: resolution of the ropes.
     friction: coefficient.
-    slide: how long the cable slides before it is measured [s]; with more friction, longer.
-    measured: for how long then [s].
+    slide: time in which the cable slides before the measurement [s]; longer with more friction.
+    measured: duration of the measurement [s].
 
     Raises
     ------
-    InvalidRunError: the simulation left its range.
+    InvalidRunError: the simulation left its valid range.
     UnsupportedError: mujoco is not installed.
     """
-    mujoco = imported_mujoco()
     team = Team(
         2,
         LENGTH,
@@ -89,8 +91,8 @@ def capstan_test(
     )
     side = LENGTH - LEG
     hitch = Hitch(team, [[-side, 0.0], [0.0, 0.0], [0.0, -side]], 1.0, [0.0, LEG])
-    ropes = ropes_of(team, preset)
-    world = build_world(ropes, team.mass, rigid=False, gravity=0.0)
+    ropes = ropes_of(team, Settings(preset=preset))
+    world = World(ropes, team.mass, rigid=False, gravity=0.0)
     world.place(clasped(ropes, team.layout, hitch.drones, hitch.vertices))
     loose = world.drones - hitch.drones
     edges = np.split(np.arange(len(world.edge_cables)), [int(ropes.segments[0])])[1]
@@ -101,7 +103,7 @@ def capstan_test(
     for step in range(round(end / preset.time_step)):
         time = step * preset.time_step
         _pull(world, team, hitch, loose, time)
-        mujoco.mj_step(world.model, world.data)
+        world.step()
         check_valid(world, time)
         if time >= DRAWN + slide:
             pull = tensions(world)
@@ -110,10 +112,6 @@ def capstan_test(
     return CapstanTest(
         float(sums[0] / count), float(sums[1] / count), float(np.exp(0.5 * np.pi * friction))
     )
-
-
-MARGIN = 2
-"""Segments next to a drone that are left out."""
 
 
 def _pull(world: World, team: Team, hitch: Hitch, loose: Array, time: float) -> None:
@@ -136,7 +134,7 @@ def _pull(world: World, team: Team, hitch: Hitch, loose: Array, time: float) -> 
     force = team.mass[:, None] * (POSITION_GAIN * error + VELOCITY_GAIN * rate)
     world.data.xfrc_applied[world.drone_bodies, :3] = force + drawn * ahead
     node = DENSITY * world.ropes.segment_lengths[0]
-    slowing = HONEY * (1.0 - drawn) * node
+    slowing = DAMPING * (1.0 - drawn) * node
     world.data.qfrc_applied[world.node_dofs] = -slowing * world.data.qvel[world.node_dofs]
 
 

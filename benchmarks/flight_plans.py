@@ -12,7 +12,7 @@ import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.yaml_file import read_yaml
-from hitchopt.simulation.simulate import Task, read_task
+from hitchopt.simulation.flight_task import Task, read_task
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 

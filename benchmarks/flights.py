@@ -29,7 +29,8 @@ from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import EXPERIMENTS, experiment, irregular, moved, planned, tied
 from hitchopt.simulation.campaign import run_campaign
 from hitchopt.simulation.error_measures import Spread
-from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import ACCURATE, FAST, USUAL, Settings
 
 LIMITATIONS = (
@@ -158,7 +159,7 @@ def calm(task: Task, friction: float, known: float) -> tuple[str, ...]:
     print(f"({done.processor:.0f} s of processor)", file=sys.stderr)
     return (
         f"{known:g}" if known else "none",
-        f"{done.flight.duration:.1f} s",
+        f"{done.flight.task.duration:.1f} s",
         held,
         spread(Spread.of(errors.without_sag[errors.moving])),
         spread(Spread.of(errors.without_sag)),

@@ -1,4 +1,4 @@
-"""The command ``simulate``: a plan's setpoints through a rope simulation."""
+"""The command ``simulate``: rope simulation of a plan's setpoints."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from hitchopt.cli.failures import UNMET, say
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchopt.simulation.simulate import Simulation, Task
+    from hitchopt.simulation.flight_task import Task
+    from hitchopt.simulation.simulate import Simulation
     from hitchopt.simulation.simulation_settings import Settings
 
 RESULTS = "simulation"
-"""The directory in DIR that results go to unless another one is named."""
+"""Default directory of the results, in DIR."""
 
 
 @main.command()
@@ -27,14 +28,14 @@ RESULTS = "simulation"
     "--output",
     metavar="OUT",
     type=click.Path(path_type=Path),
-    help="Where results go; by default DIR/simulation.",
+    help="Directory of the results; by default DIR/simulation.",
 )
 @click.option(
     "--preset",
     type=click.Choice(["fast", "accurate"]),
     default="fast",
     show_default=True,
-    help="fast: does it hold; accurate: with the right friction, five times slower.",
+    help="fast: whether it holds; accurate: with exact friction, five times slower.",
 )
 @click.option(
     "--drones",
@@ -44,28 +45,30 @@ RESULTS = "simulation"
     show_default=True,
     help="Rigid bodies with an attitude, or point masses.",
 )
-@click.option("--runs", metavar="N", type=int, help="Fly N times, seeds S, S+1, …")
-@click.option("--seed", metavar="S", type=int, default=0, show_default=True)
-@click.option("--processes", metavar="P", type=int, help="At a time; by default all processors.")
+@click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
+@click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--processes", metavar="P", type=int, help="Flights at a time; all processors' by default."
+)
 @click.option(
     "--perturbed",
     is_flag=True,
-    help="1 cm of noise, 0.05 N of wind, cables 0.5 % off, starts 2 cm off, unless said otherwise.",
+    help="1 cm of noise, 0.05 N of wind, cable lengths 0.5 % off, starts 2 cm off, by default.",
 )
-@click.option("--noise", metavar="M", type=float, help="Of believed positions, per axis [m].")
-@click.option("--wind", metavar="N", type=float, help="Gusts on every drone [N].")
-@click.option("--lag", metavar="S", type=float, help="Of the thrust [s].")
-@click.option("--cable-error", metavar="X", type=float, help="Of cables' lengths, relative.")
-@click.option("--start-error", metavar="M", type=float, help="Of the drones' start, per axis [m].")
-@click.option("--downwash", is_flag=True, help="Drones blow on those below them.")
-@click.option("--friction", metavar="MU", type=float, help="At the clasps; else the team's.")
-@click.option("--density", metavar="KG/M", type=float, help="Of the cables; else the team's.")
+@click.option("--noise", metavar="M", type=float, help="Error of measured positions per axis [m].")
+@click.option("--wind", metavar="N", type=float, help="Force of gusts on every drone [N].")
+@click.option("--lag", metavar="S", type=float, help="Time constant of the thrust [s].")
+@click.option("--cable-error", metavar="X", type=float, help="Relative error of cable lengths.")
+@click.option("--start-error", metavar="M", type=float, help="Error of starts per axis [m].")
+@click.option("--downwash", is_flag=True, help="Drones push down those below them.")
+@click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
+@click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
 @click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
 @click.option(
     "--film",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="Write a film, .gif or .mp4; of one flight only.",
+    help="Write a film of a single flight, .gif or .mp4.",
 )
 def simulate(
     directory: Path,
@@ -75,37 +78,34 @@ def simulate(
     film: Path | None,
     **options: float | str | bool | None,
 ) -> None:
-    """Fly the setpoints in DIR through a simulation of ropes (needs mujoco).
+    """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
-    Of the plan it reads its team, and vertices.csv for the cables' shape at the start and to
-    compare with, and for where cables simulated so thick need their ends, less than their 12 mm
-    aside. Drones get setpoints.csv and nothing else. One flight ends with 3 if anything fails:
-    drones touch, a vertex does not hold. It also ends with 3 if the simulation leaves the range in
-    which it means anything: that is reported as not simulated, since it says nothing of the plan. A
-    campaign (--runs) ends with 0 and says how often.
+    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
+    and for the offsets of drones (less than 12 mm) that the thickness of simulated ropes requires.
+    Drones follow setpoints.csv and nothing else. The exit code of one flight is 3 if anything
+    fails: drones touch, or a vertex does not hold. It is also 3 if the simulation leaves its valid
+    range, which is reported as not simulated and says nothing about the plan. The exit code of a
+    campaign (--runs) is 0; it reports the rate of success.
     """
-    from hitchopt.simulation.simulate import read_task
+    from hitchopt.simulation.flight_film import check_film
+    from hitchopt.simulation.flight_task import read_task
 
     if film is not None:
-        _check_film(film, runs)
+        check_film(film)
+        if runs is not None:
+            remedy = "leave out --runs, give a seed"
+            raise InputError("--film", str(film), "of a single flight", remedy)
     settings = _settings(options)
     task = read_task(directory)
     place = directory / RESULTS if output is None else output
     if runs is None:
-        _fly_once(task, settings, place, film)
+        _simulate_one(task, settings, place, film)
     else:
-        _fly_often(task, settings, place, runs, processes)
-
-
-def _check_film(film: Path, runs: int | None) -> None:
-    from hitchopt.simulation.flight_film import check_film
-
-    check_film(film)
-    if runs is not None:
-        raise InputError("--film", str(film), "of a single flight", "leave out --runs, give a seed")
+        _simulate_campaign(task, settings, place, runs, processes)
 
 
 def _settings(options: dict[str, float | str | bool | None]) -> Settings:
+    """Return the settings that options of the command line ask for."""
     from hitchopt.simulation.simulation_settings import (
         CALM,
         PRESETS,
@@ -123,7 +123,8 @@ def _settings(options: dict[str, float | str | bool | None]) -> Settings:
     return Settings(preset=preset, perturbations=perturbations, **options)  # type: ignore[arg-type]
 
 
-def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
+def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
+    """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables
     from hitchopt.simulation.flight_film import save_film
@@ -148,17 +149,19 @@ def _fly_once(task: Task, settings: Settings, place: Path, film: Path | None) ->
 
 
 def _verdict(done: Simulation) -> str:
+    """Return the verdict on a flight's hitch in words."""
     if done.flight.linking is None:
         return "not simulated to its end: nothing is known of the hitch"
-    if done.task.ends_formed:
+    if done.flight.task.formed[-1]:
         held = done.outcome.hitched
         return "hitched: every vertex is linked and held" if held else "NOT hitched"
     return "NOT untied" if done.flight.linking.any() else "untied: no two cables are linked"
 
 
-def _fly_often(
+def _simulate_campaign(
     task: Task, settings: Settings, place: Path, runs: int, processes: int | None
 ) -> None:
+    """Simulate, save and report a campaign."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import campaign_tables
     from hitchopt.simulation.campaign import run_campaign, save_campaign

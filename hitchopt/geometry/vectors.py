@@ -1,4 +1,4 @@
-"""Products and lengths of many vectors, without arrays in between."""
+"""Products, lengths and directions of many vectors."""
 
 from __future__ import annotations
 
@@ -18,3 +18,10 @@ def length(a: Array) -> Array:
     """Return the lengths (…) of vectors (…, d)."""
     lengths: Array = np.sqrt(dot(a, a))
     return lengths
+
+
+def unit(a: Array) -> Array:
+    """Return the directions (…, d) of vectors (…, d); zero for a vector without length."""
+    sizes = np.linalg.norm(a, axis=-1, keepdims=True)
+    directions: Array = np.divide(a, sizes, out=np.zeros_like(a), where=sizes > 0.0)
+    return directions

@@ -1,1 +1,1 @@
-"""Flying a plan's setpoints through a rope simulation (an extra: needs mujoco)."""
+"""Rope simulation of a plan's setpoints in MuJoCo (an extra: needs ``hitchopt[simulate]``)."""

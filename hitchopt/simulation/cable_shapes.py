@@ -1,6 +1,6 @@
-"""How cables lie when a flight begins: interlaced at the vertices of a hitch, or hanging free.
+"""Shapes of the cables at the start of a flight: interlaced at a hitch's vertices, or hanging free.
 
-Every shape is a chain of segments that have their length exactly, so that nothing springs.
+Every shape is a chain of segments of exactly their length, such that no constraint is violated.
 """
 
 from __future__ import annotations
@@ -10,32 +10,43 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 
 from hitchopt.errors import HitchoptError
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.layout import Layout
 from hitchopt.simulation.ropes import Ropes
 
 Array = NDArray[np.float64]
 
-ROOM = 3.0
-"""Diameters between the two bends of a clasp that is not yet drawn tight."""
+CLEARANCE = 3.0
+"""Least distance of the two bends of a clasp that is not yet drawn tight, in diameters."""
 
-GRAIN = 1.7
-"""Segments, likewise: a bend has to be made of some."""
+CLEARANCE_SEGMENTS = 1.7
+"""Least distance of the two bends in segments: a bend must consist of several."""
+
+REACH = 2.0
+"""Distance from a clasp, over that of its bends, from which on a cable follows the plan."""
+
+BEYOND = 0.5
+"""Length by which a cable's line continues beyond its drone, for its last segments [m]."""
+
+LEAST_PULL, MOST_PULL = 1e-3, 1e3
+"""Range of the tension along the floor, in weights of a link and of the cable: from ends that hang
+straight down to a cable that is all but taut."""
 
 
 class ShapeError(HitchoptError):
-    """Drones between which a cable cannot hang."""
+    """Two drones that are farther apart than their cable is long."""
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
-    """Return the cables of a formed hitch, loosely interlaced; drones lie a little inward.
+    """Return the cables of a formed hitch, loosely interlaced; drones are placed slightly inward.
 
     At a clasp both cables bend toward each other and overlap like two links of a chain: cable k
-    lies flat, cable k-1 stands upright in it, its leg below.
+    is level, cable k-1 upright within it, its leg below.
 
     Parameters
     ----------
     ropes: n of them.
-    layout: which cables meet where.
+    layout: defines which cables meet where.
     drones: (2n, 3) [m]
     vertices: (points, 3) [m]
 
@@ -43,58 +54,51 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
     -------
     n of (segments + 1, 3) [m].
     """
-    room = max(ROOM * ropes.preset.diameter, GRAIN * float(np.max(ropes.segment_lengths)))
-    bends = _bends(layout, drones, vertices, room)
     lengths = ropes.segment_lengths
+    gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
+    bends = _bends(layout, drones, vertices, gap)
     return [
-        _walked(bend, int(count), float(length))
+        _chain_along(bend, int(count), float(length))
         for bend, count, length in zip(bends, ropes.segments, lengths, strict=True)
     ]
 
 
-def _bends(layout: Layout, drones: Array, vertices: Array, room: float) -> list[Array]:
-    """Return (corners, 3) [m] of every cable, from beyond q_k over both its vertices to r_k."""
+def _bends(layout: Layout, drones: Array, vertices: Array, gap: float) -> list[Array]:
+    """Return each cable's corners (corners, 3) [m], from beyond q_k over both vertices to r_k."""
     q, r = drones[0::2], drones[1::2]
-    u = _unit(layout.edges(vertices))
+    u = unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
-    q_hat, r_hat = _unit(q[after] - p), _unit(r[before] - p)
-    along = 0.5 * room * _unit(q_hat + u[after])  # the way that cable k's bend opens
-    aside = 0.5 * room * _unit(q_hat - u[after])  # to the side of the legs
-    lift = np.array([0.0, 0.0, 0.5 * room])
+    q_hat, r_hat = unit(q[after] - p), unit(r[before] - p)
+    along = 0.5 * gap * unit(q_hat + u[after])  # the direction in which cable k's bend opens
+    aside = 0.5 * gap * unit(q_hat - u[after])  # to the side of the legs
+    lift = np.array([0.0, 0.0, 0.5 * gap])
     n = layout.robots
     starts: list[list[Array]] = [[q[k]] for k in range(n)]
     ends: list[list[Array]] = [[r[k]] for k in range(n)]
     for c, (k, j) in enumerate(zip(after, before, strict=True)):
         starts[k] = [
             q[k] + BEYOND * q_hat[c],
-            p[c] + REACH * room * q_hat[c],
+            p[c] + REACH * gap * q_hat[c],
             p[c] + along[c] + aside[c],
             p[c] - along[c] + aside[c],
             p[c] - along[c] - aside[c],
             p[c] + along[c] - aside[c],
-            p[c] + REACH * room * u[k],
+            p[c] + REACH * gap * u[k],
         ]
         ends[j] = [
-            p[c] - REACH * room * u[j],
+            p[c] - REACH * gap * u[j],
             p[c] - along[c] + lift,
             p[c] + along[c] + lift,
             p[c] + along[c] - lift,
             p[c] - along[c] - lift,
-            p[c] + REACH * room * r_hat[c],
+            p[c] + REACH * gap * r_hat[c],
             r[j] + BEYOND * r_hat[c],
         ]
     return [np.array([*a, *b]) for a, b in zip(starts, ends, strict=True)]
 
 
-REACH = 2.0
-"""Times the room between two bends: from there on a cable follows the plan's straight lines."""
-
-BEYOND = 0.5
-"""[m] How far a cable's line goes on where its last segments might need it."""
-
-
-def _walked(corners: Array, count: int, length: float) -> Array:
-    """Return (count + 1, 3): a chain along a line with corners, from the middle to both ends."""
+def _chain_along(corners: Array, count: int, length: float) -> Array:
+    """Return a chain (count + 1, 3) along a line with corners, built from its middle outward."""
     middle = len(corners) // 2
     centre = 0.5 * (corners[middle - 1] + corners[middle])
     onward = _steps(np.vstack([centre, corners[middle:]]), count // 2, length)
@@ -103,7 +107,7 @@ def _walked(corners: Array, count: int, length: float) -> Array:
 
 
 def _steps(corners: Array, count: int, length: float) -> Array:
-    """Return (count + 1, 3): points on the line, each at ``length`` from the one before it."""
+    """Return points (count + 1, 3) on the line, each at ``length`` from the previous one."""
     points, here, leg = [corners[0]], corners[0], 0
     for _ in range(count):
         while leg < len(corners) - 2 and np.linalg.norm(corners[leg + 1] - here) < length:
@@ -124,7 +128,7 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     ----------
     ropes: n of them.
     drones: (2n, 3) [m]
-    ground: its height [m].
+    ground: height of the ground [m].
 
     Returns
     -------
@@ -152,10 +156,10 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
 
 def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
-    """Return the chain of equal links in balance between q and r: a catenary's discrete twin.
+    """Return the chain of equal links in equilibrium between q and r: a discrete catenary.
 
-    With q and r straight above each other it may end up to a link's length from r, since only whole
-    links hang down.
+    Where q is straight above r it may end up to a link's length from r, because only whole links
+    hang down.
     """
     across = r - q
     level, span = _level(across)
@@ -182,18 +186,18 @@ def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
 
 
 def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) -> Array | None:
-    """Return the chain of links that hangs from q down to the floor, lies on it, and rises to r.
+    """Return the chain that hangs from q down to the floor, lies on it, and rises to r.
 
-    None where no whole link lies: the cable just touches the floor.
+    The result is None where no whole link lies: the cable just touches the floor.
 
-    The pull along the floor is alike at both ends. Where the cable is longer than it reaches with
-    none, the two ends hang down and what lies between them zigzags, a link wide.
+    The tension along the floor is equal at both ends. Where the cable is too long for any tension,
+    the two ends hang down, and the part between them zigzags, a link wide.
 
     Parameters
     ----------
-    q, r: (3,) [m], the drones.
-    count, length: of the links, the latter [m].
-    floor: height of a cable that lies [m].
+    q, r: positions of the drones (3,) [m].
+    count, length: number of links, and length of each [m].
+    floor: height of a cable on the floor [m].
     """
     level, span = _level(r - q)
     heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0) / length
@@ -202,7 +206,7 @@ def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) ->
         return [_risen(float(np.exp(log_pull)), height) for height in heights]
 
     def surplus(log_pull: float) -> float:
-        """Links that lie on the floor, less those that fit between the two ends."""
+        """Return the number of links on the floor, less those that fit between the two ends."""
         risen = ends(log_pull)
         used = sum(len(x) - float(np.sum(x)) for x, _ in risen)
         return count - used - span / length
@@ -227,20 +231,15 @@ def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) ->
     return np.vstack([start, start + length * np.cumsum(steps, axis=0)])
 
 
-LEAST_PULL, MOST_PULL = 1e-3, 1e3
-"""Along the floor, the former in weights of a link, the latter in weights of the cable: ends that
-hang down straight, and a cable that is all but taut."""
-
-
 def _risen(pull: float, height: float) -> tuple[Array, Array]:
-    """Return the links that hang over the floor, lowest first: along it and up, (links,) each.
+    """Return the links above the floor, lowest first: their level and upward parts, (links,) each.
 
-    The lowest of them carries part of a link's weight, every other one a whole link more.
+    The lowest of them carries part of a link's weight, each of the others a whole link more.
 
     Parameters
     ----------
-    pull: along the floor, in weights of a link.
-    height: of the end, in links.
+    pull: tension along the floor, in weights of a link.
+    height: height of the end, in links.
     """
     if height <= 0.0:
         return np.zeros(0), np.zeros(0)
@@ -258,12 +257,7 @@ def _risen(pull: float, height: float) -> tuple[Array, Array]:
 
 
 def _level(across: Array) -> tuple[Array, float]:
-    """Return the level direction (3,) of an offset and its length [m]; x where it is upright."""
+    """Return the horizontal direction (3,) of an offset and its length [m]; x if it is vertical."""
     span = float(np.hypot(across[0], across[1]))
     level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
     return level, span
-
-
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit

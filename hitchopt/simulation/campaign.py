@@ -1,4 +1,4 @@
-"""Many flights of one plan, on several processes: how often it succeeds, and what fails where."""
+"""Campaigns of flights of one plan, on several processes: how often it succeeds, and what fails."""
 
 from __future__ import annotations
 
@@ -6,74 +6,38 @@ import csv
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.strict_json import write_strict_json
-from hitchopt.simulation.error_measures import Spread, tracking_errors
-from hitchopt.simulation.flight_outcome import NOT_SIMULATED, START, SUCCEEDED, Failure
-from hitchopt.simulation.run_report import CAMPAIGN, OWNED, RUNS, settings_summary
-from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.flight_outcome import NOT_SIMULATED, START, Failure
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.rope_flight import Progress
+from hitchopt.simulation.run_report import CAMPAIGN, OWNED, RUNS, number, settings_summary
+from hitchopt.simulation.simulate import Run, simulate
 from hitchopt.simulation.simulation_settings import Settings
-
-Progress = Callable[[str], None]
 
 FORMAT = "hitchopt-campaign/1"
 
-CONFIDENCE = 1.959963984540054
-"""Standard deviations of a normal distribution that hold 95 %."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """What one flight of a campaign came to.
-
-    Attributes
-    ----------
-    seed: of its perturbations; the same seed alone flies the same flight.
-    verdict: what became of it, as of an Outcome.
-    failures: all that went wrong, by time.
-    vertex_error, without_sag: over vertices and time [m].
-    moving_without_sag: over the time in which the plan moves a vertex; nan where it moves none.
-    tracking: of drones [m].
-    peak_tension: [N]
-    saturated: share of samples at which a drone wanted more thrust than it has.
-    pace: simulated seconds per second of one processor.
-    """
-
-    seed: int
-    verdict: str
-    failures: tuple[Failure, ...]
-    vertex_error: Spread
-    without_sag: Spread
-    moving_without_sag: Spread
-    tracking: Spread
-    peak_tension: float
-    saturated: float
-    pace: float
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether nothing went wrong."""
-        return self.verdict == SUCCEEDED
+SPREADS = ("vertex_error", "without_sag", "moving_without_sag", "tracking")
+FIGURES = ("peak_tension", "saturated", "pace")
+"""Figures of a run in the table of runs."""
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Flights of one plan under perturbations of fresh seeds.
+    """Flights of one plan under perturbations of different seeds.
 
     Attributes
     ----------
-    settings: of all of them, but the seed, which is the first one's.
-    runs: by seed.
-    digest: of setpoints.csv.
+    settings: settings of all of them, with the first one's seed.
+    runs: figures of every flight, by seed.
+    digest: SHA-256 of setpoints.csv.
     """
 
     settings: Settings
@@ -82,28 +46,30 @@ class Campaign:
 
     @property
     def successes(self) -> int:
-        """How many succeeded."""
+        """Number of flights that succeeded."""
         return sum(run.succeeded for run in self.runs)
 
     @property
     def not_simulated(self) -> int:
-        """How many the simulation itself failed; they count as not succeeded."""
+        """Number of flights that the simulation failed; they count as not succeeded."""
         return sum(run.verdict == NOT_SIMULATED for run in self.runs)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the success rate, at 95 %."""
-        return wilson_interval(self.successes, len(self.runs))
+        """Wilson's 95 % interval of the success rate (1927), which suits few runs too."""
+        from scipy.stats import binomtest
+
+        found = binomtest(self.successes, len(self.runs)).proportion_ci(0.95, method="wilson")
+        return float(found.low), float(found.high)
 
     @property
     def failures(self) -> Counter[tuple[str, str]]:
-        """How many runs had each first failure: its kind, and where."""
+        """Number of runs by first failure: its kind, and where."""
         first = (run.failures[0] for run in self.runs if run.failures)
         return Counter((failure.kind, ", ".join(failure.where)) for failure in first)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the campaign, ready for JSON."""
-        low, high = self.interval
         return {
             "format": FORMAT,
             "setpoints_sha256": self.digest,
@@ -112,28 +78,12 @@ class Campaign:
             "successes": self.successes,
             "not_simulated": self.not_simulated,
             "rate": self.successes / len(self.runs),
-            "rate_95_percent": [low, high],
+            "rate_95_percent": list(self.interval),
             "first_failures": [
                 {"kind": kind, "where": where, "runs": count}
                 for (kind, where), count in self.failures.most_common()
             ],
         }
-
-
-def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
-    """Return the 95 % interval of a success rate, by Wilson (1927): good for few runs too.
-
-    Raises
-    ------
-    InputError: no run, or not as many as succeeded.
-    """
-    if not 0 <= successes <= runs or runs == 0:
-        raise InputError("successes", successes, f"from 0 to the {runs} runs", "fly at least one")
-    z2 = CONFIDENCE**2 / runs
-    rate = successes / runs
-    middle = (rate + 0.5 * z2) / (1.0 + z2)
-    half = np.sqrt(z2 * (rate * (1.0 - rate) + 0.25 * z2)) / (1.0 + z2)
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
 def run_campaign(
@@ -143,15 +93,15 @@ def run_campaign(
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Return ``runs`` flights of a plan, with seeds from that of the settings on.
+    """Return ``runs`` flights of a plan, with consecutive seeds from that of the settings on.
 
     Parameters
     ----------
-    task: what is flown.
-    settings: how; its seed is the first one.
-    runs: how many, at least 1.
-    processes: at a time; by default one per processor. One flies in this process.
-    progress: called with how many are done.
+    task: setpoints and planned hitch.
+    settings: settings of the simulation; their seed is the first one.
+    runs: number of flights, at least 1.
+    processes: number at a time; None: one per processor. One simulates in this process.
+    progress: called with the number of finished flights.
 
     Raises
     ------
@@ -175,45 +125,30 @@ def run_campaign(
 
 
 def _flown(jobs: list[tuple[Task, Settings]], processes: int) -> Iterator[Run]:
+    """Yield the figures of every flight as it ends."""
     if processes == 1:
         yield from (one_run(job) for job in jobs)
         return
-    fresh = multiprocessing.get_context("spawn")  # a fork would copy threads' locks
-    with ProcessPoolExecutor(processes, mp_context=fresh) as pool:
+    spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
         for done in as_completed([pool.submit(one_run, job) for job in jobs]):
             yield done.result()
 
 
 def one_run(job: tuple[Task, Settings]) -> Run:
-    """Return what one flight came to; one that cannot begin is a failure, not an error.
+    """Return the figures of one flight; one that cannot begin is a failure, not an error.
 
     Raises
     ------
-    InputError, UnsupportedError: what would stop every other flight as well.
+    InputError, UnsupportedError: a reason that prevents every other flight as well.
     """
     task, settings = job
-    nothing = Spread(np.nan, np.nan, np.nan)
     try:
-        done = simulate(task, settings)
+        return simulate(task, settings).run
     except (InputError, UnsupportedError):
         raise
     except HitchoptError as error:
-        failure = Failure(START, (), 0.0, str(error))
-        spreads = (nothing, nothing, nothing, nothing)
-        return Run(settings.seed, NOT_SIMULATED, (failure,), *spreads, np.nan, np.nan, np.nan)
-    record, errors = done.flight.record, done.errors
-    return Run(
-        settings.seed,
-        done.outcome.verdict,
-        done.outcome.failures,
-        Spread.of(errors.errors),
-        Spread.of(errors.without_sag),
-        Spread.of(errors.without_sag[errors.moving]),
-        Spread.of(tracking_errors(done.flight)),
-        float(np.max(record.peak_tensions)),
-        float(np.mean(record.saturated)),
-        done.pace,
-    )
+        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
@@ -231,23 +166,26 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
 
 
 def _write_runs(path: Path, campaign: Campaign) -> None:
-    spreads = ("vertex_error", "without_sag", "moving_without_sag", "tracking")
-    parts = ("mean", "deviation", "largest")
-    names = [f"{spread}_{part}" for spread in spreads for part in parts]
+    """Write one row per run."""
+    rows = [_row(run) for run in campaign.runs]
     with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(
-            ["seed", "verdict", "succeeded", "failure", "where", "time", "words", *names]
-            + ["peak_tension", "saturated", "pace"]
-        )
-        for run in campaign.runs:
-            first = run.failures[0] if run.failures else None
-            told = (
-                [first.kind, " ".join(first.where), f"{first.time:.3f}", first.words]
-                if first
-                else ["", "", "", ""]
-            )
-            numbers = [getattr(getattr(run, s), p) for s in spreads for p in parts]
-            numbers += [run.peak_tension, run.saturated, run.pace]
-            texts = [f"{x:.6g}" if np.isfinite(x) else "" for x in numbers]
-            table.writerow([run.seed, run.verdict, int(run.succeeded), *told, *texts])
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _row(run: Run) -> dict[str, object]:
+    """Return a run's row of the table, by column."""
+    row: dict[str, object] = {
+        "seed": run.seed,
+        "verdict": run.verdict,
+        "succeeded": int(run.succeeded),
+        **dict.fromkeys(("failure", "where", "time", "words"), ""),
+    }
+    if run.failures:
+        first = run.failures[0]
+        row |= {"failure": first.kind, "where": " ".join(first.where)}
+        row |= {"time": f"{first.time:.3f}", "words": first.words}
+    for name in SPREADS:
+        row |= {f"{name}_{key}": number(x, 6) for key, x in vars(getattr(run, name)).items()}
+    return row | {name: number(getattr(run, name), 6) for name in FIGURES}

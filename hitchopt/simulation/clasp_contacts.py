@@ -1,58 +1,52 @@
-"""Where the hitch's vertices are: where neighbouring cables bear on each other."""
+"""Contact forces at the clasps, and the hitch's vertices: the centres of these forces."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.equilibrium import contact_forces
+from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.mujoco_world import World
-from hitchopt.simulation.setpoint_tables import VertexTable
 
 Array = NDArray[np.float64]
 
 BEARING_SHARE = 0.3
 """Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
-and by what drones deviate, and Gauss's integral counts some of them as linked, since the lines that
-close them cross there too."""
+and by the drones' deviations, and Gauss's integral counts some of them as linked, since the lines
+that close them cross there too."""
 
 
-def least_bearing(team: Team, vertices: VertexTable) -> Array:
+def least_bearing(task: Task) -> Array:
     """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
 
     It is a share of the force with which a clasp presses without friction, which is
-    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike.
-
-    Parameters
-    ----------
-    team: whose hitch it is.
-    vertices: the plan's outlines and tensions; a cable without tension bears nothing.
+    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike. A cable without tension bears nothing.
     """
-    least = np.zeros((len(vertices.t), len(team.layout.clasps)))
-    pulled = np.all(vertices.tensions > 0.0, axis=-1)
-    edges = team.layout.edges(vertices.positions[pulled])
-    directions = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    forces = contact_forces(directions, vertices.tensions[pulled], team.topology)
+    least = np.zeros((len(task.t), len(task.team.layout.clasps)))
+    pulled = np.all(task.tensions > 0.0, axis=-1)
+    directions = unit(task.team.layout.edges(task.vertices[pulled]))
+    forces = contact_forces(directions, task.tensions[pulled], task.team.topology)
     least[pulled] = BEARING_SHARE * forces
     return least
 
 
-class Bearing:
-    """Contact forces between neighbouring cables, and their centre, gathered over some steps.
+class ClaspContacts:
+    """Contact forces between neighbouring cables and their centres, gathered over some steps.
 
     Parameters
     ----------
-    world: whose contacts they are.
-    team: whose cables meet at which clasps.
+    world: simulated world.
+    team: defines which cables meet at which clasps.
     """
 
     def __init__(self, world: World, team: Team) -> None:
         self._world = world
         layout = team.layout
-        n = team.robots
-        self._clasp = np.full((n, n), -1)
         ranks = np.arange(len(layout.clasps))
+        self._clasp = np.full((team.robots, team.robots), -1)
         self._clasp[layout.behind, layout.ahead] = ranks
         self._clasp[layout.ahead, layout.behind] = ranks
         self._force = np.zeros(len(ranks))
@@ -75,11 +69,11 @@ class Bearing:
         np.add.at(self._moment, clasp, force[:, None] * data.contact.pos[chosen])
 
     def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return the vertices and the forces since the last time, and begin anew.
+        """Return vertices and forces since the last call, and start again.
 
         Parameters
         ----------
-        least: (clasps,) [N], cables that press less do not bear on each other.
+        least: (clasps,) [N]; cables that press less do not bear on each other.
 
         Returns
         -------

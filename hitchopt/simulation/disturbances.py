@@ -1,4 +1,4 @@
-"""Everything random about a flight, from one seed."""
+"""Random disturbances of a flight, all from one seed."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from hitchopt.simulation.simulation_settings import Perturbations
 Array = NDArray[np.float64]
 
 NOISE_TIME = 0.3
-"""[s] Over which the error of a believed position forgets itself."""
+"""Correlation time of the error of measured positions [s]."""
 
 GUST_TIME = 1.0
-"""[s] Over which a gust does."""
+"""Correlation time of gusts [s]."""
 
 
 class Drift:
-    """An Ornstein-Uhlenbeck process: a random walk that is drawn back to zero.
+    """Ornstein-Uhlenbeck process: a random walk that is drawn back to zero.
 
-    Its steps are exact, so that its spread does not depend on how often it is asked.
+    Its steps are exact, such that its spread does not depend on the step.
 
     Parameters
     ----------
     spread: standard deviation at every time.
     memory: correlation time [s].
-    shape: of the values.
-    random: where the numbers come from.
+    shape: shape of the values.
+    random: source of random numbers.
     """
 
     def __init__(
@@ -39,20 +39,20 @@ class Drift:
 
     def advance(self, seconds: float) -> Array:
         """Return the value ``seconds`` later."""
-        kept = np.exp(-seconds / self._memory)
-        new = self._spread * np.sqrt(1.0 - kept**2)
-        self.value = kept * self.value + new * self._random.standard_normal(self.value.shape)
+        decay = np.exp(-seconds / self._memory)
+        new = self._spread * np.sqrt(1.0 - decay**2)
+        self.value = decay * self.value + new * self._random.standard_normal(self.value.shape)
         return self.value
 
 
 class Disturbances:
-    """What one flight meets.
+    """Disturbances of one flight.
 
     Parameters
     ----------
-    perturbations: how strong.
+    perturbations: magnitudes.
     robots: number n of catenary robots.
-    seed: every quantity has a stream of its own, so that switching one off leaves the others.
+    seed: every quantity has a stream of its own, thus disabling one does not change the others.
     """
 
     def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:

@@ -1,122 +1,93 @@
-"""Drones as bodies: what of a command becomes force and moment, and when.
+"""The drones' motors: which forces and moments follow from a command, and when.
 
-A ``rigid`` drone has an attitude loop (some 60 ms late) and motors (first order, 20 ms) between the
-wanted force and the real one; a ``point`` drone has one lag of 80 ms, which is as late in all.
+A ``rigid`` drone has an attitude loop (some 60 ms of delay) and motors (first order, 20 ms) between
+the desired force and the actual one; a ``point`` drone has one lag of 80 ms, the same delay in all.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.simulation.drone_control import ARM, Reference, attitude_command
+from hitchopt.simulation.drone_control import LEAST_FORCE, attitude_command
+from hitchopt.simulation.flight_task import Setpoints
 from hitchopt.simulation.mujoco_world import World
-from hitchopt.simulation.mujoco_xml import BODY
+from hitchopt.simulation.mujoco_xml import BODY_RADIUS
 
 Array = NDArray[np.float64]
 
+ARM = 0.5
+"""Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius."""
 
-class Drones(Protocol):
-    """Turns wanted forces into real ones; keeps the motors' state.
-
-    Attributes
-    ----------
-    saturated: (2n,), whether the last command had to be cut.
-    thrusts: (2n,) [N], what the motors give now.
-    """
-
-    saturated: NDArray[np.bool_]
-    thrusts: Array
-
-    def apply(self, world: World, wanted: Array, reference: Reference, seconds: float, /) -> None:
-        """Put forces on the world's drones for the next ``seconds``.
-
-        Parameters
-        ----------
-        world: where they are.
-        wanted: (2n, 3) [N], the thrust.
-        reference: what they are told, for how their attitude is to turn.
-        seconds: until the next command.
-        """
-        ...
+MOMENT_SHARES = np.array([1.0, 1.0, 0.2])
+"""Largest roll, pitch and yaw moment over the largest roll moment: propellers' drag is small."""
 
 
-def make_drones(world: World, max_thrust: Array, lag: float) -> Drones:
-    """Return the drones of a world, hovering.
+class Motors:
+    """Motors with limits and a lag, which apply their forces to the drones of a world.
 
     Parameters
     ----------
-    world: where they are.
+    world: simulated world.
     max_thrust: (2n,) [N]
-    lag: of their thrust [s].
+    lag: time constant [s].
+
+    Attributes
+    ----------
+    saturated: whether the last command exceeded the thrust (2n,).
+    thrusts: present thrusts (2n,) [N].
     """
-    if world.rigid:
-        return RigidDrones(world, max_thrust, lag)
-    return PointDrones(max_thrust, lag)
-
-
-class PointDrones:
-    """Point masses: the force itself lags."""
-
-    def __init__(self, max_thrust: Array, lag: float) -> None:
-        self._max_thrust = max_thrust
-        self._lag = lag
-        self._force: Array | None = None
-        self.saturated = np.zeros(len(max_thrust), dtype=np.bool_)
-        self.thrusts = np.zeros(len(max_thrust))
-
-    def apply(self, world: World, wanted: Array, _reference: Reference, seconds: float) -> None:
-        """Put forces on the drones; there is nothing to turn."""
-        size = np.linalg.norm(wanted, axis=-1)
-        self.saturated = size > self._max_thrust
-        allowed = wanted * np.minimum(1.0, self._max_thrust / np.maximum(size, 1e-9))[:, None]
-        self._force = (
-            allowed
-            if self._force is None
-            else allowed + (self._force - allowed) * _remains(seconds, self._lag)
-        )
-        self.thrusts = np.linalg.norm(self._force, axis=-1)
-        world.data.xfrc_applied[world.drone_bodies, :3] = self._force
-
-
-class RigidDrones:
-    """Rigid bodies under Lee's controller; collective thrust and moments lag as the motors do."""
 
     def __init__(self, world: World, max_thrust: Array, lag: float) -> None:
-        self._max_thrust = max_thrust
-        self._max_moment = ARM * BODY.radius * max_thrust[:, None] * np.array([1.0, 1.0, 0.2])
-        self._lag = lag
+        self._world, self._max_thrust, self._lag = world, max_thrust, lag
         self._state: Array | None = None
-        self._rate_dofs = world.drone_dofs + 3
         self.saturated = np.zeros(len(max_thrust), dtype=np.bool_)
         self.thrusts = np.zeros(len(max_thrust))
 
-    def apply(self, world: World, wanted: Array, reference: Reference, seconds: float) -> None:
-        """Put thrust along every drone's axis, and the moments that turn it."""
+    def apply(self, desired: Array, setpoints: Setpoints, seconds: float) -> None:
+        """Apply forces to the world's drones for the next ``seconds``.
+
+        Parameters
+        ----------
+        desired: thrust (2n, 3) [N].
+        setpoints: define the yaw, and how the attitude is to turn.
+        seconds: time until the next command.
+        """
+        world = self._world
         attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
-        rates = world.data.qvel[self._rate_dofs]
+        if world.rigid:
+            command = self._rigid(desired, setpoints, attitudes)
+        else:
+            command = self._point(desired)
+        remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
+        before = command if self._state is None else self._state
+        state = self._state = command + (before - command) * remains
+        applied = world.data.xfrc_applied
+        if world.rigid:
+            self.thrusts = state[:, 0]
+            applied[world.drone_bodies, :3] = self.thrusts[:, None] * attitudes[:, :, 2]
+            applied[world.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, state[:, 1:])
+        else:
+            self.thrusts = np.linalg.norm(state, axis=-1)
+            applied[world.drone_bodies, :3] = state
+
+    def _point(self, desired: Array) -> Array:
+        """Return the force (2n, 3) [N] of point masses: the desired one, within its limit."""
+        size = np.linalg.norm(desired, axis=-1)
+        self.saturated = size > self._max_thrust
+        share = np.minimum(1.0, self._max_thrust / np.maximum(size, LEAST_FORCE))
+        allowed: Array = desired * share[:, None]
+        return allowed
+
+    def _rigid(self, desired: Array, setpoints: Setpoints, attitudes: Array) -> Array:
+        """Return thrusts and moments (2n, 4) [N], [N m] of rigid bodies, within their limits."""
+        world = self._world
+        rates = world.data.qvel[world.drone_dofs + 3]
         thrusts, moments = attitude_command(
-            reference, wanted, attitudes, rates, world.masses, world.inertia
+            setpoints, desired, attitudes, rates, world.masses, world.inertia
         )
         self.saturated = thrusts > self._max_thrust
-        command = np.column_stack(
-            [
-                np.clip(thrusts, 0.0, self._max_thrust),
-                np.clip(moments, -self._max_moment, self._max_moment),
-            ]
+        limit = ARM * BODY_RADIUS * self._max_thrust[:, None] * MOMENT_SHARES
+        return np.column_stack(
+            [np.clip(thrusts, 0.0, self._max_thrust), np.clip(moments, -limit, limit)]
         )
-        self._state = (
-            command
-            if self._state is None
-            else command + (self._state - command) * _remains(seconds, self._lag)
-        )
-        self.thrusts = self._state[:, 0]
-        applied = world.data.xfrc_applied
-        applied[world.drone_bodies, :3] = self.thrusts[:, None] * attitudes[:, :, 2]
-        applied[world.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, self._state[:, 1:])
-
-
-def _remains(seconds: float, lag: float) -> float:
-    return float(np.exp(-seconds / lag)) if lag > 0.0 else 0.0

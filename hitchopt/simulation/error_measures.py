@@ -1,4 +1,4 @@
-"""How well a flight kept to its plan, in numbers."""
+"""Deviations of a flight from its plan."""
 
 from __future__ import annotations
 
@@ -7,24 +7,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Team
 from hitchopt.simulation.drone_control import POSITION_GAIN
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.hitch_sag import predicted_sag
-from hitchopt.simulation.setpoint_tables import SAME_SAMPLE, Setpoints, VertexTable
 
 Array = NDArray[np.float64]
 
 SAGS = 100
-"""Times at which the sag is predicted; in between it is interpolated."""
+"""Number of times at which the sag is predicted; it is interpolated in between."""
 
 STILL = 1e-6
-"""[m] A vertex that moves less from one sample to the next stands still."""
+"""Largest movement from one sample to the next of a vertex that is at rest [m]."""
+
+TIGHT = 0.5
+"""Least tension over the team's at which a vertex counts; a hitch that is being drawn tight has
+ill-defined vertices."""
+
+SAMPLE_SLACK = 5.1e-3
+"""Largest delay of a sample after its setpoint [s]: it is taken at the first command after it."""
+
+SAME_SAMPLE = 1e-5
+"""Rounding of sample times [s]."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Some errors in three numbers, as the paper gives them.
+    """Mean, standard deviation and largest value of some errors, as the paper gives them.
 
     Attributes
     ----------
@@ -37,7 +45,7 @@ class Spread:
 
     @classmethod
     def of(cls, errors: Array) -> Spread:
-        """Return the spread of those errors that are there (not nan)."""
+        """Return the spread of the errors that exist (not nan)."""
         there = errors[np.isfinite(errors)]
         if not there.size:
             return cls(np.nan, np.nan, np.nan)
@@ -46,17 +54,17 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class VertexErrors:
-    """How far the vertices were from where the plan has them, while it has any.
+    """Distances of the vertices from the plan's, while the plan has a hitch.
 
     Attributes
     ----------
     t: (samples,) [s]
-    rows: (samples,), those of the flight's record.
-    planned: (samples, clasps, 3) [m]
-    sag: (samples, clasps) [m], predicted of cables with weight, which the plan leaves out.
+    rows: samples of the flight's record (samples,).
+    planned: planned vertices (samples, clasps, 3) [m].
+    sag: (samples, clasps) [m], predicted for the cables' weight, which the plan neglects.
     errors: (samples, clasps) [m], distances; nan where cables do not bear on each other.
-    without_sag: (samples, clasps) [m], the same to where the sag lets the plan's vertex be.
-    moving: (samples,), whether the plan moves any vertex then.
+    without_sag: (samples, clasps) [m], distances from the planned vertices less the sag.
+    moving: whether the plan moves any vertex (samples,).
     """
 
     t: Array
@@ -73,96 +81,54 @@ class VertexErrors:
         return float(np.mean(np.isnan(self.errors))) if self.errors.size else 0.0
 
 
-def vertex_errors(
-    flight: Flight, team: Team, setpoints: Setpoints, vertices: VertexTable
-) -> VertexErrors:
-    """Return the errors at those samples of the flight at which the plan has a hitch, drawn tight.
+def vertex_errors(flight: Flight) -> VertexErrors:
+    """Return the errors at the samples of a flight at which its plan has a hitch, drawn tight.
 
-    Parameters
-    ----------
-    flight: simulated; its first sample, in which nothing has been gathered, does not count.
-    team: who flew.
-    setpoints, vertices: the plan's tables.
+    The first sample does not count: no contact forces were gathered before it.
     """
-    clasps = team.layout.clasps
-    record, begin = flight.record, float(setpoints.t[0])
-    rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= flight.duration + SAME_SAMPLE))
-    place = _nearest(vertices.t, record.t[rows] + begin, SAMPLE_SLACK)
-    rows, place = rows[place >= 0], place[place >= 0]
-    tight = np.all(vertices.tensions[place] >= TIGHT * team.tension, axis=-1)
-    rows, place = rows[tight], place[tight]
-    planned = vertices.positions[place][:, clasps]
-    sag = _sags(team, flight.density, setpoints, vertices, place)[:, clasps]
+    task, record = flight.task, flight.record
+    clasps, formed = task.team.layout.clasps, np.flatnonzero(task.formed)
+    times, vertices = task.t[formed], task.vertices[formed]
+    rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= task.duration + SAME_SAMPLE))
+    asked = record.t[rows] + task.t[0]
+    nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), asked)
+    near = np.zeros(len(rows), dtype=np.bool_)
+    if formed.size:
+        near = np.abs(times[nearest] - asked) <= SAMPLE_SLACK
+        near &= np.all(task.tensions[formed[nearest]] >= TIGHT * task.team.tension, axis=-1)
+    rows, place = rows[near], nearest[near]
+    step = np.zeros(len(formed))
+    step[1:] = np.max(np.linalg.norm(np.diff(vertices, axis=0), axis=-1), axis=-1, initial=0.0)
+    planned, sag = vertices[place][:, clasps], _sags(flight, formed[place])[:, clasps]
     offset = record.vertices[rows] - planned
-    lowered = offset.copy()
-    lowered[..., 2] += sag
-    step = np.zeros(len(vertices.t))
-    if len(vertices.t) > 1:
-        paces = np.max(np.linalg.norm(np.diff(vertices.positions, axis=0), axis=-1), axis=-1)
-        step[1:] = paces
+    raised = offset + sag[..., None] * [0.0, 0.0, 1.0]
     return VertexErrors(
         record.t[rows],
         rows,
         planned,
         sag,
         np.linalg.norm(offset, axis=-1),
-        np.linalg.norm(lowered, axis=-1),
+        np.linalg.norm(raised, axis=-1),
         step[place] > STILL,
     )
 
 
-TIGHT = 0.5
-"""Of the team's tension; with less, while a hitch is being drawn tight, its place means little."""
-
-SAMPLE_SLACK = 5.1e-3
-"""[s] A sample is taken at the first command after its setpoint."""
-
-
-def _nearest(times: Array, asked: Array, within: float) -> NDArray[np.intp]:
-    """Return the indices of the times nearest to those asked for, -1 where none is near."""
-    if not len(times):
-        return np.full(len(asked), -1)
-    after = np.clip(np.searchsorted(times, asked), 1, max(len(times) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(times) - 1)
-    nearer = np.where(np.abs(times[after] - asked) < np.abs(times[before] - asked), after, before)
-    found: NDArray[np.intp] = np.where(np.abs(times[nearer] - asked) <= within, nearer, -1)
-    return found
-
-
-def _sags(
-    team: Team,
-    density: float,
-    setpoints: Setpoints,
-    vertices: VertexTable,
-    rows: NDArray[np.intp],
-) -> Array:
-    """Return (rows, points) [m], predicted at some rows and interpolated at the others."""
-    points = team.layout.points
+def _sags(flight: Flight, rows: NDArray[np.intp]) -> Array:
+    """Return (rows, points) [m], predicted for some rows of the plan and interpolated between."""
+    task, ranks = flight.task, np.arange(len(rows))
+    points, stiffness = task.team.layout.points, POSITION_GAIN * task.team.mass[::2]
     if not len(rows):
         return np.zeros((0, points))
     chosen = np.unique(np.linspace(0, len(rows) - 1, min(SAGS, len(rows))).round().astype(np.intp))
-    told = _nearest(setpoints.t, vertices.t[rows[chosen]], SAME_SAMPLE)
-    sags = np.array(
-        [
-            predicted_sag(
-                team,
-                density,
-                setpoints.positions[i],
-                vertices.positions[row],
-                vertices.tensions[row],
-                POSITION_GAIN * team.mass[::2],
-            )
-            for i, row in zip(told, rows[chosen], strict=True)
-        ]
-    )
-    ranks = np.arange(len(rows))
+    at = rows[chosen]
+    planned = zip(task.setpoints.positions[at], task.vertices[at], task.tensions[at], strict=True)
+    sags = np.array([predicted_sag(task.team, flight.density, *x, stiffness) for x in planned])
     return np.column_stack([np.interp(ranks, chosen, sags[:, p]) for p in range(points)])
 
 
 def tracking_errors(flight: Flight) -> Array:
-    """Return (samples, 2n) [m]: drones to where they were told to be, until the flight's end."""
+    """Return (samples, 2n) [m]: distances of drones from their commands, until the flight's end."""
     record = flight.record
-    during = record.t <= flight.duration + SAME_SAMPLE
-    errors: Array = np.linalg.norm(record.drones[during] - record.told[during], axis=-1)
+    during = record.t <= flight.task.duration + SAME_SAMPLE
+    errors: Array = np.linalg.norm(record.drones[during] - record.commanded[during], axis=-1)
     return errors

@@ -1,4 +1,4 @@
-"""A simulated flight to look at: drones and cables in space, as a film."""
+"""Film of a simulated flight: drones and cables in space."""
 
 from __future__ import annotations
 
@@ -16,44 +16,45 @@ Array = NDArray[np.float64]
 
 SUFFIXES = (".gif", ".mp4")
 
-SIZE = (6.4, 4.8)
-"""[in] Of a picture, at DOTS each."""
+ENCODERS = ("imageio_ffmpeg", "av")
+"""Modules with which imageio writes mp4."""
 
-DOTS = 100
+SIZE, DOTS = (6.4, 4.8), 100
+"""Size of a frame [in], and its resolution [1/in]."""
 
 MARGIN = 0.15
-"""[m] Around all that moves."""
+"""Margin around everything that moves [m]."""
 
 
 def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
-    """Write the film of a flight, in real time: a gif, or an mp4 where ffmpeg is there.
+    """Write the film of a flight, in real time: a gif, or an mp4 where ffmpeg is installed.
 
     Parameters
     ----------
     path: ends in .gif or .mp4.
-    film: what was recorded.
-    rate: pictures a second, at most [Hz].
+    film: shapes of the cables.
+    rate: largest number of frames per second [Hz].
 
     Raises
     ------
     InputError: another ending.
-    UnsupportedError: what writes films is not installed.
-    FileError: the file cannot be written, or there is nothing to be seen.
+    UnsupportedError: a required package is not installed.
+    FileError: the file cannot be written, or the film has less than two frames.
     """
     check_film(path)
     import imageio.v3 as imageio
 
     if len(film.t) < 2:
         raise FileError(f"{path}: the flight ended before there was anything to film")
-    step = max(1, round(1.0 / rate / float(np.median(np.diff(film.t)))))
-    pictures = _pictures(film, step)
-    shown = float(np.median(np.diff(film.t))) * step
+    period = float(np.median(np.diff(film.t)))
+    step = max(1, round(1.0 / rate / period))
+    frames, shown = _frames(film, step), period * step
     draft = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
     try:
         if path.suffix.lower() == ".gif":
-            imageio.imwrite(draft, pictures, duration=1000.0 * shown, loop=0)
+            imageio.imwrite(draft, frames, duration=1000.0 * shown, loop=0)
         else:
-            imageio.imwrite(draft, pictures, fps=1.0 / shown)
+            imageio.imwrite(draft, frames, fps=1.0 / shown)
         draft.replace(path)
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error}; name another place") from error
@@ -62,12 +63,12 @@ def save_film(path: Path, film: Film, rate: float = 12.5) -> None:
 
 
 def check_film(path: Path) -> None:
-    """Raise an error unless a film can be written under such a name.
+    """Check that a film can be written under a name.
 
     Raises
     ------
     InputError: another ending than .gif or .mp4.
-    UnsupportedError: what writes it is not installed.
+    UnsupportedError: a required package is not installed.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError("--film", str(path), "a name in .gif or .mp4", "such as flight.gif")
@@ -81,12 +82,8 @@ def check_film(path: Path) -> None:
         )
 
 
-ENCODERS = ("imageio_ffmpeg", "av")
-"""Modules with which imageio writes mp4."""
-
-
-def _pictures(film: Film, step: int) -> NDArray[np.uint8]:
-    """Return (pictures, height, width, 3)."""
+def _frames(film: Film, step: int) -> NDArray[np.uint8]:
+    """Return every step-th frame (frames, height, width, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -99,18 +96,17 @@ def _pictures(film: Film, step: int) -> NDArray[np.uint8]:
         getattr(axes, f"set_{axis}label")(f"{axis} [m]")
     axes.set_box_aspect(upper - lower + 2.0 * MARGIN)
     axes.view_init(elev=35.0, azim=-60.0)
-    begins = film.cables[:-1]
-    ends = film.cables[1:] - 1
-    lines = [axes.plot([], [], [], lw=1.6)[0] for _ in begins]
+    ends = np.column_stack([film.cables[:-1], film.cables[1:] - 1]).ravel()
+    lines = [axes.plot([], [], [], lw=1.6)[0] for _ in film.cables[1:]]
     drones = axes.plot([], [], [], "o", color="black", ms=6)[0]
     title = axes.text2D(0.02, 0.95, "", transform=axes.transAxes)
-    pictures = []
+    frames = []
     for i in range(0, len(film.t), step):
         nodes = film.nodes[i]
-        for line, begin, end in zip(lines, begins, ends, strict=True):
-            line.set_data_3d(*nodes[begin : end + 1].T)
-        drones.set_data_3d(*nodes[np.column_stack([begins, ends]).ravel()].T)
+        for line, cable in zip(lines, np.split(nodes, film.cables[1:-1]), strict=True):
+            line.set_data_3d(*cable.T)
+        drones.set_data_3d(*nodes[ends].T)
         title.set_text(f"t = {film.t[i]:.1f} s")
         canvas.draw()
-        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    return np.array(pictures)
+        frames.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    return np.array(frames)

@@ -1,44 +1,41 @@
-"""What became of a flight: does it hold, and if not, what failed, where and when."""
+"""Outcome of a flight: whether the hitch holds, and otherwise what failed, where and when."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Team
 from hitchopt.simulation.flight_records import Flight
-from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
 
 HELD = 0.10
-"""[m] A vertex that moves no farther under half as much tension again is held."""
+"""Largest movement under the pull test of a vertex that is held [m]."""
 
 JUDGED = 0.5
-"""[s] Over which a vertex's place is averaged before the pull test, and at its end."""
-
+"""Time over which a vertex's position is averaged before the pull test, and at its end [s]."""
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 
 START, INVALID = "start", "invalid"
 UNSIMULATED = (START, INVALID)
-"""The kinds of failure that are the simulation's own: it could not begin, or left its range."""
+"""Failures of the simulation itself: it could not begin, or left its valid range."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that went wrong.
+    """One failure.
 
     Attributes
     ----------
-    kind: one of UNSIMULATED, which say nothing of the plan, or ``touch``, ``unlinked``,
+    kind: one of UNSIMULATED, which say nothing about the plan, or ``touch``, ``unlinked``,
         ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the
         pull test).
     where: names of drones, cables or vertices.
     time: [s], from the flight's start.
-    words: what happened.
+    words: description.
     """
 
     kind: str
@@ -49,17 +46,18 @@ class Failure:
 
 @dataclass(frozen=True)
 class Clasp:
-    """Whether one vertex is hitched.
+    """State of one vertex at the end of a flight.
 
     Attributes
     ----------
     name: p0, p1, ….
     linking: Gauss's linking number of its two cables, ±1 for a clasp. Cables that merely cross may
         have any of 0 and ±1: a clasp bears as well.
-    bearing: how hard they press on each other after the rest [N].
-    least_bearing: from where on they bear [N].
-    moved: how far the vertex moved under the pull test [m]; nan without one.
-    holds: linked once, bearing, and held.
+    bearing: contact force after the rest [N].
+    least_bearing: contact force from which on it bears [N].
+    moved: movement under the pull test [m]; nan without one.
+    holds: whether it is linked once, bears and is held.
+    bears: whether its cables press on each other as those of a clasp do.
     """
 
     name: str
@@ -68,21 +66,17 @@ class Clasp:
     least_bearing: float
     moved: float
     holds: bool
-
-    @property
-    def bears(self) -> bool:
-        """Whether its cables press on each other as those of a clasp do."""
-        return self.bearing >= self.least_bearing > 0.0
+    bears: bool
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a flight.
+    """Outcome of a flight.
 
     Attributes
     ----------
-    clasps: of a plan that ends with a hitch, once it has rested; else none.
-    failures: all that went wrong, by time; none is a success.
+    clasps: vertices of a plan that ends with a hitch, once it has rested; else none.
+    failures: all failures, by time.
     """
 
     clasps: tuple[Clasp, ...]
@@ -90,7 +84,7 @@ class Outcome:
 
     @property
     def verdict(self) -> str:
-        """Return SUCCEEDED, FAILED, or NOT_SIMULATED where nothing but the simulation failed."""
+        """SUCCEEDED, FAILED, or NOT_SIMULATED where nothing but the simulation failed."""
         if self.succeeded:
             return SUCCEEDED
         simulated = any(failure.kind not in UNSIMULATED for failure in self.failures)
@@ -98,66 +92,55 @@ class Outcome:
 
     @property
     def succeeded(self) -> bool:
-        """Whether nothing went wrong."""
+        """Whether nothing failed."""
         return not self.failures
 
     @property
     def hitched(self) -> bool:
-        """Whether every vertex holds, and there are any."""
+        """Whether there are vertices and all of them hold."""
         return bool(self.clasps) and all(clasp.holds for clasp in self.clasps)
 
 
-def judge(flight: Flight, team: Team, *, formed: bool) -> Outcome:
-    """Return what became of a flight.
+def judge(flight: Flight) -> Outcome:
+    """Return the outcome of a flight.
 
-    Parameters
-    ----------
-    flight: simulated.
-    team: who flew.
-    formed: whether the plan ends with a hitch; else its cables are to be free of each other.
+    Where its plan ends with a hitch every vertex must hold, else the cables must be free of each
+    other.
     """
     failures = [
         Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
-        for e in flight.events
+        for e in flight.touches
     ]
-    if flight.error is not None:
-        time = flight.error.time if isinstance(flight.error, InvalidRunError) else np.nan
-        where = (flight.error.where,) if isinstance(flight.error, InvalidRunError) else ()
-        failures.append(Failure(INVALID, where, float(time), str(flight.error)))
+    if (error := flight.error) is not None:
+        failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
     clasps: tuple[Clasp, ...] = ()
     if flight.linking is not None:
-        clasps = _clasps(flight, flight.linking, team) if formed else ()
-        failures += _wrong_links(flight, flight.linking, team, formed=formed)
+        clasps = _clasps(flight, flight.linking) if flight.task.formed[-1] else ()
+        failures += _wrong_links(flight, flight.linking)
         failures += [failure for clasp in clasps for failure in _weak(flight, clasp)]
     failures.sort(key=lambda failure: failure.time)
     return Outcome(clasps, tuple(failures))
 
 
-def _clasps(flight: Flight, links: NDArray[np.int64], team: Team) -> tuple[Clasp, ...]:
-    layout, record = team.layout, flight.record
-    before, bearing = _mean_place(flight, flight.rested)
-    after, _ = _mean_place(flight, flight.pulled)
-    moved = np.linalg.norm(after - before, axis=-1)
-    tested = record.t[-1] >= flight.pulled  # false where there is none: nan
-    found = []
-    for c, point in enumerate(layout.clasps):
-        linking = int(links[layout.behind[c], layout.ahead[c]])
-        held = bool(moved[c] <= HELD) if tested else np.isnan(flight.pulled)
-        clasp = Clasp(
-            team.point_names[point],
-            linking,
-            float(bearing[c]),
-            float(flight.least_bearing[c]),
-            float(moved[c]) if tested else float("nan"),
-            holds=False,
-        )
-        holds = abs(linking) == 1 and clasp.bears and bool(held) and flight.error is None
-        found.append(replace(clasp, holds=holds))
-    return tuple(found)
+def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
+    """Return the state of every vertex."""
+    team, least = flight.task.team, flight.least_bearing
+    layout = team.layout
+    before, bearing = _means(flight, flight.rested)
+    moved = np.linalg.norm(_means(flight, flight.pulled)[0] - before, axis=-1)
+    if not (tested := flight.record.t[-1] >= flight.pulled):  # false without a pull test: nan
+        moved[:] = np.nan
+    held = moved <= HELD if tested else np.full(len(moved), np.isnan(flight.pulled))
+    linking = links[layout.behind, layout.ahead]
+    bears = (bearing >= least) & (least > 0.0)
+    holds = (np.abs(linking) == 1) & bears & held & (flight.error is None)
+    names = [team.point_names[point] for point in layout.clasps]
+    columns = (column.tolist() for column in (linking, bearing, least, moved, holds, bears))
+    return tuple(Clasp(*values) for values in zip(names, *columns, strict=True))
 
 
-def _mean_place(flight: Flight, end: float) -> tuple[Array, Array]:
-    """Return the vertices' places and forces over the last JUDGED seconds until ``end`` [s]."""
+def _means(flight: Flight, end: float) -> tuple[Array, Array]:
+    """Return mean vertices and contact forces over the last JUDGED seconds until ``end`` [s]."""
     record = flight.record
     chosen = (record.t > end - JUDGED) & (record.t <= end + 1e-9)
     vertices, bearing = record.vertices[chosen], record.bearing[chosen]
@@ -169,33 +152,28 @@ def _mean_place(flight: Flight, end: float) -> tuple[Array, Array]:
     return places, forces
 
 
-def _wrong_links(
-    flight: Flight, linking: NDArray[np.int64], team: Team, *, formed: bool
-) -> list[Failure]:
+def _wrong_links(flight: Flight, linking: NDArray[np.int64]) -> list[Failure]:
+    """Return the pairs of cables that are not linked as the plan's end requires."""
+    team = flight.task.team
     layout = team.layout
-    wanted = np.zeros_like(linking)
-    if formed:
-        wanted[layout.behind, layout.ahead] = wanted[layout.ahead, layout.behind] = 1
-    point = {
-        tuple(sorted((int(j), int(k)))): team.point_names[p]
-        for j, k, p in zip(layout.behind, layout.ahead, layout.clasps, strict=True)
-    }
+    point = np.full(linking.shape, -1)  # where a pair of cables is to be linked
+    if flight.task.formed[-1]:
+        point[layout.behind, layout.ahead] = point[layout.ahead, layout.behind] = layout.clasps
     failures = []
-    for i, j in np.argwhere(np.triu(np.abs(linking) != wanted, 1)):
-        number = int(linking[i, j])
-        if wanted[i, j]:
-            name = point[int(i), int(j)]
-            words = f"{name}: cables {i} and {j} are linked {number} times, not once"
+    for i, j in np.argwhere(np.triu(np.abs(linking) != (point >= 0), 1)):
+        words = f"cables {i} and {j} are linked {linking[i, j]} times, "
+        if point[i, j] >= 0:
+            name = team.point_names[point[i, j]]
+            words = f"{name}: {words}not once"
             failures.append(Failure("unlinked", (name,), flight.rested, words))
         else:
-            names = (f"cable {i}", f"cable {j}")
-            words = f"cables {i} and {j} are linked {number} times, and should not be"
+            names, words = (f"cable {i}", f"cable {j}"), f"{words}and should not be"
             failures.append(Failure("tangled", names, flight.rested, words))
     return failures
 
 
 def _weak(flight: Flight, clasp: Clasp) -> list[Failure]:
-    """Return what is wrong with a clasp that is linked."""
+    """Return the failures of a clasp that is linked."""
     if abs(clasp.linking) != 1:
         return []
     if not clasp.bears:

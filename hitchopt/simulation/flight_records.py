@@ -1,4 +1,4 @@
-"""What a simulated flight leaves behind."""
+"""Records of a simulated flight."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import HitchoptError
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What was measured, sample by sample; times from the flight's start, settling is not in it.
+    """Measurements, sample by sample; times count from the flight's start, after settling.
 
     Attributes
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
-    drones: (samples, 2n, 3) [m], where they are.
-    told: (samples, 2n, 3) [m], where they were told to be: their setpoints, moved aside where
-        thick ropes ask for it.
+    drones: positions (samples, 2n, 3) [m].
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, offset for thick ropes.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
-    bearing: (samples, clasps) [N], how hard they do.
-    tensions: (samples, n) [N], the cables' means over their length.
-    peak_tensions: (samples, n) [N], their largest over length and time since the last sample.
+    bearing: contact forces (samples, clasps) [N].
+    tensions: means over each cable's length (samples, n) [N].
+    peak_tensions: largest values over length and time since the last sample (samples, n) [N].
     thrusts: (samples, 2n) [N]
-    saturated: (samples, 2n), whether a drone wanted more than it has.
+    saturated: whether a drone's command exceeded its thrust (samples, 2n).
     """
 
     t: Array
     drones: Array
-    told: Array
+    commanded: Array
     vertices: Array
     bearing: Array
     tensions: Array
@@ -43,13 +43,13 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """The cables over time, for looking at; settling is in it, at negative times.
+    """Shapes of the cables over time; settling is included, at negative times.
 
     Attributes
     ----------
     t: (frames,) [s]
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
-    cables: (n + 1,), where each cable's nodes begin.
+    cables: (n + 1,), first node of each cable, and the number of nodes.
     """
 
     t: Array
@@ -58,8 +58,8 @@ class Film:
 
 
 @dataclass(frozen=True)
-class TouchEvent:
-    """When two things touched first, and what.
+class Touch:
+    """First contact of two things that should stay apart.
 
     Attributes
     ----------
@@ -74,29 +74,29 @@ class TouchEvent:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A flight that was simulated to its end, or to where it meant nothing any more.
+    """A flight that was simulated to its end, or until the simulation became invalid.
 
     Attributes
     ----------
-    record: over the flight, rest and pull test.
-    film: of all of it.
-    events: first touches.
-    linking: (n, n), of every pair of cables after the rest; None if that was not reached.
-    duration: of the setpoints [s].
+    task: what was flown.
+    record: measurements over the flight, rest and pull test.
+    film: shapes of the cables over all of it.
+    touches: first contacts, by time.
+    linking: linking numbers (n, n) of all pairs of cables after the rest; None if not reached.
     rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
     density: of the simulated cables [kg/m].
-    error: what ended it early, or None.
-    least_bearing: (clasps,) [N], the contact force from which on a clasp bears in the end; zero
-        without a hitch.
+    least_bearing: contact forces (clasps,) [N] from which on a clasp bears at the end; zero without
+        a hitch.
+    error: what ended the flight early, or None.
     """
 
+    task: Task
     record: Record
     film: Film
-    events: tuple[TouchEvent, ...]
+    touches: tuple[Touch, ...]
     linking: NDArray[np.int64] | None
-    duration: float
     rested: float
     pulled: float
     density: float
-    error: HitchoptError | None
     least_bearing: Array
+    error: InvalidRunError | None

@@ -1,4 +1,4 @@
-"""How deep a hitch of cables with weight hangs below the plan, which knows of none."""
+"""Sag of a hitch: its vertices hang below those of the plan, which neglects the cables' weight."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hitchopt.hitch import GRAVITY, Team
 Array = NDArray[np.float64]
 
 ROUNDS = 8
-"""Of sag and tension; each leaves about a tenth of the error."""
+"""Number of iterations between sag and tension; each reduces the error to about a tenth."""
 
 
 def predicted_sag(
@@ -23,19 +23,19 @@ def predicted_sag(
     tensions: Array,
     stiffness: ArrayLike = 0.0,
 ) -> Array:
-    """Return (points,) [m]: how far below the plan the vertices hang.
+    """Return (points,) [m]: the depth of the vertices below the plan.
 
-    The balance of heights, linear in them: every part of a cable pulls along its chord and puts
-    half of its weight on each of its ends. Sagging takes length, which both drones of a cable give
-    way to, and so pull harder by their ``stiffness``.
+    It solves the vertical force balance, linear in the heights: every part of a cable pulls along
+    its chord and puts half of its weight on each of its ends. Sagging takes length; both drones of
+    a cable yield to it, and pull harder in proportion to their ``stiffness``.
 
     Parameters
     ----------
-    team: whose hitch it is.
-    density: of its cables [kg/m].
-    drones, vertices: (2n, 3), (points, 3) [m], of the plan.
-    tensions: (n,) [N]
-    stiffness: (n,) or one, of the drones' position loops [N/m]; 0: they pull as hard as planned.
+    team: drones and cables.
+    density: of the cables [kg/m].
+    drones, vertices: planned positions (2n, 3), (points, 3) [m].
+    tensions: planned tensions (n,) [N].
+    stiffness: of the drones' position loops [N/m], (n,) or one; 0: they pull as hard as planned.
     """
     layout = team.layout
     edges = np.linalg.norm(layout.edges(vertices), axis=-1)
@@ -55,7 +55,7 @@ def predicted_sag(
 
 
 def _balance(team: Team, density: float, edges: Array, legs: Array, tensions: Array) -> Array:
-    """Return (points,) [m]: the sag under given tensions."""
+    """Return the sag (points,) [m] under given tensions."""
     layout = team.layout
     points, clasps = layout.points, layout.clasps
     pull = np.repeat(tensions, 2)
@@ -70,6 +70,6 @@ def _balance(team: Team, density: float, edges: Array, legs: Array, tensions: Ar
     columns = np.concatenate([np.arange(points), layout.ends, layout.starts])
     values = np.concatenate([diagonal, -tensions / edges, -tensions / edges])
     matrix = coo_array((values, (rows, columns)), shape=(points, points)).tocsc()
-    sag = np.zeros(points)  # a chain's ends are held by drones
+    sag = np.zeros(points)  # drones hold a chain's ends
     sag[clasps] = spsolve(matrix[clasps][:, clasps], load[clasps])
     return sag

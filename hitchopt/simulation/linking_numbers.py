@@ -1,8 +1,8 @@
-"""Are two cables linked? Gauss's linking number, exact for polygons.
+"""Gauss's linking numbers of cables, exact for polygons.
 
 Each cable is closed by the straight line between its drones. That is meaningful with the drones at
-the hitch or before it is formed, where these lines stay clear of the other cables; on the way a
-line may pass through a cable and change the number with nothing happening.
+the hitch or before it is formed, where these lines stay clear of the other cables; in between a
+line may pass through a cable, which changes the number although no cable passes another.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ Array = NDArray[np.float64]
 
 
 def linking_number(one: Array, other: Array) -> int:
-    """Return how often two closed polygons are linked, with its sign.
+    """Return the linking number of two closed polygons, with its sign.
 
-    The sum over all pairs of edges of the solid angle that their directions span, over 4π
+    It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
     (Banchoff 1976; Klenin and Langowski 2000).
 
     Parameters
@@ -37,14 +37,14 @@ def linking_number(one: Array, other: Array) -> int:
 
 
 TINY = 1e-300
-"""[m²] Edges in one plane span no solid angle."""
+"""Least length of a normal [m²]: edges in one plane have none, and span no solid angle."""
 
 
 def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
     """Return (n, n), symmetric: the linking number of every pair, zero on the diagonal.
 
-    Pairs whose boxes do not meet are not linked. What remains grows with n alone where cables
-    reach their neighbours only; each pair costs segments squared.
+    Pairs whose boxes do not meet are not linked. The number of the others grows with n alone where
+    cables reach their neighbours only; the cost of each is quadratic in its segments.
 
     Parameters
     ----------

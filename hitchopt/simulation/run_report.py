@@ -1,8 +1,10 @@
-"""A simulated flight as files: a summary, tables over time, the recording and a picture."""
+"""Files of a simulated flight: a summary, tables over time, the recording and a picture."""
 
 from __future__ import annotations
 
+import csv
 import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from hitchopt.export.atomic import Writer, replace_files
 from hitchopt.export.strict_json import write_strict_json
-from hitchopt.simulation.error_measures import Spread, tracking_errors
+from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_picture import save_picture
 from hitchopt.simulation.simulate import Simulation
 from hitchopt.simulation.simulation_settings import Settings
@@ -31,9 +33,7 @@ CAMPAIGN = "campaign.json"
 RUNS = "runs.csv"
 
 OWNED = (SUMMARY, VERTICES, CABLES, DRONES, RECORDING, PICTURE, CAMPAIGN, RUNS)
-"""The names that are ours in the directory of results; nothing else there is touched."""
-
-NUMBER = "%.9g"
+"""Names that belong to hitchopt in the directory of results; other files are never touched."""
 
 
 def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
@@ -43,11 +43,29 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
     ------
     FileError: the directory cannot be written to.
     """
+    flight, errors = simulation.flight, simulation.errors
+    record, film, team = flight.record, flight.film, flight.task.team
+    vertices: dict[str, Array] = {
+        "x,y,z": record.vertices[errors.rows],
+        "planned_x,planned_y,planned_z": errors.planned,
+        "sag": errors.sag,
+        "error": errors.errors,
+        "error_without_sag": errors.without_sag,
+        "bearing": record.bearing[errors.rows],
+    }
+    cables: dict[str, Array] = {"tension": record.tensions, "peak": record.peak_tensions}
+    drones: dict[str, Array] = {
+        "x,y,z": record.drones,
+        "error": np.linalg.norm(record.drones - record.commanded, axis=-1),
+        "thrust": record.thrusts,
+        "saturated": record.saturated.astype(np.float64),
+    }
+    clasps, robots = team.layout.clasps, range(team.robots)
     writers: dict[str, Writer] = {
-        VERTICES: lambda path: _write_vertices(path, simulation),
-        CABLES: lambda path: _write_cables(path, simulation),
-        DRONES: lambda path: _write_drones(path, simulation),
-        RECORDING: lambda path: _write_recording(path, simulation),
+        VERTICES: lambda path: write_table(path, "vertex", errors.t, clasps, vertices),
+        CABLES: lambda path: write_table(path, "cable", record.t, robots, cables),
+        DRONES: lambda path: write_table(path, "drone", record.t, team.drone_names, drones),
+        RECORDING: lambda path: np.savez_compressed(path, **vars(film)),
         PICTURE: lambda path: save_picture(path, simulation),
         SUMMARY: lambda path: write_strict_json(path, summary(simulation)),
     }
@@ -55,101 +73,69 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
 
 
 def summary(simulation: Simulation) -> dict[str, Any]:
-    """Return the flight in numbers, ready for JSON."""
+    """Return the figures of a flight, ready for JSON."""
     flight, outcome, errors = simulation.flight, simulation.outcome, simulation.errors
-    record, team = flight.record, simulation.task.team
-    tracking = tracking_errors(flight)
+    record, team, run = flight.record, flight.task.team, simulation.run
     clasps = [team.point_names[p] for p in team.layout.clasps]
     return {
         "format": FORMAT,
-        "setpoints_sha256": simulation.task.digest,
+        "setpoints_sha256": flight.task.digest,
         "settings": settings_summary(simulation.settings),
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
-        "clasps": [{**asdict(clasp), "bears": clasp.bears} for clasp in outcome.clasps],
+        "clasps": [asdict(clasp) for clasp in outcome.clasps],
         "vertex_error": {
-            "all": asdict(Spread.of(errors.errors)),
-            "all_without_sag": asdict(Spread.of(errors.without_sag)),
-            "moving_without_sag": asdict(Spread.of(errors.without_sag[errors.moving])),
+            "all": asdict(run.vertex_error),
+            "all_without_sag": asdict(run.without_sag),
+            "moving_without_sag": asdict(run.moving_without_sag),
             **{name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)},
             "lost_share": errors.lost,
         },
         "tension": [
-            {
-                "cable": k,
-                "mean": float(np.mean(record.tensions[:, k])),
-                "peak": float(np.max(record.peak_tensions[:, k])),
-            }
-            for k in range(team.robots)
+            {"cable": k, "mean": float(np.mean(tension)), "peak": float(np.max(peak))}
+            for k, (tension, peak) in enumerate(
+                zip(record.tensions.T, record.peak_tensions.T, strict=True)
+            )
         ],
-        "tracking_error": asdict(Spread.of(tracking)),
-        "largest_thrust": float(np.max(record.thrusts)),
-        "saturated_share": float(np.mean(record.saturated)),
-        "duration": flight.duration,
+        "tracking_error": asdict(run.tracking),
+        "largest_thrust": run.peak_thrust,
+        "saturated_share": run.saturated,
+        "duration": flight.task.duration,
         "processor_seconds": simulation.processor,
-        "pace": simulation.pace,
+        "pace": run.pace,
     }
 
 
 def settings_summary(settings: Settings) -> dict[str, Any]:
-    """Return how a flight was simulated, the values that were taken by default among it."""
+    """Return the settings of a flight, ready for JSON, with the value of a default lag."""
     return {**asdict(settings), "lag": settings.lag}
 
 
-def _write_vertices(path: Path, simulation: Simulation) -> None:
-    errors, record, team = simulation.errors, simulation.flight.record, simulation.task.team
-    names = [str(p) for p in team.layout.clasps]
-    columns = (
-        record.vertices[errors.rows],
-        errors.planned,
-        errors.sag[..., None],
-        errors.errors[..., None],
-        errors.without_sag[..., None],
-        record.bearing[errors.rows][..., None],
-    )
-    header = "t,vertex,x,y,z,planned_x,planned_y,planned_z,sag,error,error_without_sag,bearing"
-    write_table(path, header, errors.t, names, np.concatenate(columns, axis=-1))
+def write_table(
+    path: Path, kind: str, t: Array, names: Iterable[object], columns: dict[str, Array]
+) -> None:
+    """Write a table with one row per time and name.
 
-
-def _write_cables(path: Path, simulation: Simulation) -> None:
-    record = simulation.flight.record
-    names = [str(k) for k in range(simulation.task.team.robots)]
-    values = np.stack([record.tensions, record.peak_tensions], axis=-1)
-    write_table(path, "t,cable,tension,peak", record.t, names, values)
-
-
-def _write_drones(path: Path, simulation: Simulation) -> None:
-    record = simulation.flight.record
-    error = np.linalg.norm(record.drones - record.told, axis=-1)
-    values = np.concatenate(
-        [
-            record.drones,
-            error[..., None],
-            record.thrusts[..., None],
-            record.saturated[..., None].astype(np.float64),
-        ],
-        axis=-1,
-    )
-    names = list(simulation.task.team.drone_names)
-    write_table(path, "t,drone,x,y,z,error,thrust,saturated", record.t, names, values)
-
-
-def write_table(path: Path, header: str, t: Array, names: list[str], values: Array) -> None:
-    """Write a row per time and name: t (times,), values (times, names, columns); nan is empty."""
-    line = ",".join(["%s"] * values.shape[-1])
-    rows = "".join(f"%s,{name},{line}\n" for name in names)
-    stamped = np.concatenate(
-        [np.broadcast_to(t[:, None, None], (*values.shape[:2], 1)), values], axis=-1
-    )
+    Parameters
+    ----------
+    path: file, replaced if there is one.
+    kind: title of the names.
+    t: (times,) [s]
+    names: of drones, cables or vertices.
+    columns: by title, (times, names); for several columns (times, names, columns).
+    """
+    values = np.concatenate([np.atleast_3d(column) for column in columns.values()], axis=-1)
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(header + "\n")
-        for row in stamped.reshape(len(t), len(names) * stamped.shape[-1]):
-            file.write(rows % tuple("" if math.isnan(x) else NUMBER % x for x in row.tolist()))
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["t", kind, *",".join(columns).split(",")])
+        labels = [str(name) for name in names]
+        for time, rows in zip(t.tolist(), values.tolist(), strict=True):
+            for label, row in zip(labels, rows, strict=True):
+                table.writerow([number(time), label, *map(number, row)])
 
 
-def _write_recording(path: Path, simulation: Simulation) -> None:
-    film = simulation.flight.film
-    with path.open("wb") as file:
-        np.savez_compressed(file, t=film.t, nodes=film.nodes, cables=film.cables)
+def number(value: float, digits: int = 9) -> str:
+    """Return a number in some significant digits; nothing for nan."""
+    return "" if math.isnan(value) else f"{value:.{digits}g}"

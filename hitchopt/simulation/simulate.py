@@ -1,69 +1,75 @@
-"""From a plan's directory to a judged flight."""
+"""Simulation of a task: its flight, judged."""
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
-from hitchopt.errors import UnsupportedError
-from hitchopt.export.directory import PLAN, SETPOINTS, VERTICES
-from hitchopt.export.plan_file import read_plan
-from hitchopt.hitch import Team
-from hitchopt.simulation.error_measures import VertexErrors, vertex_errors
-from hitchopt.simulation.flight_outcome import Outcome, judge
-from hitchopt.simulation.flight_records import Flight
-from hitchopt.simulation.rope_flight import fly
-from hitchopt.simulation.setpoint_tables import (
-    Setpoints,
-    VertexTable,
-    read_setpoints,
-    read_vertices,
+import numpy as np
+
+from hitchopt.simulation.error_measures import (
+    Spread,
+    VertexErrors,
+    tracking_errors,
+    vertex_errors,
 )
+from hitchopt.simulation.flight_outcome import SUCCEEDED, Failure, Outcome, judge
+from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.rope_flight import Progress, fly
 from hitchopt.simulation.simulation_settings import Settings
 
-Progress = Callable[[str], None]
+NOTHING = Spread(np.nan, np.nan, np.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is to be flown: a plan's tables, and its team.
+@dataclass(frozen=True)
+class Run:
+    """Figures of one flight; nan where it could not begin.
 
     Attributes
     ----------
-    team: who flies.
-    setpoints, vertices: the tables.
-    digest: of setpoints.csv, so that results tell which plan they are of; or empty.
+    seed: of its perturbations; the same seed gives the same flight.
+    verdict: that of its Outcome.
+    failures: all failures, by time.
+    vertex_error, without_sag: over vertices and time [m].
+    moving_without_sag: over the time in which the plan moves a vertex; nan where it moves none.
+    tracking: distances of drones from their commands [m].
+    peak_tension, peak_thrust: [N]
+    saturated: share of samples at which a drone's command exceeded its thrust.
+    pace: simulated seconds per second of one processor.
     """
 
-    team: Team
-    setpoints: Setpoints
-    vertices: VertexTable
-    digest: str = ""
+    seed: int
+    verdict: str
+    failures: tuple[Failure, ...]
+    vertex_error: Spread = NOTHING
+    without_sag: Spread = NOTHING
+    moving_without_sag: Spread = NOTHING
+    tracking: Spread = NOTHING
+    peak_tension: float = np.nan
+    peak_thrust: float = np.nan
+    saturated: float = np.nan
+    pace: float = np.nan
 
     @property
-    def ends_formed(self) -> bool:
-        """Whether there is a hitch at the last setpoint."""
-        return self.vertices.index(float(self.setpoints.t[-1])) is not None
+    def succeeded(self) -> bool:
+        """Whether nothing failed."""
+        return self.verdict == SUCCEEDED
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A flight, what became of it, and how it was simulated.
+    """A flight, its outcome and its settings.
 
     Attributes
     ----------
-    task: what was flown.
-    settings: how.
-    flight: what happened.
-    outcome: whether it holds.
+    settings: settings of the simulation.
+    flight: records of the flight.
+    outcome: whether it succeeded.
     errors: of its vertices.
-    processor: what it took [s].
+    processor: processor time [s].
     """
 
-    task: Task
     settings: Settings
     flight: Flight
     outcome: Outcome
@@ -71,50 +77,41 @@ class Simulation:
     processor: float
 
     @property
-    def pace(self) -> float:
-        """Simulated seconds, settling included, per second of one processor."""
-        times = self.flight.film.t
-        simulated = float(times[-1] - times[0]) if len(times) else 0.0
-        return simulated / max(self.processor, 1e-9)
-
-
-def read_task(directory: Path) -> Task:
-    """Return what a plan's directory has to fly: the tables, and of the plan only its team.
-
-    Raises
-    ------
-    FileError: a file is missing or broken.
-    UnsupportedError: a plan of drones without cables.
-    """
-    team = read_plan(directory / PLAN).team
-    if not team.has_cables:
-        raise UnsupportedError(
-            f"{directory}: a plan of single drones has no cables; simulate a hitch's plan"
+    def run(self) -> Run:
+        """Figures of the flight."""
+        record, errors, times = self.flight.record, self.errors, self.flight.film.t
+        simulated = float(times[-1] - times[0]) if len(times) else 0.0  # settling included
+        return Run(
+            self.settings.seed,
+            self.outcome.verdict,
+            self.outcome.failures,
+            Spread.of(errors.errors),
+            Spread.of(errors.without_sag),
+            Spread.of(errors.without_sag[errors.moving]),
+            Spread.of(tracking_errors(self.flight)),
+            float(np.max(record.peak_tensions)),
+            float(np.max(record.thrusts)),
+            float(np.mean(record.saturated)),
+            simulated / max(self.processor, 1e-9),
         )
-    path = directory / SETPOINTS
-    setpoints = read_setpoints(path, team)
-    vertices = read_vertices(directory / VERTICES, team)
-    return Task(team, setpoints, vertices, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
-    """Return the judged flight of a plan.
+    """Return the judged flight of a task.
 
     Parameters
     ----------
-    task: what is flown.
-    settings: how.
-    progress: called now and then with what is being done.
+    task: setpoints and planned hitch.
+    settings: settings of the simulation.
+    progress: called repeatedly with a description of the current work.
 
     Raises
     ------
-    InputError: a preset that cannot carry the team's tension.
+    InputError: a preset that cannot bear the team's tension.
     ShapeError: cables that cannot hang between the first setpoints.
     UnsupportedError: mujoco is not installed.
     """
     begin = time.process_time()
-    flight = fly(task.team, task.setpoints, task.vertices, settings, progress)
+    flight = fly(task, settings, progress)
     processor = time.process_time() - begin
-    outcome = judge(flight, task.team, formed=task.ends_formed)
-    errors = vertex_errors(flight, task.team, task.setpoints, task.vertices)
-    return Simulation(task, settings, flight, outcome, errors, processor)
+    return Simulation(settings, flight, judge(flight), vertex_errors(flight), processor)

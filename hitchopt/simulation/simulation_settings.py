@@ -1,7 +1,8 @@
-"""What a simulated flight is like: its grain, its drones, and everything that disturbs it."""
+"""Settings of a simulated flight: its resolution, its drones and everything that disturbs it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
@@ -10,16 +11,28 @@ from hitchopt.values import finite, not_negative, positive
 BODIES = ("rigid", "point")
 
 
+def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
+    """Replace the named values of a frozen record by checked ones; None stays.
+
+    Raises
+    ------
+    InputError: a value out of its range.
+    """
+    for name in names:
+        if (value := getattr(record, name)) is not None:
+            object.__setattr__(record, name, checked(name, value))
+
+
 @dataclass(frozen=True)
 class Preset:
-    """How finely ropes are cut, in space and in time.
+    """Resolution of the ropes in space and time.
 
     Parameters
     ----------
-    name: what it is called.
-    segment: a rope's segments are no longer than this [m].
-    diameter: of the simulated ropes [m]. Thicker than real ones: contact needs it.
-    time_step: [s]
+    name: identifies the preset.
+    segment: largest length of a rope's segments [m].
+    diameter: rope diameter [m]; larger than that of real cables, because contact needs it.
+    time_step: integration step [s].
     """
 
     name: str
@@ -28,40 +41,31 @@ class Preset:
     time_step: float
 
     def __post_init__(self) -> None:
-        for name in ("segment", "diameter", "time_step"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        _check(self, positive, "segment", "diameter", "time_step")
 
-    @property
-    def friction_holds(self) -> bool:
-        """Whether segments are short enough for friction to be right, not only topology."""
-        return self.segment <= FRICTION_GRAIN * self.diameter
-
-
-FRICTION_GRAIN = 0.85
-"""Longest segment over diameter with which a clasp's friction is that of a capstan."""
 
 FAST = Preset("fast", 0.030, 0.012, 0.001)
-"""For topology: does it hold. Bends are made of too few segments for friction to be right."""
+"""Preset for topology: whether a hitch holds. Its bends have too few segments for friction."""
 
 ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
-"""For friction: the tension ratio of a clasp is that of a capstan."""
+"""Preset for friction: the tension ratio of a clasp is that of a capstan."""
 
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 
 @dataclass(frozen=True)
 class Perturbations:
-    """What a flight meets that its plan knows nothing of; all of it drawn from one seed.
+    """Disturbances that the plan does not know, all drawn from one seed.
 
     Parameters
     ----------
-    noise: standard deviation, per axis, of the position that a drone believes [m].
-    wind: root mean square of the force of gusts on a drone [N].
-    lag: time constant of the thrust [s]; by default MOTOR_LAG of a rigid body, FORCE_LAG of a
-        point mass, which has no attitude to turn first.
-    cable_error: standard deviation of the cables' lengths, relative.
-    start_error: standard deviation, per axis, of where the drones start [m].
-    downwash: whether drones blow on those below them.
+    noise: standard deviation per axis of the error of the measured drone positions [m].
+    wind: root mean square of the gust force on a drone [N].
+    lag: time constant of the thrust [s]; None: MOTOR_LAG for a rigid body, FORCE_LAG for a point
+        mass, which has no attitude to turn first.
+    cable_error: standard deviation of the cable lengths, relative.
+    start_error: standard deviation per axis of the drones' start positions [m].
+    downwash: whether drones push down those below them.
     """
 
     noise: float = 0.0
@@ -72,10 +76,7 @@ class Perturbations:
     downwash: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("noise", "wind", "cable_error", "start_error"):
-            object.__setattr__(self, name, not_negative(name, getattr(self, name)))
-        if self.lag is not None:
-            object.__setattr__(self, "lag", not_negative("lag", self.lag))
+        _check(self, not_negative, "noise", "wind", "lag", "cable_error", "start_error")
         if self.cable_error > LARGEST_CABLE_ERROR:
             raise InputError(
                 "cable_error",
@@ -86,35 +87,39 @@ class Perturbations:
 
 
 LARGEST_CABLE_ERROR = 0.1
+"""Largest relative deviation of the cable lengths; more is most likely a percentage."""
 
 CALM = Perturbations()
 
 USUAL = Perturbations(noise=0.01, wind=0.05, cable_error=0.005, start_error=0.02)
-"""As rope simulations of the swap have been flown before; with 80 ms from command to force."""
+"""Perturbations of earlier rope simulations of the swap, which also have 80 ms of thrust lag."""
 
 MOTOR_LAG = 0.02
-"""[s] Of a rigid drone's motors; its attitude loop takes the other 60 ms."""
+"""Time constant of a rigid drone's motors [s]; its attitude loop adds another 60 ms."""
 
 FORCE_LAG = 0.08
-"""[s] From a point mass's command to its force."""
+"""Time constant from a point mass's command to its force [s]."""
+
+DENSITY = 0.01
+"""Cable density where the team gives none [kg/m]: a cord of 4 mm."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """One simulated flight.
+    """Settings of one simulated flight.
 
     Parameters
     ----------
-    preset: the grain.
+    preset: resolution of the ropes.
     body: ``rigid`` bodies with an attitude, or ``point`` masses.
-    perturbations: what disturbs it.
-    seed: of everything random.
-    friction: at the clasps, instead of the team's; or None.
-    density: of the cables [kg/m], instead of the team's; None: the team's, and DENSITY where the
-        team's cables have no weight, since a rope without mass cannot be simulated.
-    ground: its height [m]; None: 0, or lower where drones are told to go lower, so that they stand
-        on it.
-    pull_test: whether the hitch is pulled at in the end.
+    perturbations: disturbances.
+    seed: seed of all random numbers.
+    friction: coefficient at the clasps that replaces the team's; None: the team's.
+    density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where the
+        team's cables have no weight, because a rope without mass cannot be simulated.
+    ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
+        stand on it.
+    pull_test: whether the flight ends with a pull test of the hitch.
     """
 
     preset: Preset = FAST
@@ -131,20 +136,13 @@ class Settings:
             raise InputError("body", self.body, " or ".join(BODIES), "write rigid")
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
-        if self.friction is not None:
-            object.__setattr__(self, "friction", not_negative("friction", self.friction))
-        if self.density is not None:
-            object.__setattr__(self, "density", positive("density", self.density))
-        if self.ground is not None:
-            object.__setattr__(self, "ground", finite("ground", self.ground))
+        _check(self, not_negative, "friction")
+        _check(self, positive, "density")
+        _check(self, finite, "ground")
 
     @property
     def lag(self) -> float:
-        """[s] Time constant from the command to the force (rigid: along the drone's axis)."""
+        """Time constant from the command to the force [s]; along the axis of a rigid drone."""
         if self.perturbations.lag is not None:
             return self.perturbations.lag
         return MOTOR_LAG if self.body == "rigid" else FORCE_LAG
-
-
-DENSITY = 0.01
-"""[kg/m] Of cables whose team gives them no weight: a cord of 4 mm."""

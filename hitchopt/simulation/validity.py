@@ -1,4 +1,4 @@
-"""Whether a run still means anything: MuJoCo itself stays silent when ropes pass each other."""
+"""Validity of a simulation: MuJoCo itself reports nothing when ropes pass through each other."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from hitchopt.simulation.mujoco_world import World
 Array = NDArray[np.float64]
 
 MOST_STRAIN = 0.02
-"""Relative; a rope that stretches more has been torn at harder than its time step bears."""
+"""Largest relative change of a segment's length; beyond it the time step is too long."""
 
 MOST_PENETRATION = 0.3
-"""Of the diameter; ropes that press deeper are about to pass each other."""
+"""Largest penetration over the diameter; ropes that press deeper are about to pass each other."""
 
 
 class InvalidRunError(HitchoptError):
-    """A simulation that has left the range in which it means anything.
+    """A simulation that has left the range in which it is meaningful.
 
     Attributes
     ----------
     quantity: ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
-    value: what it was; nan of a state.
-    time: [s], from the flight's start; negative while it settles.
+    value: its value; nan for a state.
+    time: [s], from the flight's start; negative while the cables settle.
     where: names of cables.
     """
 
@@ -47,39 +47,40 @@ class InvalidRunError(HitchoptError):
 
 
 def tensions(world: World) -> Array:
-    """Return (edges,) [N]: the pull in every segment, in the order of ``edge_cables``."""
+    """Return (edges,) [N]: the tension of every segment, in the order of ``edge_cables``."""
     found: Array = -world.data.efc_force[: len(world.edge_cables)]
     return found
 
 
 def check_valid(world: World, time: float) -> None:
-    """Raise InvalidRunError if the last step is not to be believed.
+    """Check that the last step is meaningful.
 
     Parameters
     ----------
-    world: after a step.
+    world: simulated world, after a step.
     time: [s], from the flight's start.
+
+    Raises
+    ------
+    InvalidRunError: the state is not finite, or a limit is exceeded.
     """
-    data, model = world.data, world.model
+    data, model, ropes = world.data, world.model, world.ropes
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
         raise InvalidRunError("state", float("nan"), 0.0, "", time, "all")
     strain = np.abs(data.flexedge_length / model.flexedge_length0 - 1.0)
-    worst = int(np.argmax(strain))
-    if strain[worst] > MOST_STRAIN:
-        where = f"cable {world.edge_cables[worst]}"
-        raise InvalidRunError("strain", float(strain[worst]), MOST_STRAIN, "m/m", time, where)
-    pull = tensions(world)
-    worst = int(np.argmax(pull))
-    if pull[worst] > world.ropes.largest_tension:
-        where = f"cable {world.edge_cables[worst]}"
-        limit = world.ropes.largest_tension
-        raise InvalidRunError("tension", float(pull[worst]), limit, "N", time, where)
+    for quantity, values, limit, unit in (
+        ("strain", strain, MOST_STRAIN, "m/m"),
+        ("tension", tensions(world), ropes.largest_tension, "N"),
+    ):
+        worst = int(np.argmax(values))
+        if values[worst] > limit:
+            where = f"cable {world.edge_cables[worst]}"
+            raise InvalidRunError(quantity, float(values[worst]), limit, unit, time, where)
     if not data.ncon:
         return
     flexes = data.contact.flex
     depth = np.where(np.all(flexes >= 0, axis=1), -data.contact.dist, 0.0)
-    worst = int(np.argmax(depth))
-    limit = MOST_PENETRATION * world.ropes.preset.diameter
+    worst, limit = int(np.argmax(depth)), MOST_PENETRATION * ropes.preset.diameter
     if depth[worst] > limit:
         where = f"cables {flexes[worst][0]} and {flexes[worst][1]}"
         raise InvalidRunError("penetration", float(depth[worst]), limit, "m", time, where)

@@ -1,51 +1,64 @@
-"""Setpoints written by hand: a formed hitch that stands, and drones that form one."""
+"""Tasks written by hand: a formed hitch at rest, and drones that form one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
+from hitchopt.simulation.flight_task import Setpoints, Task
 
 Array = NDArray[np.float64]
 
 RATE = 100.0
-NOWHERE = VertexTable(np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3)))
 
 
 def smooth(x: Array) -> Array:
-    """From 0 to 1, at rest up to the jerk at both ends."""
+    """Rise from 0 to 1, at rest up to the jerk at both ends."""
     x = np.clip(x, 0.0, 1.0)
     return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
 
 
-def table(positions: Array, cable_forces: Array) -> Setpoints:
-    """Setpoints of drones' places (samples, 2n, 3), their derivatives by differences."""
+def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
+    """Return the task of positions (samples, 2n, 3) without a hitch; derivatives by differences."""
     t = np.arange(len(positions)) / RATE
     velocities = np.gradient(positions, 1.0 / RATE, axis=0)
     accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
     jerks = np.gradient(accelerations, 1.0 / RATE, axis=0)
     yaw = np.zeros(positions.shape[:2])
-    return Setpoints(t, positions, velocities, accelerations, jerks, yaw, cable_forces)
+    setpoints = Setpoints(positions, velocities, accelerations, jerks, yaw, cable_forces)
+    vertices, tensions = np.zeros((len(t), team.layout.points, 3)), np.zeros((len(t), team.robots))
+    return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
 
 
-def standing(hitch: Hitch, seconds: float) -> tuple[Setpoints, VertexTable]:
-    """A formed hitch that stays where it is."""
+def formed_where(task: Task, hitch: Hitch, formed: NDArray[np.bool_]) -> Task:
+    """Return a task whose plan has the hitch in some samples only."""
+    vertices = np.where(formed[:, None, None], hitch.vertices, 0.0)
+    tensions = np.where(formed[:, None], hitch.team.tension, 0.0)
+    return replace(task, formed=formed, vertices=vertices, tensions=tensions)
+
+
+def unformed(task: Task) -> Task:
+    """Return the task of the same setpoints without a hitch."""
+    vertices, tensions = np.zeros_like(task.vertices), np.zeros_like(task.tensions)
+    return replace(task, formed=np.zeros_like(task.formed), vertices=vertices, tensions=tensions)
+
+
+def standing(hitch: Hitch, seconds: float) -> Task:
+    """Return the task of a formed hitch at rest."""
     count = round(seconds * RATE) + 1
     still = np.repeat(hitch.drones[None], count, axis=0)
     forces = np.repeat(hitch.cable_forces[None], count, axis=0)
-    setpoints = table(still, forces)
-    vertices = np.repeat(hitch.vertices[None], count, axis=0)
-    tensions = np.repeat(hitch.team.tension[None], count, axis=0)
-    return setpoints, VertexTable(setpoints.t, vertices, tensions)
+    task = hanging_task(hitch.team, still, forces)
+    return formed_where(task, hitch, np.ones(count, dtype=np.bool_))
 
 
 def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
-    """A regular hitch with room: legs of 0.5 m."""
+    """Return a regular hitch with legs of 0.5 m."""
     given = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
     team = Team(n, edge + 1.0, **given)  # type: ignore[arg-type]
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
@@ -59,13 +72,13 @@ def forming(
     tilt: float = np.pi / 4.0,
     swap: float = 5.0,
     swapped: bool = False,
-) -> tuple[Setpoints, VertexTable]:
-    """Drones that swap places and draw the hitch tight; one entry of turns per vertex.
+) -> Task:
+    """Return the task of drones that swap positions and draw the hitch tight.
 
-    ``turns`` says by how many turns the pair at each vertex goes around, in two equal halves; a
-    tuple of two says so for each half. ``tilt`` is that of the turning axis, the outward bisector,
-    upward. ``swapped``: it is drawn tight with every pair in each other's places, as half a turn
-    leaves it, so that cables run straight through each other's crossings.
+    ``turns`` gives the number of turns of the pair at each vertex, in two equal halves; a tuple of
+    two gives those of each half. ``tilt`` is the elevation of the turning axis, the outward
+    bisector. ``swapped``: the hitch is drawn tight with every pair in each other's positions, as
+    half a turn leaves it, such that cables run straight through each other's crossings.
     """
     team, layout = hitch.team, hitch.team.layout
     place, outward = hitch.drones, hitch.leg_directions
@@ -98,11 +111,7 @@ def forming(
     positions = positions + tighten * (place - positions)
     pull = smooth((t - begin - 1.0) / 1.5)[:, None, None]
     forces = pull * cable_pull - upward(team.cable_weight)
-    setpoints = table(positions, forces)
-    formed = t >= begin + 2.5
-    vertices = np.repeat(hitch.vertices[None], np.sum(formed), axis=0)
-    tensions = np.repeat(team.tension[None], np.sum(formed), axis=0)
-    return setpoints, VertexTable(t[formed], vertices, tensions)
+    return formed_where(hanging_task(team, positions, forces), hitch, t >= begin + 2.5)
 
 
 def upward(weight: Array) -> Array:

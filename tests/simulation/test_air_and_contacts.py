@@ -1,17 +1,16 @@
-"""Downwash keeps the jet's momentum; drag slows; touches are told by name."""
+"""Downwash preserves the jet's momentum; drag slows; contacts are reported by name."""
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from hitchopt.simulation.air_forces import BLOCKED, downwash, drag
 from hitchopt.simulation.cable_shapes import hanging
-from hitchopt.simulation.drone_contacts import touches
-from hitchopt.simulation.mujoco_world import World, build_world
-from hitchopt.simulation.mujoco_xml import BODY
+from hitchopt.simulation.drone_contacts import touching
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT, BODY_RADIUS
 from hitchopt.simulation.ropes import Ropes
 from hitchopt.simulation.simulation_settings import FAST
 
@@ -24,7 +23,7 @@ APART = np.array(
 
 def hung(drones: Array) -> World:
     ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, FAST)
-    world = build_world(ropes, np.full(4, 0.13), rigid=False)
+    world = World(ropes, np.full(4, 0.13), rigid=False)
     world.place(hanging(ropes, drones, 0.0))
     return world
 
@@ -51,7 +50,7 @@ def test_the_jet_carries_the_momentum_of_the_thrust(depth: float) -> None:
         thrusts[0] = 1.3
         total += -np.sum(downwash(drones, thrusts)[1:, 2])
     cell = (grid[1] - grid[0]) ** 2
-    caught = total / BLOCKED * cell / (np.pi * BODY.radius**2)
+    caught = total / BLOCKED * cell / (np.pi * BODY_RADIUS**2)
     assert caught == pytest.approx(1.3, rel=0.01)
 
 
@@ -71,23 +70,23 @@ def test_drag_opposes_motion_and_grows_with_its_square() -> None:
 
 
 def test_nothing_touches_where_all_is_apart() -> None:
-    assert touches(hung(APART)) == []
+    assert touching(hung(APART)) == []
 
 
 def test_drones_and_cables_that_touch_are_named() -> None:
     drones = APART.copy()
     drones[2:] = [[0.1, 0.0, 3.02], [0.1, 1.0, 3.0]]  # q1 beside q0
-    found = {(touch.first, touch.second) for touch in touches(hung(drones))}
+    found = set(touching(hung(drones)))
     assert ("q0", "q1") in found
     through = APART.copy()
-    middle = hung(APART).cable(0)
+    middle = hung(APART).cables[0]
     through[3] = middle[len(middle) // 2] + [0.0, 0.05, 0.0]  # r1 at the lowest point of cable 0
     through[2] = through[3] + [0.0, 1.0, 0.5]
-    found = {(touch.first, touch.second) for touch in touches(hung(through))}
+    found = set(touching(hung(through)))
     assert found == {("r1", "cable 0")}
     above = APART.copy()
-    above[2:] = [[0.0, 0.0, 3.0 + 2.1 * BODY.half_height], [0.0, 1.0, 3.0]]  # no ball
-    assert ("q0", "q1") not in {(t.first, t.second) for t in touches(hung(above))}
+    above[2:] = [[0.0, 0.0, 3.0 + 2.1 * BODY_HALF_HEIGHT], [0.0, 1.0, 3.0]]  # no ball
+    assert ("q0", "q1") not in touching(hung(above))
 
 
 def test_a_free_cable_hangs_on_as_it_was_placed() -> None:
@@ -99,7 +98,7 @@ def test_a_free_cable_hangs_on_as_it_was_placed() -> None:
         force[:, 2] = weight
         force += 40.0 * (APART - world.drones) - 2.0 * world.data.qvel[world.drone_dofs]
         world.data.xfrc_applied[world.drone_bodies, :3] = force
-        mujoco.mj_step(world.model, world.data)
+        world.step()
     assert np.max(np.linalg.norm(world.nodes - before, axis=1)) < 0.03
 
 
@@ -107,8 +106,8 @@ def test_a_drone_that_has_landed_may_stand_on_its_own_cable() -> None:
     """Its two drones are side by side, and the cable between them is folded up."""
     for height, expected in ((0.04, []), (1.0, ["cable 0"])):
         ropes = Ropes(np.array([0.5, 1.5]), 0.01, 0.1, FAST)
-        world = build_world(ropes, np.full(4, 0.13), rigid=False)
+        world = World(ropes, np.full(4, 0.13), rigid=False)
         cable = np.linspace([0.0, 0.0, height], [0.16, 0.0, height], ropes.segments[0] + 1)
         far = np.linspace([0.0, 2.0, height], [1.5, 2.0, height], ropes.segments[1] + 1)
         world.place([cable, far])
-        assert sorted({touch.second for touch in touches(world)}) == expected
+        assert sorted({second for _, second in touching(world)}) == expected

@@ -1,6 +1,8 @@
-"""The controller, by its laws: rest, turning the world, finite differences, motors that lag."""
+"""The controller by its laws: rest, rotation of the world, finite differences."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +14,11 @@ from hitchopt.simulation.drone_control import (
     ATTITUDE_GAIN,
     POSITION_GAIN,
     VELOCITY_GAIN,
-    Reference,
     attitude_command,
     desired_attitudes,
-    wanted_forces,
+    desired_thrusts,
 )
+from hitchopt.simulation.flight_task import Setpoints
 
 Array = NDArray[np.float64]
 
@@ -24,44 +26,45 @@ MASSES = np.array([0.13, 0.21])
 INERTIA = np.array([[1.6e-4, 1.7e-4, 2.7e-4], [2.0e-4, 2.1e-4, 3.0e-4]])
 
 
-def reference(random: np.random.Generator) -> Reference:
+def commands(random: np.random.Generator) -> Setpoints:
     p, v, a, j, f = (random.normal(size=(2, 3)) for _ in range(5))
-    return Reference(p, v, a, j, random.uniform(-3.0, 3.0, 2), 0.3 * f)
+    return Setpoints(p, v, a, j, random.uniform(-3.0, 3.0, 2), 0.3 * f)
 
 
 def test_at_rest_thrust_carries_the_drone_and_holds_its_cable() -> None:
     pull = np.array([[0.3, -0.2, -0.1], [0.0, 0.4, 0.0]])
     zero = np.zeros((2, 3))
-    still = Reference(zero, zero, zero, zero, np.zeros(2), pull)
+    still = Setpoints(zero, zero, zero, zero, np.zeros(2), pull)
     expected = -pull + MASSES[:, None] * np.array([0.0, 0.0, GRAVITY])
-    wanted = wanted_forces(still, MASSES, zero, zero)
-    np.testing.assert_allclose(wanted, expected)
-    attitudes = desired_attitudes(wanted, still.yaw)
-    thrusts, moments = attitude_command(still, wanted, attitudes, zero, MASSES, INERTIA)
+    desired = desired_thrusts(still, MASSES, zero, zero)
+    np.testing.assert_allclose(desired, expected)
+    attitudes = desired_attitudes(desired, still.yaw)
+    thrusts, moments = attitude_command(still, desired, attitudes, zero, MASSES, INERTIA)
     np.testing.assert_allclose(thrusts, np.linalg.norm(expected, axis=-1))
     np.testing.assert_allclose(moments, 0.0, atol=1e-15)
 
 
 def test_errors_pull_back_softly() -> None:
     random = np.random.default_rng(3)
-    told = reference(random)
+    commanded = commands(random)
     there, flying = random.normal(size=(2, 3)), random.normal(size=(2, 3))
-    base = wanted_forces(told, MASSES, told.positions, told.velocities)
-    change = wanted_forces(told, MASSES, there, flying) - base
-    gains = POSITION_GAIN * (told.positions - there) + VELOCITY_GAIN * (told.velocities - flying)
+    base = desired_thrusts(commanded, MASSES, commanded.positions, commanded.velocities)
+    change = desired_thrusts(commanded, MASSES, there, flying) - base
+    gains = POSITION_GAIN * (commanded.positions - there)
+    gains += VELOCITY_GAIN * (commanded.velocities - flying)
     np.testing.assert_allclose(change, MASSES[:, None] * gains)
 
 
 def test_desired_attitudes_are_rotations_along_the_thrust_and_toward_the_yaw() -> None:
     random = np.random.default_rng(4)
-    wanted = random.normal(size=(20, 3)) + [0.0, 0.0, 3.0]
+    desired = random.normal(size=(20, 3)) + [0.0, 0.0, 3.0]
     yaw = random.uniform(-3.0, 3.0, 20)
-    found = desired_attitudes(wanted, yaw)
+    found = desired_attitudes(desired, yaw)
     np.testing.assert_allclose(
         found.transpose(0, 2, 1) @ found, np.eye(3) * np.ones((20, 1, 1)), atol=1e-14
     )
     np.testing.assert_allclose(np.linalg.det(found), 1.0)
-    np.testing.assert_allclose(found[:, :, 2] * np.linalg.norm(wanted, axis=1)[:, None], wanted)
+    np.testing.assert_allclose(found[:, :, 2] * np.linalg.norm(desired, axis=1)[:, None], desired)
     heading = np.arctan2(found[:, 1, 0], found[:, 0, 0])
     level = desired_attitudes(np.tile([0.0, 0.0, 1.0], (20, 1)), yaw)
     np.testing.assert_allclose(np.arctan2(level[:, 1, 0], level[:, 0, 0]), yaw)
@@ -71,23 +74,23 @@ def test_desired_attitudes_are_rotations_along_the_thrust_and_toward_the_yaw() -
 @pytest.mark.parametrize("seed", range(5))
 def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int) -> None:
     random = np.random.default_rng(seed)
-    told = reference(random)
+    commanded = commands(random)
     where, flying, rates = (random.normal(size=(2, 3)) for _ in range(3))
     attitudes = Rotation.random(2, random_state=seed).as_matrix()
     angle = 1.1
     turn = Rotation.from_rotvec([0.0, 0.0, angle])
-    turned = Reference(
-        turn.apply(told.positions),
-        turn.apply(told.velocities),
-        turn.apply(told.accelerations),
-        turn.apply(told.jerks),
-        told.yaw + angle,
-        turn.apply(told.cable_forces),
+    turned = Setpoints(
+        turn.apply(commanded.positions),
+        turn.apply(commanded.velocities),
+        turn.apply(commanded.accelerations),
+        turn.apply(commanded.jerks),
+        commanded.yaw + angle,
+        turn.apply(commanded.cable_forces),
     )
-    wanted = wanted_forces(told, MASSES, where, flying)
-    again = wanted_forces(turned, MASSES, turn.apply(where), turn.apply(flying))
-    np.testing.assert_allclose(again, turn.apply(wanted), atol=1e-12)
-    first = attitude_command(told, wanted, attitudes, rates, MASSES, INERTIA)
+    desired = desired_thrusts(commanded, MASSES, where, flying)
+    again = desired_thrusts(turned, MASSES, turn.apply(where), turn.apply(flying))
+    np.testing.assert_allclose(again, turn.apply(desired), atol=1e-12)
+    first = attitude_command(commanded, desired, attitudes, rates, MASSES, INERTIA)
     second = attitude_command(turned, again, turn.as_matrix() @ attitudes, rates, MASSES, INERTIA)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
@@ -95,31 +98,29 @@ def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int)
 
 def test_a_small_tilt_is_turned_back_as_a_damped_spring_would() -> None:
     zero = np.zeros((2, 3))
-    still = Reference(zero, zero, zero, zero, np.zeros(2), zero)
-    wanted = wanted_forces(still, MASSES, zero, zero)
+    still = Setpoints(zero, zero, zero, zero, np.zeros(2), zero)
+    desired = desired_thrusts(still, MASSES, zero, zero)
     for axis in range(3):
         tilt = np.zeros(3)
         tilt[axis] = 1e-4
         attitudes = np.tile(Rotation.from_rotvec(tilt).as_matrix(), (2, 1, 1))
-        _, moments = attitude_command(still, wanted, attitudes, zero, MASSES, INERTIA)
+        _, moments = attitude_command(still, desired, attitudes, zero, MASSES, INERTIA)
         expected = np.zeros((2, 3))
         expected[:, axis] = -ATTITUDE_GAIN * 1e-4 * INERTIA[:, axis]
         np.testing.assert_allclose(moments, expected, atol=1e-10)
 
 
-def test_attitudes_are_told_to_turn_as_fast_as_the_thrust_does() -> None:
+def test_attitudes_are_commanded_to_turn_as_fast_as_the_thrust_does() -> None:
     """Drones that already turn with their thrust get no moment but the gyroscopic one."""
     random = np.random.default_rng(8)
-    told = reference(random)
-    still = Reference(
-        told.positions, told.velocities, told.accelerations, told.jerks, np.zeros(2), 0 * told.jerks
-    )
-    wanted = wanted_forces(still, MASSES, told.positions, told.velocities)
+    commanded = commands(random)
+    still = replace(commanded, yaw=np.zeros(2), cable_forces=np.zeros((2, 3)))
+    desired = desired_thrusts(still, MASSES, commanded.positions, commanded.velocities)
     step = 1e-6
-    later = wanted + step * MASSES[:, None] * told.jerks
-    before, after = desired_attitudes(wanted, still.yaw), desired_attitudes(later, still.yaw)
+    later = desired + step * MASSES[:, None] * commanded.jerks
+    before, after = desired_attitudes(desired, still.yaw), desired_attitudes(later, still.yaw)
     spin = before.transpose(0, 2, 1) @ (after - before) / step  # of the body, about its own axes
     rates = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
     rates[:, 2] = 0.0  # yaw's own share is left to the loop
-    _, moments = attitude_command(still, wanted, before, rates, MASSES, INERTIA)
+    _, moments = attitude_command(still, desired, before, rates, MASSES, INERTIA)
     np.testing.assert_allclose(moments, np.cross(rates, INERTIA * rates), atol=1e-6)

@@ -1,4 +1,4 @@
-"""Random walks that are drawn back, and streams that leave each other alone."""
+"""Random walks that are drawn back to zero, and independent streams."""
 
 from __future__ import annotations
 

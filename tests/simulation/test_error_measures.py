@@ -1,4 +1,4 @@
-"""Errors, sags and spreads, each computed another way."""
+"""Errors, sags and spreads, each computed by an independent method."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scripted import regular_hitch, standing
+from scripted import formed_where, regular_hitch, standing, unformed
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulation.error_measures import Spread, tracking_errors, vertex_errors
 from hitchopt.simulation.flight_records import Film, Flight, Record
+from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.hitch_sag import predicted_sag
-from hitchopt.simulation.setpoint_tables import VertexTable
 
 Array = NDArray[np.float64]
 
 
-def flight_of(t: Array, vertices: Array, hitch: Hitch, duration: float) -> Flight:
+def flight_of(task: Task, t: Array, vertices: Array, hitch: Hitch) -> Flight:
     n, samples = hitch.team.robots, len(t)
     drones = np.repeat(hitch.drones[None], samples, axis=0)
     record = Record(
@@ -34,17 +34,17 @@ def flight_of(t: Array, vertices: Array, hitch: Hitch, duration: float) -> Fligh
         np.zeros((samples, 2 * n), dtype=np.bool_),
     )
     film = Film(t, np.zeros((samples, 4, 3), dtype=np.float32), np.array([0, 4]))
-    return Flight(record, film, (), None, duration, np.nan, np.nan, 0.01, None, np.zeros(n))
+    return Flight(task, record, film, (), None, np.nan, np.nan, 0.01, np.zeros(n), None)
 
 
 def test_errors_are_distances_where_there_is_a_hitch() -> None:
     hitch = regular_hitch(3)
-    setpoints, vertices = standing(hitch, 0.2)
-    late = VertexTable(vertices.t[10:], vertices.positions[10:], vertices.tensions[10:])
-    t = np.append(setpoints.t + 0.003, 0.9)  # the last one is after the flight
+    task = standing(hitch, 0.2)
+    late = formed_where(task, hitch, np.arange(len(task.t)) >= 10)
+    t = np.append(np.minimum(task.t + 0.003, 0.2), 0.9)  # the last one is after the flight
     found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
     found[-2, 1] = np.nan
-    errors = vertex_errors(flight_of(t, found, hitch, 0.2031), hitch.team, setpoints, late)
+    errors = vertex_errors(flight_of(late, t, found, hitch))
     np.testing.assert_allclose(errors.t, t[10:-1])
     np.testing.assert_allclose(errors.errors[:-1], 0.05)
     np.testing.assert_array_equal(np.isnan(errors.errors[-1]), [False, True, False])
@@ -52,18 +52,18 @@ def test_errors_are_distances_where_there_is_a_hitch() -> None:
     sag = errors.sag[0, 0]
     np.testing.assert_allclose(errors.without_sag[0], np.hypot(0.03, sag - 0.04))
     assert not errors.moving.any()
-    moving = replace(late, positions=late.positions + np.linspace(0, 0.1, 11)[:, None, None])
-    again = vertex_errors(flight_of(t, found, hitch, 0.2031), hitch.team, setpoints, moving)
+    shift = np.concatenate([np.zeros(10), np.linspace(0, 0.1, 11)])
+    moving = replace(late, vertices=late.vertices + shift[:, None, None])
+    again = vertex_errors(flight_of(moving, t, found, hitch))
     np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
 
 
 def test_a_flight_without_a_hitch_has_no_errors() -> None:
     hitch = regular_hitch(3)
-    setpoints, vertices = standing(hitch, 0.1)
-    none = VertexTable(vertices.t[:0], vertices.positions[:0], vertices.tensions[:0])
-    found = np.repeat(hitch.vertices[None], len(setpoints.t), axis=0)
-    flight = flight_of(setpoints.t, found, hitch, 0.1)
-    errors = vertex_errors(flight, hitch.team, setpoints, none)
+    task = unformed(standing(hitch, 0.1))
+    found = np.repeat(hitch.vertices[None], len(task.t), axis=0)
+    flight = flight_of(task, task.t, found, hitch)
+    errors = vertex_errors(flight)
     assert errors.errors.shape == (0, 3)
     assert errors.lost == 0.0
     assert np.isnan(Spread.of(errors.errors).mean)

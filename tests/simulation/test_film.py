@@ -1,4 +1,4 @@
-"""Films: what is refused before the flight, and what is written."""
+"""Films: refusals before the flight, and written files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hitchopt.simulation.flight_records import Film
 
 
 def moving(frames: int) -> Film:
-    """Two cables that rise."""
+    """Return the film of two cables that rise."""
     nodes = np.zeros((frames, 7, 3), dtype=np.float32)
     nodes[..., 0] = np.arange(7)
     nodes[..., 1] = np.arange(7) % 2

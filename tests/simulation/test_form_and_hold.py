@@ -1,4 +1,4 @@
-"""Hitches formed by drones that swap places, from hanging cables to the pull test."""
+"""Hitches formed by drones that swap positions, from hanging cables to the pull test."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scripted import forming, regular_hitch
 
-from hitchopt.simulation.simulate import Simulation, Task, simulate
+from hitchopt.simulation.simulate import Simulation, simulate
 from hitchopt.simulation.simulation_settings import USUAL, Settings
 
 
 def flown(n: int, turns: list[float] | list[tuple[float, float]], settings: Settings) -> Simulation:
-    hitch = regular_hitch(n)
-    return simulate(Task(hitch.team, *forming(hitch, turns, swap=3.0)), settings)
+    return simulate(forming(regular_hitch(n), turns, swap=3.0), settings)
 
 
 def test_two_half_turns_form_a_triangle_that_holds() -> None:
@@ -53,9 +52,8 @@ def test_what_must_fail_does_and_is_named(
 @pytest.mark.parametrize("n", [3, 4])
 def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
     """Half a turn, drawn tight as it is: every cable runs straight across its neighbours."""
-    hitch = regular_hitch(n)
-    tables = forming(hitch, [(0.5, 0.0)] * n, swap=3.0, swapped=True)
-    done = simulate(Task(hitch.team, *tables), Settings(body="point", perturbations=USUAL, seed=7))
+    task = forming(regular_hitch(n), [(0.5, 0.0)] * n, swap=3.0, swapped=True)
+    done = simulate(task, Settings(body="point", perturbations=USUAL, seed=7))
     clasps = done.outcome.clasps
     assert any(abs(clasp.linking) == 1 for clasp in clasps)  # Gauss's integral alone would hold
     assert all(0.0 < clasp.bearing < 0.2 * clasp.least_bearing for clasp in clasps)

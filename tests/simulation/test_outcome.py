@@ -1,14 +1,14 @@
-"""What counts as a failure, from flights made by hand."""
+"""Outcomes of flights made by hand: which of them are failures."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripted import regular_hitch
+from scripted import regular_hitch, standing, unformed
 
 from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
-from hitchopt.simulation.flight_records import Film, Flight, Record, TouchEvent
+from hitchopt.simulation.flight_records import Film, Flight, Record, Touch
 from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
@@ -24,10 +24,10 @@ def judged(
     *,
     formed: bool = True,
     pulled: float = 5.0,
-    events: tuple[TouchEvent, ...] = (),
+    touches: tuple[Touch, ...] = (),
     error: InvalidRunError | None = None,
 ) -> Outcome:
-    """One of four vertices, the second, moves under the pull test."""
+    """Return the outcome of a flight of which the second vertex moves under the pull test."""
     t = np.arange(0.0, 5.01, 0.1)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
     vertices[t > 3.05, 1] += [moved, 0.0, 0.0]
@@ -40,8 +40,9 @@ def judged(
     drones = np.zeros((len(t), 8, 3))
     record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0)
     film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
-    flight = Flight(record, film, events, linking, 2.0, 3.0, pulled, 0.01, error, np.full(4, 0.3))
-    return judge(flight, HITCH.team, formed=formed)
+    task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
+    least = np.full(4, 0.3)
+    return judge(Flight(task, record, film, touches, linking, 3.0, pulled, 0.01, least, error))
 
 
 def test_linked_bearing_and_held_is_hitched() -> None:
@@ -101,8 +102,8 @@ def test_a_run_that_left_its_range_is_not_a_failed_plan() -> None:
     error = InvalidRunError("strain", 0.05, 0.02, "m/m", -1.25, "cable 3")
     settling = judged(None, error=error, pulled=float("nan"))
     assert (settling.verdict, settling.succeeded, settling.clasps) == (NOT_SIMULATED, False, ())
-    touched = TouchEvent(0.5, "q0", "cable 2")
-    assert judged(None, events=(touched,), error=error, pulled=float("nan")).verdict == FAILED
+    touched = Touch(0.5, "q0", "cable 2")
+    assert judged(None, touches=(touched,), error=error, pulled=float("nan")).verdict == FAILED
     assert (judged().verdict, judged(lost=2).verdict) == (SUCCEEDED, FAILED)
     pulling = judged(error=error, pulled=float("nan"))  # linked and bearing until then
     assert pulling.verdict == NOT_SIMULATED
@@ -111,8 +112,8 @@ def test_a_run_that_left_its_range_is_not_a_failed_plan() -> None:
 
 def test_touches_and_an_early_end_come_in_order_of_time() -> None:
     error = InvalidRunError("strain", 0.05, 0.02, "m/m", 1.25, "cable 3")
-    touched = TouchEvent(0.5, "q0", "cable 2")
-    outcome = judged(None, events=(touched,), error=error, pulled=float("nan"))
+    touched = Touch(0.5, "q0", "cable 2")
+    outcome = judged(None, touches=(touched,), error=error, pulled=float("nan"))
     assert [(f.kind, f.where, f.time) for f in outcome.failures] == [
         ("touch", ("q0", "cable 2"), 0.5),
         ("invalid", ("cable 3",), 1.25),

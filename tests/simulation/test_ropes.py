@@ -1,4 +1,4 @@
-"""What a preset can simulate is checked before anything is."""
+"""Limits of a preset are checked before anything is simulated."""
 
 from __future__ import annotations
 
@@ -34,20 +34,21 @@ def test_too_long_a_time_step_is_refused_with_one_that_will_do() -> None:
     team = Team(3, 2.4, tension=0.5, cable_density=0.01)
     coarse = replace(FAST, time_step=0.004)
     with pytest.raises(InputError, match=r"time_step = 0\.004: must be at most") as caught:
-        ropes_of(team, coarse)
+        ropes_of(team, Settings(preset=coarse))
     step = float(caught.value.bound.split()[2])
-    assert ropes_of(team, replace(FAST, time_step=0.999 * step)).largest_tension >= 1.0
+    finer = Settings(preset=replace(FAST, time_step=0.999 * step))
+    assert ropes_of(team, finer).largest_tension >= 1.0
     # The wave's speed is sqrt(T/density): so much lighter cables need a shorter step.
     with pytest.raises(InputError, match="heavier cables"):
-        ropes_of(team, FAST, density=0.0005)
+        ropes_of(team, Settings(density=0.0005))
 
 
 def test_cables_without_weight_get_one() -> None:
-    assert ropes_of(Team(3, 2.4), FAST).density == DENSITY
-    assert ropes_of(Team(3, 2.4, cable_density=0.004), ACCURATE).density == 0.004
-    assert ropes_of(Team(3, 2.4, cable_density=0.004), ACCURATE, density=0.02).density == 0.02
-    assert ropes_of(Team(3, 2.4, cable_friction=0.3), FAST).friction == 0.3
-    assert ropes_of(Team(3, 2.4, cable_friction=0.3), FAST, friction=0.0).friction == 0.0
+    assert ropes_of(Team(3, 2.4), Settings()).density == DENSITY
+    assert ropes_of(Team(3, 2.4, cable_density=0.004), Settings(preset=ACCURATE)).density == 0.004
+    assert ropes_of(Team(3, 2.4, cable_density=0.004), Settings(density=0.02)).density == 0.02
+    assert ropes_of(Team(3, 2.4, cable_friction=0.3), Settings()).friction == 0.3
+    assert ropes_of(Team(3, 2.4, cable_friction=0.3), Settings(friction=0.0)).friction == 0.0
 
 
 @pytest.mark.parametrize(
@@ -62,7 +63,7 @@ def test_cables_without_weight_get_one() -> None:
         (lambda: Settings(friction=-0.1), "friction"),
         (lambda: Settings(density=0.0), "density"),
         (lambda: Settings(ground=float("inf")), "ground"),
-        (lambda: Ropes(np.array([1.0, -1.0]), 0.01, 0.1, FAST), "lengths"),
+        (lambda: Ropes(np.array([1.0, -1.0]), 0.01, 0.1, FAST), r"lengths\[1\]"),
     ],
 )
 def test_wrong_numbers_are_refused_by_name(make: object, words: str) -> None:

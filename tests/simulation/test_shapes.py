@@ -1,4 +1,4 @@
-"""Cables as a flight begins: chains of exact segments, linked or free."""
+"""Cables at the start of a flight: chains of exact segments, linked or free."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.cable_shapes import ShapeError, clasped, hanging
 from hitchopt.simulation.linking_numbers import linking_matrix
 from hitchopt.simulation.ropes import Ropes, ropes_of
-from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Preset
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Preset, Settings
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def dense(cable: Array, parts: int = 12) -> Array:
 @pytest.mark.parametrize("n", [3, 4, 6, 8, 12])
 def test_regular_hitches_begin_linked_apart_and_near_their_drones(n: int, preset: Preset) -> None:
     hitch = regular_hitch(n)
-    ropes = ropes_of(hitch.team, preset)
+    ropes = ropes_of(hitch.team, Settings(preset=preset))
     cables = clasped(ropes, hitch.team.layout, hitch.drones, hitch.vertices)
     assert_exact(cables, ropes)
     linking = linking_matrix(cables)
@@ -58,7 +58,7 @@ def test_a_sharp_triangle_of_unequal_cables_begins_linked() -> None:
     team = Team(3, [2.5, 2.4, 2.7], tension=[0.4, 0.42, 0.5], cable_density=0.01)
     hitch = Hitch.balanced(team, [[1.0, 1.0], [0.6, 2.5], [1.4, 2.5]], altitude=1.2)
     for preset in (FAST, ACCURATE):
-        ropes = ropes_of(team, preset)
+        ropes = ropes_of(team, Settings(preset=preset))
         cables = clasped(ropes, team.layout, hitch.drones, hitch.vertices)
         assert_exact(cables, ropes)
         np.testing.assert_array_equal(np.abs(linking_matrix(cables)), 1 - np.eye(3))
@@ -68,7 +68,7 @@ def test_a_chain_begins_linked_at_its_clasps_only() -> None:
     team = Team(3, 2.4, topology="open", cable_density=0.01)
     points = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
     hitch = Hitch.balanced(team, points, altitude=1.0)
-    ropes = ropes_of(team, FAST)
+    ropes = ropes_of(team, Settings())
     cables = clasped(ropes, team.layout, hitch.drones, hitch.vertices)
     assert_exact(cables, ropes)
     np.testing.assert_array_equal(np.abs(linking_matrix(cables)), [[0, 1, 0], [1, 0, 1], [0, 1, 0]])

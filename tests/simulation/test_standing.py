@@ -1,4 +1,4 @@
-"""A hitch that begins formed and stands: forces balance, sag is as predicted, seeds decide."""
+"""A hitch that begins formed and is at rest: forces balance, sag as predicted, equal by seed."""
 
 from __future__ import annotations
 
@@ -7,30 +7,28 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scripted import regular_hitch, standing, table
+from scripted import hanging_task, regular_hitch, standing, unformed
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
-from hitchopt.simulation.simulate import Simulation, Task, simulate
+from hitchopt.simulation.simulate import Simulation, simulate
 from hitchopt.simulation.simulation_settings import FAST, Perturbations, Settings
 from hitchopt.simulation.validity import InvalidRunError
 
 
 @pytest.fixture(scope="module")
 def stood() -> Simulation:
-    hitch = regular_hitch(3)
-    return simulate(Task(hitch.team, *standing(hitch, 1.0)), Settings())
+    return simulate(standing(regular_hitch(3), 1.0), Settings())
 
 
 def test_it_holds(stood: Simulation) -> None:
     assert stood.outcome.failures == ()
     assert stood.outcome.hitched
-    assert stood.flight.events == ()
+    assert stood.flight.touches == ()
     assert all(0.0 < clasp.moved < 0.1 for clasp in stood.outcome.clasps)
 
 
 def test_drones_carry_the_weight_of_all(stood: Simulation) -> None:
-    team, record = stood.task.team, stood.flight.record
+    team, record = stood.flight.task.team, stood.flight.record
     at_rest = (record.t > 1.0) & (record.t < stood.flight.rested)
     lifted = np.sum(np.mean(record.thrusts[at_rest], axis=0))
     pull = team.tension[0]
@@ -42,7 +40,7 @@ def test_drones_carry_the_weight_of_all(stood: Simulation) -> None:
 
 
 def test_vertices_hang_as_deep_as_the_balance_of_heights_says(stood: Simulation) -> None:
-    team, errors = stood.task.team, stood.errors
+    team, errors = stood.flight.task.team, stood.errors
     edge = 1.3
     leg = 0.5 * (team.cable_length[0] - edge)
     closed_form = GRAVITY * team.cable_density * leg * (leg + edge) / (2.0 * team.tension[0])
@@ -58,7 +56,7 @@ def test_vertices_hang_as_deep_as_the_balance_of_heights_says(stood: Simulation)
 
 
 def test_pulls_are_near_the_plans_and_rise_with_the_pull_test(stood: Simulation) -> None:
-    record, team = stood.flight.record, stood.task.team
+    record, team = stood.flight.record, stood.flight.task.team
     flying = (record.t > 0.5) & (record.t < 1.0)
     assert np.mean(record.tensions[flying]) == pytest.approx(team.tension[0], rel=0.15)
     pulled = record.t > stood.flight.pulled - 0.3
@@ -68,9 +66,7 @@ def test_pulls_are_near_the_plans_and_rise_with_the_pull_test(stood: Simulation)
 
 
 def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
-    hitch = regular_hitch(3)
-    setpoints, vertices = standing(hitch, 0.1)
-    task = Task(hitch.team, setpoints, vertices)
+    task = standing(regular_hitch(3), 0.1)
     windy = Settings(
         body="point", perturbations=Perturbations(noise=0.01, wind=0.05), pull_test=False, seed=3
     )
@@ -87,20 +83,19 @@ def test_a_chain_holds_at_its_clasps() -> None:
     team = Team(3, 2.4, topology="open", tension=0.5, cable_density=0.01)
     points = [[1.0, 0.0], [1.8, 1.2], [3.2, 1.3], [4.0, 0.0]]
     hitch = Hitch.balanced(team, points, altitude=1.6)
-    done = simulate(Task(team, *standing(hitch, 0.3)), Settings(body="point"))
+    done = simulate(standing(hitch, 0.3), Settings(body="point"))
     assert done.outcome.failures == ()
     assert [clasp.name for clasp in done.outcome.clasps] == ["p1", "p2"]
 
 
 def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
-    """As problems/form_hanging_to_the_floor begins; folded in the air they tore as they fell."""
+    """Problem form_hanging_to_the_floor begins so; folded in the air, cables tore as they fell."""
     team = Team(4, [2.6, 2.8, 2.6, 2.9], tension=0.6)
     q = np.array([[1.35, -0.4], [-2.0, 0.6], [-0.35, 0.6], [-2.0, -0.4]])
     places = np.ones((8, 3))
     places[0::2, :2], places[1::2, :2] = q, q + [0.7, 0.0]
     still = np.repeat(places[None], 31, axis=0)
-    none = VertexTable(np.empty(0), np.empty((0, 4, 3)), np.empty((0, 4)))
-    done = simulate(Task(team, table(still, np.zeros_like(still)), none), Settings())
+    done = simulate(hanging_task(team, still, np.zeros_like(still)), Settings())
     assert done.outcome.verdict == "succeeded"
     for film in (done.flight.film.nodes[0], done.flight.film.nodes[-1]):
         for begin, end in pairwise(done.flight.film.cables):
@@ -112,8 +107,8 @@ def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
 
 def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:
     hitch = regular_hitch(3)
-    setpoints, vertices = standing(hitch, 0.5)
-    wild = replace(setpoints, cable_forces=20.0 * setpoints.cable_forces)
+    task = standing(hitch, 0.5)
+    wild = replace(task.setpoints, cable_forces=20.0 * task.setpoints.cable_forces)
     team = Team(
         3,
         2.3,
@@ -121,7 +116,7 @@ def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:
         cable_density=0.01,
         quadrotor=replace(hitch.team.quadrotor[0], max_thrust=30.0),
     )
-    done = simulate(Task(team, wild, vertices), Settings(body="point"))
+    done = simulate(replace(task, team=team, setpoints=wild), Settings(body="point"))
     assert isinstance(done.flight.error, InvalidRunError)
     assert done.flight.error.quantity in {"tension", "strain", "penetration"}
     (failure,) = done.outcome.failures
@@ -130,15 +125,14 @@ def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:
     assert not done.outcome.hitched
 
 
-def test_drones_in_each_others_way_are_told() -> None:
+def test_drones_that_touch_are_reported() -> None:
     hitch = regular_hitch(3)
-    setpoints, vertices = standing(hitch, 0.3)
-    moved = setpoints.positions.copy()
+    task = unformed(standing(hitch, 0.3))
+    moved = task.setpoints.positions.copy()
     moved[:, 0] = moved[:, 5] + [0.05, 0.0, 0.0]  # q0 beside r2
-    free = VertexTable(np.empty(0), vertices.positions[:0], vertices.tensions[:0])
     weight = np.zeros_like(moved)
     weight[..., 2] = -hitch.team.cable_weight
-    together = Setpoints(**{**vars(setpoints), "positions": moved, "cable_forces": weight})
-    done = simulate(Task(hitch.team, together, free), Settings(body="point", preset=FAST))
-    assert ("q0", "r2") in {(event.first, event.second) for event in done.flight.events}
+    together = replace(task.setpoints, positions=moved, cable_forces=weight)
+    done = simulate(replace(task, setpoints=together), Settings(body="point", preset=FAST))
+    assert ("q0", "r2") in {(touch.first, touch.second) for touch in done.flight.touches}
     assert {failure.kind for failure in done.outcome.failures} >= {"touch"}

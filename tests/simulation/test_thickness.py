@@ -1,4 +1,4 @@
-"""Thick ropes: what their bends take, and where their ends must be."""
+"""Thick ropes: the additional length of their bends, and the offsets of their ends."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripted import NOWHERE, regular_hitch, standing
+from scripted import regular_hitch, standing, unformed
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation import rope_flight
 from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
-from hitchopt.simulation.setpoint_tables import Setpoints, VertexTable
-from hitchopt.simulation.simulate import Task, simulate
+from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import ACCURATE, Settings
 
 Array = NDArray[np.float64]
@@ -22,14 +21,14 @@ DIAMETER = 0.012
 
 
 def uneven_hitch() -> Hitch:
-    """Nothing in it is like another: edges, angles, cables, legs, tensions."""
+    """Return a hitch whose edges, angles, cables, legs and tensions all differ."""
     team = Team(4, [2.5, 2.6, 2.9, 2.7], tension=[0.5, 0.55, 0.45, 0.6])
     polygon = [[3.1, 1.4], [4.3, 1.1], [3.9, -0.3], [2.6, 0.1]]
     return Hitch(team, polygon, 1.7, [0.7, 0.5, 0.9, 0.6])
 
 
 def reordered(team: Team, order: NDArray[np.intp]) -> Team:
-    """The team of uneven_hitch, its robots in another order."""
+    """Return the team of uneven_hitch with its robots in another order."""
     return Team(team.robots, team.cable_length[order], tension=team.tension[order])
 
 
@@ -40,16 +39,15 @@ def uneven_chain() -> Hitch:
 
 
 def offsets_of(hitch: Hitch, diameter: float = DIAMETER) -> Array:
-    """(2n, 3) [m], of the hitch as it stands."""
-    setpoints, vertices = standing(hitch, 0.02)
-    found = thickness_offsets(hitch.team, setpoints, vertices, diameter)
+    """Return the offsets (2n, 3) [m] of a hitch at rest."""
+    found = thickness_offsets(standing(hitch, 0.02), diameter)
     np.testing.assert_array_equal(found, np.broadcast_to(found[0], found.shape))
     first: Array = found[0]
     return first
 
 
 def tangents(point: complex, centre: complex, radius: float) -> tuple[complex, complex]:
-    """Where the two lines from a point touch a circle."""
+    """Return the points at which the two lines from a point touch a circle."""
     away = point - centre
     angle = np.arccos(radius / abs(away))
     direction = radius * away / abs(away)
@@ -58,9 +56,7 @@ def tangents(point: complex, centre: complex, radius: float) -> tuple[complex, c
 
 @pytest.mark.parametrize("n", [3, 5, 12])
 def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
-    hitch = regular_hitch(n)
-    _, vertices = standing(hitch, 0.1)
-    found = thickness_allowance(hitch.team, vertices, 0.01)
+    found = thickness_allowance(standing(regular_hitch(n), 0.1), 0.01)
     # Drawn as polygons: a circle of one diameter about the other cable, and tangents to the legs.
     turn = 2.0 * np.pi / n
     angle = np.linspace(0.5 * turn, np.pi - 0.5 * turn, 2001) + 0.5 * np.pi
@@ -154,22 +150,20 @@ def test_the_ends_of_a_chain_stand_where_they_are_told_to() -> None:
 
 
 def test_no_hitch_no_offsets() -> None:
-    hitch = regular_hitch(3)
-    setpoints, _ = standing(hitch, 0.1)
-    found = thickness_offsets(hitch.team, setpoints, NOWHERE, DIAMETER)
-    np.testing.assert_array_equal(found, np.zeros_like(setpoints.positions))
+    task = unformed(standing(regular_hitch(3), 0.1))
+    np.testing.assert_array_equal(thickness_offsets(task, DIAMETER), np.zeros((11, 6, 3)))
+    np.testing.assert_array_equal(thickness_allowance(task, DIAMETER), np.zeros(3))
 
 
 def test_offsets_are_only_where_the_hitch_is_and_rise_with_its_tension() -> None:
     hitch = uneven_hitch()
-    setpoints, vertices = standing(hitch, 0.3)
+    task = standing(hitch, 0.3)
     rows = np.arange(7, 24)
-    share = np.linspace(0.0, 1.6, len(rows))  # a pull beyond the team's moves nothing farther
-    drawn = VertexTable(
-        vertices.t[rows], vertices.positions[rows], share[:, None] * hitch.team.tension
-    )
-    found = thickness_offsets(hitch.team, setpoints, drawn, DIAMETER)
-    expected = np.zeros_like(setpoints.positions)
+    share = np.linspace(0.0, 1.6, len(rows))  # a tension beyond the team's moves nothing farther
+    formed, tensions = np.zeros_like(task.formed), task.tensions.copy()
+    formed[rows], tensions[rows] = True, share[:, None] * hitch.team.tension
+    found = thickness_offsets(replace(task, formed=formed, tensions=tensions), DIAMETER)
+    expected = np.zeros_like(task.setpoints.positions)
     expected[rows] = np.minimum(share, 1.0)[:, None, None] * offsets_of(hitch)
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
@@ -177,14 +171,13 @@ def test_offsets_are_only_where_the_hitch_is_and_rise_with_its_tension() -> None
 def test_every_sample_has_the_offsets_of_its_own_hitch() -> None:
     hitch = uneven_hitch()
     apart = Hitch(hitch.team, hitch.polygon.vertices * [1.1, 0.9], 1.7, [0.5, 0.6, 0.7, 0.8])
-    setpoints, vertices = standing(hitch, 0.01)
-    positions = setpoints.positions.copy()
-    positions[1] = apart.drones
-    places = vertices.positions.copy()
-    places[1] = apart.vertices
-    both = VertexTable(vertices.t, places, vertices.tensions)
-    moved: Setpoints = replace(setpoints, positions=positions)
-    found = thickness_offsets(hitch.team, moved, both, DIAMETER)
+    task = standing(hitch, 0.01)
+    both = replace(
+        task,
+        setpoints=replace(task.setpoints, positions=np.stack([hitch.drones, apart.drones])),
+        vertices=np.stack([hitch.vertices, apart.vertices]),
+    )
+    found = thickness_offsets(both, DIAMETER)
     np.testing.assert_allclose(found, [offsets_of(hitch), offsets_of(apart)], atol=1e-15)
 
 
@@ -192,7 +185,7 @@ def test_without_offsets_a_standing_triangle_is_dragged_inward(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     hitch = regular_hitch(3, cable_friction=0.0)
-    task = Task(hitch.team, *standing(hitch, 0.05))
+    task = standing(hitch, 0.05)
     settings = Settings(preset=ACCURATE, body="point", pull_test=False)
     with_offsets = simulate(task, settings).errors
     monkeypatch.setattr(rope_flight, "thickness_offsets", lambda *_: np.zeros((1, 6, 3)))

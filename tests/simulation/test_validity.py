@@ -1,15 +1,14 @@
-"""Runs that mean nothing any more are ended, each for its own reason."""
+"""Simulations that become invalid are ended, each for its own reason."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
 from hitchopt.simulation.cable_shapes import hanging
-from hitchopt.simulation.mujoco_world import World, build_world
+from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.ropes import Ropes
 from hitchopt.simulation.simulation_settings import FAST
 from hitchopt.simulation.validity import InvalidRunError, check_valid, tensions
@@ -19,9 +18,9 @@ PLACES = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0,
 
 @pytest.fixture
 def world() -> World:
-    """Two cables that hang between four drones."""
+    """Return two cables that hang between four drones."""
     ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, FAST)
-    found = build_world(ropes, np.full(4, 0.13), rigid=False)
+    found = World(ropes, np.full(4, 0.13), rigid=False)
     found.place(hanging(ropes, PLACES, 0.0))
     return found
 
@@ -31,7 +30,7 @@ def pulled(world: World, force: float, steps: int) -> None:
     world.data.xfrc_applied[world.drone_bodies, 2] = 9.81 * 0.1375
     world.data.xfrc_applied[world.drone_bodies[2:], 0] = [-force, force]
     for _ in range(steps):
-        mujoco.mj_step(world.model, world.data)
+        world.step()
         check_valid(world, 0.25)
 
 
@@ -53,9 +52,9 @@ def test_a_cable_that_is_torn_at_is_told(world: World) -> None:
 
 
 def test_cables_that_press_into_each_other_are_told(world: World) -> None:
-    shifted = [world.cable(0).copy(), world.cable(0) + [0.0, 0.006, 0.0]]
+    shifted = [world.cables[0].copy(), world.cables[0] + [0.0, 0.006, 0.0]]
     world.place(shifted)
-    mujoco.mj_step(world.model, world.data)
+    world.step()
     with pytest.raises(InvalidRunError, match=r"penetration of 0\.00") as caught:
         check_valid(world, 1.0)
     assert caught.value.where == "cables 0 and 1"
@@ -66,7 +65,7 @@ def test_numbers_that_explode_end_the_run_and_leave_no_file(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     world.data.xfrc_applied[world.drone_bodies, :3] = 1e12
-    mujoco.mj_step(world.model, world.data)
+    world.step()
     with pytest.raises(InvalidRunError, match=r"its state is no longer finite, t = 2\.000 s"):
         check_valid(world, 2.0)
     assert list(tmp_path.iterdir()) == []
