@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,22 +21,18 @@ if TYPE_CHECKING:
 RESULTS = "simulation"
 """Default directory of the results, in DIR."""
 
+PATH = click.Path(path_type=Path)
+
 
 @main.command()
-@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT",
-    type=click.Path(path_type=Path),
-    help="Directory of the results; by default DIR/simulation.",
-)
+@click.argument("directory", metavar="DIR", type=PATH)
+@click.option("-o", "--output", metavar="OUT", type=PATH, help="Results; else DIR/simulation.")
 @click.option(
     "--preset",
     type=click.Choice(["fast", "accurate"]),
     default="fast",
     show_default=True,
-    help="fast: whether it holds; accurate: with exact friction, five times slower.",
+    help="fast: whether it holds; accurate: with correct friction, five times slower.",
 )
 @click.option(
     "--drones",
@@ -47,13 +44,11 @@ RESULTS = "simulation"
 )
 @click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
 @click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
-@click.option(
-    "--processes", metavar="P", type=int, help="Flights at a time; all processors' by default."
-)
+@click.option("--processes", metavar="P", type=int, help="Processes; by default all processors.")
 @click.option(
     "--perturbed",
     is_flag=True,
-    help="1 cm of noise, 0.05 N of wind, cable lengths 0.5 % off, starts 2 cm off, by default.",
+    help="1 cm of noise, 0.05 N of wind, cables 0.5 % off, starts 2 cm off; or as given.",
 )
 @click.option("--noise", metavar="M", type=float, help="Error of measured positions per axis [m].")
 @click.option("--wind", metavar="N", type=float, help="Force of gusts on every drone [N].")
@@ -64,12 +59,7 @@ RESULTS = "simulation"
 @click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
 @click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
-@click.option(
-    "--film",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Write a film of a single flight, .gif or .mp4.",
-)
+@click.option("--film", metavar="FILE", type=PATH, help="Film of a single flight, .gif or .mp4.")
 def simulate(
     directory: Path,
     output: Path | None,
@@ -106,21 +96,14 @@ def simulate(
 
 def _settings(options: dict[str, float | str | bool | None]) -> Settings:
     """Return the settings that options of the command line ask for."""
-    from hitchopt.simulation.simulation_settings import (
-        CALM,
-        PRESETS,
-        USUAL,
-        Perturbations,
-        Settings,
-    )
+    from hitchopt.simulation.simulation_settings import CALM, PRESETS, USUAL, Settings
 
     usual = USUAL if options.pop("perturbed") else CALM
-    names = ("noise", "wind", "lag", "cable_error", "start_error", "downwash")
-    given = {name: options.pop(name) for name in names}
-    chosen = {name: value for name, value in given.items() if value is not None}
+    given = {name: options.pop(name) for name in vars(usual)}
+    chosen: dict[str, Any] = {name: x for name, x in given.items() if x is not None}
     preset = PRESETS[str(options.pop("preset"))]
-    perturbations = Perturbations(**{**vars(usual), **chosen})
-    return Settings(preset=preset, perturbations=perturbations, **options)  # type: ignore[arg-type]
+    others: dict[str, Any] = {**options, "preset": preset}
+    return Settings(perturbations=replace(usual, **chosen), **others)
 
 
 def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None) -> None:

@@ -25,6 +25,9 @@ CLEARANCE_SEGMENTS = 1.7
 REACH = 2.0
 """Distance from a clasp, over that of its bends, from which on a cable follows the plan."""
 
+BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+"""Corners of a bend: along the direction in which it opens, and across it."""
+
 BEYOND = 0.5
 """Length by which a cable's line continues beyond its drone, for its last segments [m]."""
 
@@ -79,18 +82,12 @@ def _bends(layout: Layout, drones: Array, vertices: Array, gap: float) -> list[A
         starts[k] = [
             q[k] + BEYOND * q_hat[c],
             p[c] + REACH * gap * q_hat[c],
-            p[c] + along[c] + aside[c],
-            p[c] - along[c] + aside[c],
-            p[c] - along[c] - aside[c],
-            p[c] + along[c] - aside[c],
+            *(p[c] + x * along[c] + y * aside[c] for x, y in BEND),
             p[c] + REACH * gap * u[k],
         ]
         ends[j] = [
             p[c] - REACH * gap * u[j],
-            p[c] - along[c] + lift,
-            p[c] + along[c] + lift,
-            p[c] + along[c] - lift,
-            p[c] - along[c] - lift,
+            *(p[c] - x * along[c] + y * lift for x, y in BEND),
             p[c] + REACH * gap * r_hat[c],
             r[j] + BEYOND * r_hat[c],
         ]

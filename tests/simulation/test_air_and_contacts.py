@@ -40,7 +40,7 @@ def test_downwash_goes_down_on_those_below_and_fades_aside() -> None:
 
 @pytest.mark.parametrize("depth", [1.5, 3.0])
 def test_the_jet_carries_the_momentum_of_the_thrust(depth: float) -> None:
-    """Small disks laid side by side over the whole plane catch all of it."""
+    """Small adjacent disks over the whole plane receive all of it."""
     grid = np.linspace(-1.5, 1.5, 121)
     below = np.array([[x, y, 0.0] for x in grid for y in grid])
     total = 0.0
@@ -73,9 +73,9 @@ def test_nothing_touches_where_all_is_apart() -> None:
     assert touching(hung(APART)) == []
 
 
-def test_drones_and_cables_that_touch_are_named() -> None:
+def test_drones_and_cables_in_contact_are_reported_by_name() -> None:
     drones = APART.copy()
-    drones[2:] = [[0.1, 0.0, 3.02], [0.1, 1.0, 3.0]]  # q1 beside q0
+    drones[2:] = [[0.1, 0.0, 3.02], [0.1, 1.0, 3.0]]  # q1 next to q0
     found = set(touching(hung(drones)))
     assert ("q0", "q1") in found
     through = APART.copy()

@@ -23,7 +23,7 @@ def ring(centre: Array, normal: int, corners: int = 17, turns: int = 1) -> Array
 
 
 def crossings(one: Array, other: Array) -> float:
-    """Half the signed crossings seen from above: the same number, another way."""
+    """Return half the signed crossings seen from above, which is the same number."""
     total = 0.0
     for a, b in zip(one, np.roll(one, -1, axis=0), strict=True):
         for c, d in zip(other, np.roll(other, -1, axis=0), strict=True):

@@ -128,7 +128,7 @@ def test_broken_tables_are_refused(tmp_path: Path, change: object, words: str) -
         read_tables(path, vertices, made().team)
 
 
-def test_a_missing_table_is_told(tmp_path: Path) -> None:
+def test_a_missing_table_is_reported(tmp_path: Path) -> None:
     setpoints, vertices = written(tmp_path, made())
     vertices.unlink()
     with pytest.raises(FileError, match="there is no such file; solve the problem first"):

@@ -30,7 +30,7 @@ def test_segments_are_even_equal_and_no_longer_than_asked() -> None:
     assert np.all(ropes.segment_lengths <= 0.025 + 1e-12)
 
 
-def test_too_long_a_time_step_is_refused_with_one_that_will_do() -> None:
+def test_too_long_a_time_step_is_refused_with_one_that_works() -> None:
     team = Team(3, 2.4, tension=0.5, cable_density=0.01)
     coarse = replace(FAST, time_step=0.004)
     with pytest.raises(InputError, match=r"time_step = 0\.004: must be at most") as caught:
@@ -72,7 +72,7 @@ def test_wrong_numbers_are_refused_by_name(make: object, words: str) -> None:
         make()
 
 
-def test_a_body_has_its_own_lag_unless_told() -> None:
+def test_a_body_has_its_own_default_lag() -> None:
     assert Settings().lag == MOTOR_LAG
     assert Settings(body="point").lag == FORCE_LAG
     assert Settings(perturbations=replace(CALM, lag=0.0)).lag == 0.0

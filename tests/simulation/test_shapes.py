@@ -141,7 +141,7 @@ def test_a_cable_that_just_touches_the_ground_hangs() -> None:
     np.testing.assert_allclose(cable, free, atol=1e-2)
 
 
-def test_drones_too_far_apart_are_told() -> None:
+def test_drones_too_far_apart_are_reported() -> None:
     ropes = Ropes(np.array([1.0]), 0.01, 0.0, FAST)
     with pytest.raises(ShapeError, match=r"cable 0: its drones start 1\.1 m apart"):
         hanging(ropes, np.array([[0.0, 0.0, 2.0], [1.1, 0.0, 2.0]]), 0.0)

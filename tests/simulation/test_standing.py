@@ -105,7 +105,7 @@ def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
     assert np.max(done.flight.record.peak_tensions) < 3.0 * GRAVITY * 0.01 * 1.0
 
 
-def test_a_flight_that_tears_at_its_cables_is_ended_and_says_why() -> None:
+def test_a_flight_that_overloads_its_cables_is_ended_with_the_reason() -> None:
     hitch = regular_hitch(3)
     task = standing(hitch, 0.5)
     wild = replace(task.setpoints, cable_forces=20.0 * task.setpoints.cable_forces)
@@ -129,7 +129,7 @@ def test_drones_that_touch_are_reported() -> None:
     hitch = regular_hitch(3)
     task = unformed(standing(hitch, 0.3))
     moved = task.setpoints.positions.copy()
-    moved[:, 0] = moved[:, 5] + [0.05, 0.0, 0.0]  # q0 beside r2
+    moved[:, 0] = moved[:, 5] + [0.05, 0.0, 0.0]  # q0 next to r2
     weight = np.zeros_like(moved)
     weight[..., 2] = -hitch.team.cable_weight
     together = replace(task.setpoints, positions=moved, cable_forces=weight)

@@ -143,7 +143,7 @@ def test_offsets_grow_with_the_diameter_alone() -> None:
     np.testing.assert_array_equal(offsets_of(hitch, 0.0), 0.0)
 
 
-def test_the_ends_of_a_chain_stand_where_they_are_told_to() -> None:
+def test_the_ends_of_a_chain_have_no_offsets() -> None:
     found = offsets_of(uneven_chain())
     np.testing.assert_array_equal(found[[0, -1]], 0.0)
     assert np.all(np.linalg.norm(found[1:-1], axis=-1) > 0.5 * DIAMETER)

@@ -41,7 +41,7 @@ def test_a_cable_that_hangs_is_valid_and_pulls_as_a_catenary_does(world: World) 
     assert np.max(pull) < 0.01 * 9.81 * 1.5
 
 
-def test_a_cable_that_is_torn_at_is_told(world: World) -> None:
+def test_an_overloaded_cable_is_reported(world: World) -> None:
     with pytest.raises(InvalidRunError, match="ropes may have passed each other") as caught:
         pulled(world, 12.0, 2000)
     assert caught.value.quantity in {"strain", "tension"}
@@ -51,7 +51,7 @@ def test_a_cable_that_is_torn_at_is_told(world: World) -> None:
         assert caught.value.value > world.ropes.largest_tension
 
 
-def test_cables_that_press_into_each_other_are_told(world: World) -> None:
+def test_cables_that_penetrate_each_other_are_reported(world: World) -> None:
     shifted = [world.cables[0].copy(), world.cables[0] + [0.0, 0.006, 0.0]]
     world.place(shifted)
     world.step()
