@@ -128,9 +128,7 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     layout = team.layout
     before, bearing = _means(flight, flight.rested)
     moved = np.linalg.norm(_means(flight, flight.pulled)[0] - before, axis=-1)
-    if not (tested := flight.record.t[-1] >= flight.pulled):  # false without a pull test: nan
-        moved[:] = np.nan
-    held = moved <= HELD if tested else np.full(len(moved), np.isnan(flight.pulled))
+    held = (moved <= HELD) | np.isnan(flight.pulled)  # without a pull test both are nan
     linking = links[layout.behind, layout.ahead]
     bears = (bearing >= least) & (least > 0.0)
     holds = (np.abs(linking) == 1) & bears & held & (flight.error is None)

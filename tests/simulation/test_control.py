@@ -1,4 +1,4 @@
-"""The controller by its laws: rest, rotation of the world, finite differences."""
+"""The controller and the motors by their laws: rest, rotation, finite differences, lag."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
+from hitchopt.simulation.cable_shapes import hanging
 from hitchopt.simulation.drone_control import (
     ATTITUDE_GAIN,
     POSITION_GAIN,
@@ -18,7 +19,11 @@ from hitchopt.simulation.drone_control import (
     desired_attitudes,
     desired_thrusts,
 )
+from hitchopt.simulation.drone_motors import Motors
 from hitchopt.simulation.flight_task import Setpoints
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.simulation_settings import FAST
 
 Array = NDArray[np.float64]
 
@@ -124,3 +129,23 @@ def test_attitudes_are_commanded_to_turn_as_fast_as_the_thrust_does() -> None:
     rates[:, 2] = 0.0  # yaw's own share is left to the loop
     _, moments = attitude_command(still, desired, before, rates, MASSES, INERTIA)
     np.testing.assert_allclose(moments, np.cross(rates, INERTIA * rates), atol=1e-6)
+
+
+@pytest.mark.parametrize("rigid", [True, False])
+def test_thrust_follows_a_command_with_the_lag_and_within_its_limit(rigid: bool) -> None:
+    drones = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0]])
+    ropes = Ropes(np.array([1.5]), 0.01, 0.1, FAST)
+    world = World(ropes, MASSES, rigid=rigid)
+    world.place(hanging(ropes, drones, 0.0))
+    motors = Motors(world, np.array([2.0, 3.0]), 0.05)
+    still = replace(commands(np.random.default_rng(1)), yaw=np.zeros(2), jerks=np.zeros((2, 3)))
+    up = np.array([[0.0, 0.0, 1.0]])
+    motors.apply(1.0 * up.repeat(2, axis=0), still, 0.01)
+    np.testing.assert_allclose(motors.thrusts, 1.0)  # the first command applies at once
+    for _ in range(5):
+        motors.apply(2.5 * up.repeat(2, axis=0), still, 0.01)
+    decay = np.exp(-1.0)  # after 50 ms
+    np.testing.assert_allclose(motors.thrusts, [2.0 - 1.0 * decay, 2.5 - 1.5 * decay])
+    np.testing.assert_array_equal(motors.saturated, [True, False])
+    applied = world.data.xfrc_applied[world.drone_bodies, :3]
+    np.testing.assert_allclose(applied, motors.thrusts[:, None] * up, atol=1e-12)

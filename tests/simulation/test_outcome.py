@@ -88,6 +88,9 @@ def test_cables_that_do_not_bear_have_lost_their_vertex() -> None:
     assert (failure.kind, failure.where) == ("lost", ("p2",))
     assert "press with 0.200 N, less than the 0.300 N from which on a clasp bears" in failure.words
     assert [clasp.holds for clasp in outcome.clasps] == [True, True, False, True]
+    untested = judged(lost=2, pulled=float("nan"))
+    assert [clasp.holds for clasp in untested.clasps] == [True, True, False, True]
+    assert all(np.isnan(clasp.moved) for clasp in untested.clasps)
 
 
 def test_a_plan_that_ends_without_a_hitch_has_to_end_untangled() -> None:

@@ -28,15 +28,16 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
     hitch = Hitch.balanced(team, points if topology == "open" else ConvexPolygon(points), 1.1)
     drift = np.array([0.3, -0.2, 0.1])
 
-    def line(values: np.ndarray) -> PiecewisePolynomial:
-        ends = np.stack([values, values + drift], axis=-1)
-        return PiecewisePolynomial(np.array([0.0, 0.53]), ends[None])
+    def drifting(values: np.ndarray) -> PiecewisePolynomial:
+        shares = np.array([0.0, 0.1, 0.7, 1.0])  # no derivative is zero
+        coefficients = values[..., None] + drift[:, None] * shares
+        return PiecewisePolynomial(np.array([0.0, 0.53]), coefficients[None])
 
     return Motion(
         team,
         Requirements(Limits(), Separation(), None),
-        line(hitch.drones),
-        line(hitch.vertices),
+        drifting(hitch.drones),
+        drifting(hitch.vertices),
         PiecewisePolynomial.constant([0.0, 0.53], hitch.legs, 1),
         PiecewisePolynomial.constant([0.0, 0.53], team.tension, 1),
         (Phase("hold", 0, 0.0, 0.53, formed=formed),),
