@@ -1,4 +1,4 @@
-"""The plans that benchmarks.flights flies, each made for a friction that it is told."""
+"""Plans for the flights of ``benchmarks.flights``, each made for a given friction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.problem import Problem
-from hitchopt.simulate.simulation import Task, read_task
+from hitchopt.simulation.flight_task import Task, read_task
 from hitchopt.storage.yaml_file import read_yaml
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
@@ -19,13 +19,13 @@ PROBLEMS = Path(__file__).parents[1] / "problems"
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of the paper's, or one of ours.
+    """One experiment of the paper, or one of ours.
 
     Attributes
     ----------
-    name: of its problem file.
-    printed: what the paper says, with what speaks against it.
-    forms: whether it ties a hitch; the planner leans no legs then, whatever friction it knows of.
+    name: name of its problem file.
+    printed: the paper's result, with remarks.
+    forms: whether it ties a hitch; the planner then leans no legs, whatever the friction.
     """
 
     name: str
@@ -41,20 +41,21 @@ EXPERIMENTS = (
     Experiment("paper_experiment_2", f"{SAME} 3)"),
     Experiment("paper_experiment_3", f"{SAME} 2)"),
     Experiment(
-        "paper_experiment_4", "3.6 ± 3.6, 2.6 ± 8.4, 4.3 ± 98.7 cm (so printed: 0.987 beside 0.043)"
+        "paper_experiment_4",
+        "3.6 ± 3.6, 2.6 ± 8.4, 4.3 ± 98.7 cm (printed so: 0.987 and 0.043)",
     ),
     Experiment("triangle", "none: ours"),
 )
 
 EDGE, LENGTH = 1.3, 2.2
-"""[m] Of the hitches that are tied, and of their cables."""
+"""Edge length of the hitches that are tied, and length of their cables [m]."""
 
 MOVED, MOVED_BY, MOVED_IN = 2.4, 0.4, 8.0
-"""[m], [m], [s] Cables of the triangle whose vertex is moved outward, how far, and how long."""
+"""Cable length [m] of the triangle whose vertex is moved outward, distance [m] and time [s]."""
 
 
 def experiment(name: str, friction: float | None = None) -> Problem:
-    """Return the problem of that name, its cables' friction replaced by another one."""
+    """Return the problem of a name, with the friction of its cables replaced if given."""
     data = read_yaml(PROBLEMS / f"{name}.yaml")
     if not isinstance(data, dict) or not isinstance(team := data["team"], dict):
         raise TypeError(f"{name}: not a problem of a hitch")
@@ -88,7 +89,7 @@ def moved(friction: float) -> Problem:
 def irregular(seed: int, friction: float) -> Task:
     """Return the plan of a random triangle, a random vertex of which is moved by 0.3 m in 6 s.
 
-    The first one of the seed's that can be planned without friction.
+    It is the first one of the seed that can be planned without friction.
     """
     rng = np.random.default_rng(seed)
     while True:

@@ -1,4 +1,4 @@
-"""Plans flown through the rope simulation: the paper's experiments, hitches formed, friction.
+"""Rope simulation of plans: the paper's experiments, hitches formed, friction.
 
 Usage: python -m benchmarks.flights [capstan] [experiments] [moved] [irregular] [perturbed] [formed]
                                     [--runs N] [--seed S] [--processes P] [--only WORD]
@@ -24,13 +24,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.capstan import capstan_test
 from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import EXPERIMENTS, experiment, irregular, moved, planned, tied
-from hitchopt.simulate.campaign import run_campaign
-from hitchopt.simulate.capstan import capstan_test
-from hitchopt.simulate.measures import Spread
-from hitchopt.simulate.settings import ACCURATE, FAST, USUAL, Settings
-from hitchopt.simulate.simulation import Task, simulate
+from hitchopt.simulation.campaign import run_campaign
+from hitchopt.simulation.error_measures import Spread
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.simulate import simulate
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, USUAL, Settings
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; errors are distances "
@@ -39,27 +40,27 @@ LIMITATIONS = (
 )
 
 FRICTIONS = {0.1: "low (leather)", 0.3: "high (nylon)"}
-"""The paper names its ropes and no coefficients; these are ours."""
+"""Friction coefficients by name; the paper names its ropes without coefficients."""
 
 RANDOM, LOW = 10, 0.1
-"""Random triangles, and the friction that they are flown at."""
+"""Number of random triangles, and their friction."""
 
 FORMED = (3, 4, 6, 8, 12)
-"""Robots of the regular hitches that are tied."""
+"""Numbers of robots of the regular hitches that are tied."""
 
 PARTS = ("capstan", "experiments", "moved", "irregular", "perturbed", "formed")
 
 
 @dataclass(frozen=True)
 class Campaigns:
-    """What is flown of each plan under perturbations.
+    """Flights of each plan under perturbations.
 
     Attributes
     ----------
-    only: of the problems those whose names contain it.
+    only: text that the names of the problems contain.
     runs: flights of each.
-    seed: the first one's.
-    processes: at a time.
+    seed: seed of the first one.
+    processes: number at a time.
     """
 
     only: str
@@ -100,13 +101,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def capstan() -> None:
     """Print the friction of clasps."""
-    headed("preset", "μ", "tension ratio", "exp(μ π/2)", "off by")
+    print_head("preset", "μ", "tension ratio", "exp(μ π/2)", "off by")
     for preset in (ACCURATE, FAST):
         for friction, slide in ((0.0, 1.0), (0.1, 1.0), (0.2, 2.0), (0.3, 3.0)):
             found = capstan_test(preset, friction, slide=slide)
             off = f"{found.ratio / found.expected - 1.0:+.1%}"
             ratios = (f"{found.ratio:.3f}", f"{found.expected:.3f}")
-            told(preset.name, f"{friction}", *ratios, off)
+            print_row(preset.name, f"{friction}", *ratios, off)
 
 
 CALM = (
@@ -122,34 +123,36 @@ CALM = (
 
 
 def experiments(only: str) -> None:
-    """Print calm flights of the paper's experiments that move a hitch, beside its figures."""
-    headed(*CALM, "the paper's")
+    """Print calm flights of the paper's experiments that move a hitch, with its figures."""
+    print_head(*CALM, "the paper's")
     for one in EXPERIMENTS:
         if one.forms or only not in one.name:
             continue
         for friction, word in FRICTIONS.items():
             for known in (friction, 0.0):
                 task = planned(experiment(one.name, known))
-                told(one.name, f"{friction}, {word}", *calm(task, friction, known), one.printed)
+                print_row(
+                    one.name, f"{friction}, {word}", *calm(task, friction, known), one.printed
+                )
 
 
 def triangles() -> None:
     """Print calm flights of a regular triangle, one of its vertices moved outward."""
-    headed(*CALM)
+    print_head(*CALM)
     for friction, known in ((0.0, 0.0), (0.1, 0.1), (0.1, 0.0), (0.3, 0.3), (0.3, 0.0)):
-        told("regular triangle", f"{friction}", *calm(planned(moved(known)), friction, known))
+        print_row("regular triangle", f"{friction}", *calm(planned(moved(known)), friction, known))
 
 
 def random_triangles() -> None:
     """Print calm flights of random triangles, a random vertex of each moved somewhere."""
-    headed(*CALM)
+    print_head(*CALM)
     for seed in range(RANDOM):
         for known in (LOW, 0.0):
-            told(f"triangle {seed}", f"{LOW}", *calm(irregular(seed, known), LOW, known))
+            print_row(f"triangle {seed}", f"{LOW}", *calm(irregular(seed, known), LOW, known))
 
 
 def calm(task: Task, friction: float, known: float) -> tuple[str, ...]:
-    """Return the cells of one flight with the accurate preset, and print what it took."""
+    """Return the cells of one flight with the accurate preset, and print its processor time."""
     done = simulate(task, Settings(preset=ACCURATE, friction=friction))
     errors = done.errors
     held = "yes" if done.outcome.succeeded else done.outcome.failures[0].words
@@ -158,7 +161,7 @@ def calm(task: Task, friction: float, known: float) -> tuple[str, ...]:
     print(f"({done.processor:.0f} s of processor)", file=sys.stderr)
     return (
         f"{known:g}" if known else "none",
-        f"{done.flight.duration:.1f} s",
+        f"{done.flight.task.duration:.1f} s",
         held,
         spread(Spread.of(errors.without_sag[errors.moving])),
         spread(Spread.of(errors.without_sag)),
@@ -178,8 +181,8 @@ PERTURBED = (
 
 
 def perturbed(given: Campaigns) -> None:
-    """Print how often the paper's experiments succeed; their plans know the friction."""
-    headed(*PERTURBED)
+    """Print success rates of the paper's experiments, whose plans know the friction."""
+    print_head(*PERTURBED)
     for one in EXPERIMENTS:
         if given.only in one.name:
             for friction in FRICTIONS:
@@ -187,8 +190,8 @@ def perturbed(given: Campaigns) -> None:
 
 
 def formed(given: Campaigns) -> None:
-    """Print how often regular hitches are tied and hold."""
-    headed(*PERTURBED)
+    """Print success rates of regular hitches that are tied."""
+    print_head(*PERTURBED)
     for n in FORMED:
         if given.only in (name := f"n = {n}"):
             campaign(planned(tied(n)), name, given)
@@ -204,7 +207,7 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
         f"{kind} {where}: {count}" for (kind, where), count in found.failures.most_common()
     )
     moving = mean([run.moving_without_sag for run in found.runs])
-    told(
+    print_row(
         name,
         f"{task.team.cable_friction:g}",
         f"{given.runs}",
@@ -217,7 +220,7 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
 
 
 def mean(errors: list[Spread]) -> str:
-    """Return the mean over flights in centimetres, of those that have any."""
+    """Return the mean over flights in centimetres, where there are errors."""
     means = np.array([one.mean for one in errors])
     there = means[np.isfinite(means)]
     return f"{100 * np.mean(there):.1f}" if there.size else "–"
@@ -230,14 +233,14 @@ def spread(errors: Spread) -> str:
     return f"{100 * errors.mean:.1f} ± {100 * errors.deviation:.1f} ({100 * errors.largest:.1f})"
 
 
-def headed(*titles: str) -> None:
+def print_head(*titles: str) -> None:
     """Print the head of a table."""
     print()
-    told(*titles)
-    told(*["---"] * len(titles))
+    print_row(*titles)
+    print_row(*["---"] * len(titles))
 
 
-def told(*cells: str) -> None:
+def print_row(*cells: str) -> None:
     """Print a line of a table, at once."""
     print(f"| {' | '.join(cells)} |", flush=True)
 

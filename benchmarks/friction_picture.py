@@ -1,4 +1,4 @@
-"""What leaning against friction is worth, as a picture: errors of vertices with and without it.
+"""Picture of the benefit of leaning legs against friction: vertex errors with and without it.
 
 Usage: python -m benchmarks.friction_picture [FILE]
 
@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 from benchmarks.flight_plans import moved, planned
-from hitchopt.simulate.settings import ACCURATE, Settings
-from hitchopt.simulate.simulation import simulate
+from hitchopt.simulation.simulate import simulate
+from hitchopt.simulation.simulation_settings import ACCURATE, Settings
 
 FRICTION = 0.1
 
@@ -21,7 +21,7 @@ FILE = Path(__file__).parent / "results" / "friction.png"
 
 
 def main() -> None:
-    """Fly both and draw them."""
+    """Simulate both and draw them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", nargs="?", type=Path, default=FILE)
     given = parser.parse_args()

@@ -1,7 +1,7 @@
 """The command line; it imports what a command needs only when that command runs."""
 
 from hitchopt.cli import fleet_commands as fleet_commands  # registers its commands
-from hitchopt.cli import simulation as simulation  # and so does this
+from hitchopt.cli import simulate_command as simulate_command  # and so does this
 from hitchopt.cli.commands import main
 
 __all__ = ["main"]

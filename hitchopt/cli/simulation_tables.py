@@ -1,4 +1,4 @@
-"""Simulated flights as tables to read on a terminal."""
+"""Tables of simulated flights for a terminal."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from rich.text import Text
 from hitchopt.cli.console_tables import new_table, rendered
 
 if TYPE_CHECKING:
-    from hitchopt.simulate.campaign import Campaign
-    from hitchopt.simulate.simulation import Simulation
+    from hitchopt.simulation.campaign import Campaign
+    from hitchopt.simulation.error_measures import Spread
+    from hitchopt.simulation.simulate import Simulation
 
 
 def flight_tables(simulation: Simulation) -> str:
-    """Return how the vertices, cables and drones of one flight fared."""
-    from hitchopt.simulate.measures import Spread, tracking_errors
+    """Return the tables of one flight's vertices, cables and drones."""
+    from hitchopt.simulation.error_measures import Spread
 
-    outcome, errors, record = simulation.outcome, simulation.errors, simulation.flight.record
+    outcome, errors, run = simulation.outcome, simulation.errors, simulation.run
     vertices = new_table(
         "Vertices: distances to the plan's, mean ± standard deviation (largest)",
         [("vertex", "left")],
@@ -34,16 +35,15 @@ def flight_tables(simulation: Simulation) -> str:
             _centimetres(clasp.moved),
             Text("yes" if clasp.holds else "NO", style="green" if clasp.holds else "bold red"),
         )
-    tracking = tracking_errors(simulation.flight)
     figures = new_table("Flight", [("quantity", "left")], ["value"])
     for name, value in (
-        ("drones to their setpoints [cm]", _spread(Spread.of(tracking))),
-        ("vertices, all [cm]", _spread(Spread.of(errors.errors))),
-        ("vertices without sag [cm]", _spread(Spread.of(errors.without_sag))),
-        ("largest tension", f"{np.max(record.peak_tensions):.3f} N"),
-        ("largest thrust", f"{np.max(record.thrusts):.3f} N"),
-        ("thrust saturated", f"{np.mean(record.saturated):.2%} of samples"),
-        ("pace", f"{simulation.pace:.2f} times real time, on one processor"),
+        ("drones to their setpoints [cm]", _spread(run.tracking)),
+        ("vertices, all [cm]", _spread(run.vertex_error)),
+        ("vertices without sag [cm]", _spread(run.without_sag)),
+        ("largest tension", f"{run.peak_tension:.3f} N"),
+        ("largest thrust", f"{run.peak_thrust:.3f} N"),
+        ("thrust saturated", f"{run.saturated:.2%} of samples"),
+        ("pace", f"{run.pace:.2f} times real time, on one processor"),
     ):
         figures.add_row(name, value)
     parts = [rendered(vertices)] if outcome.clasps else []
@@ -51,7 +51,7 @@ def flight_tables(simulation: Simulation) -> str:
 
 
 def campaign_tables(campaign: Campaign) -> str:
-    """Return how often a campaign succeeded, and what failed where."""
+    """Return the tables of a campaign: its success rate, errors and failures."""
     low, high = campaign.interval
     count = len(campaign.runs)
     lost = campaign.not_simulated
@@ -79,12 +79,13 @@ def campaign_tables(campaign: Campaign) -> str:
     return f"{head}\n{rendered(runs)}\n\n{rendered(failed)}\n"
 
 
-def _spread(spread: object) -> str:
-    mean, deviation, largest = (getattr(spread, x) for x in ("mean", "deviation", "largest"))
-    if not np.isfinite(mean):
+def _spread(spread: Spread) -> str:
+    """Return mean, deviation and largest value of some errors, in centimetres."""
+    if not np.isfinite(spread.mean):
         return "none"
-    return f"{100 * mean:.1f} ± {100 * deviation:.1f} ({100 * largest:.1f})"
+    return f"{100 * spread.mean:.1f} ± {100 * spread.deviation:.1f} ({100 * spread.largest:.1f})"
 
 
 def _centimetres(value: float | np.floating) -> str:
+    """Return a length in centimetres; nothing for nan."""
     return f"{100 * value:.1f} cm" if np.isfinite(value) else ""

@@ -1,4 +1,4 @@
-"""Products and lengths of many vectors, without arrays in between."""
+"""Products, lengths and directions of many vectors."""
 
 from __future__ import annotations
 
@@ -55,3 +55,10 @@ def tied_order(values: Array, scale: float) -> NDArray[np.intp]:
     groups = np.empty(len(values), dtype=np.intp)
     groups[order] = np.append(0, np.cumsum(steps))
     return np.argsort(groups, kind="stable")
+
+
+def unit(a: Array) -> Array:
+    """Return the directions (…, d) of vectors (…, d); zero for a vector without length."""
+    sizes = np.linalg.norm(a, axis=-1, keepdims=True)
+    directions: Array = np.divide(a, sizes, out=np.zeros_like(a), where=sizes > 0.0)
+    return directions

@@ -1,4 +1,4 @@
-"""hitchopt simulate: what it says, writes and ends with."""
+"""The command ``hitchopt simulate``: its output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hitchopt.cli import main
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A triangle that stands for a tenth of a second; regular, with room."""
+    """Return the plan of a regular triangle, at rest for a tenth of a second."""
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, cable_friction=0.1)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     place = tmp_path_factory.mktemp("plan") / "out"
@@ -27,7 +27,7 @@ def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_one_flight_says_that_it_holds_and_writes_it(solved: Path, tmp_path: Path) -> None:
+def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_path: Path) -> None:
     film = tmp_path / "flight.gif"
     result = run("simulate", solved, "--film", film, "--drones", "point")
     assert result.exit_code == 0, result.output
@@ -65,7 +65,7 @@ def test_one_flight_says_that_it_holds_and_writes_it(solved: Path, tmp_path: Pat
     assert check.exit_code == 0, check.output
 
 
-def test_a_campaign_says_how_often(solved: Path, tmp_path: Path) -> None:
+def test_a_campaign_reports_its_success_rate(solved: Path, tmp_path: Path) -> None:
     place = tmp_path / "campaign"
     options = ["--runs", "2", "--processes", "1", "--seed", "7", "--perturbed", "--noise", "0"]
     result = run("simulate", solved, "-o", place, "--drones", "point", *options)
@@ -79,10 +79,10 @@ def test_a_campaign_says_how_often(solved: Path, tmp_path: Path) -> None:
     assert settings["perturbations"]["wind"] == 0.05
 
 
-def test_a_flight_that_fails_ends_with_3_and_says_what(
+def test_a_flight_that_fails_ends_with_3_and_the_failure(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.simulate.outcome.HELD", 1e-4)  # every vertex moves more
+    monkeypatch.setattr("hitchopt.simulation.flight_outcome.HELD", 1e-4)  # every vertex moves more
     result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
     assert result.exit_code == 3, result.output
     assert "failed: t = " in result.stderr
@@ -94,10 +94,10 @@ def test_a_flight_that_fails_ends_with_3_and_says_what(
     assert summary["failures"]
 
 
-def test_a_run_that_means_nothing_is_not_simulated(
+def test_an_invalid_run_counts_as_not_simulated(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.simulate.watch.MOST_STRAIN", -1.0)  # none can be believed
+    monkeypatch.setattr("hitchopt.simulation.validity.MOST_STRAIN", -1.0)  # every one exceeds it
     result = run("simulate", solved, "-o", tmp_path / "x", "--drones", "point")
     assert result.exit_code == 3, result.output
     assert "not simulated: t = -2.50 s, simulation: strain of" in result.stderr
@@ -122,7 +122,7 @@ def test_a_run_that_means_nothing_is_not_simulated(
         (["--seed", "-3"], "seed = -3: must be a whole number"),
     ],
 )
-def test_what_is_wrong_in_itself_ends_with_2(
+def test_invalid_options_end_with_2(
     solved: Path, tmp_path: Path, arguments: list[str], words: str
 ) -> None:
     result = run("simulate", solved, "-o", tmp_path / "x", *arguments)
@@ -131,7 +131,7 @@ def test_what_is_wrong_in_itself_ends_with_2(
     assert not (tmp_path / "x").exists()
 
 
-def test_a_directory_without_a_plan_is_told(tmp_path: Path) -> None:
+def test_a_directory_without_a_plan_is_reported(tmp_path: Path) -> None:
     result = run("simulate", tmp_path)
     assert result.exit_code == 2
     assert "plan.npz: there is no such file" in result.stderr

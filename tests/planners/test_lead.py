@@ -7,8 +7,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import random_convex_polygon, regular_polygon
-from hitchopt.planners.path.leading_legs import leading
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
+from hitchopt.planners.path.shape_path.leading_legs import leading
+from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.trajectory import PiecewisePolynomial
 
 ENDS = np.array([0.0, 1.0])
@@ -66,7 +66,7 @@ def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> No
         v = drones_along(p, ENDS[:1]).positions[0, 2 * k : 2 * k + 2, :, 1]
         return float(np.sum(v**2))
 
-    from hitchopt.planners.path import leading_legs
+    from hitchopt.planners.path.shape_path import leading_legs
 
     slopes = leading_legs._slopes(path)
     for k in range(5):

@@ -1,0 +1,158 @@
+"""The command ``simulate``: rope simulation of a plan's setpoints."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hitchopt.cli.commands import main
+from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.paths import plan_path
+from hitchopt.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchopt.simulation.flight_task import Task
+    from hitchopt.simulation.simulate import Simulation
+    from hitchopt.simulation.simulation_settings import Settings
+
+RESULTS = "simulation"
+"""Default directory of the results, in DIR."""
+
+PATH = click.Path(path_type=Path)
+
+
+@main.command()
+@click.argument("directory", metavar="DIR", type=PATH)
+@click.option("-o", "--output", metavar="OUT", type=PATH, help="Results; else DIR/simulation.")
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "accurate"]),
+    default="fast",
+    show_default=True,
+    help="fast: whether it holds; accurate: with correct friction, five times slower.",
+)
+@click.option(
+    "--drones",
+    "body",
+    type=click.Choice(["rigid", "point"]),
+    default="rigid",
+    show_default=True,
+    help="Rigid bodies with an attitude, or point masses.",
+)
+@click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
+@click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
+@click.option("--processes", metavar="P", type=int, help="Processes; by default all processors.")
+@click.option(
+    "--perturbed",
+    is_flag=True,
+    help="1 cm of noise, 0.05 N of wind, cables 0.5 % off, starts 2 cm off; or as given.",
+)
+@click.option("--noise", metavar="M", type=float, help="Error of measured positions per axis [m].")
+@click.option("--wind", metavar="N", type=float, help="Force of gusts on every drone [N].")
+@click.option("--lag", metavar="S", type=float, help="Time constant of the thrust [s].")
+@click.option("--cable-error", metavar="X", type=float, help="Relative error of cable lengths.")
+@click.option("--start-error", metavar="M", type=float, help="Error of starts per axis [m].")
+@click.option("--downwash", is_flag=True, help="Drones push down those below them.")
+@click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
+@click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
+@click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
+@click.option("--film", metavar="FILE", type=PATH, help="Film of a single flight, .gif or .mp4.")
+def simulate(
+    directory: Path,
+    output: Path | None,
+    runs: int | None,
+    processes: int | None,
+    film: Path | None,
+    **options: float | str | bool | None,
+) -> None:
+    """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
+
+    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
+    and for the offsets of drones (less than 12 mm) that the thickness of simulated ropes requires.
+    Drones follow setpoints.csv and nothing else. The exit code of one flight is 3 if anything
+    fails: drones touch, or a vertex does not hold. It is also 3 if the simulation leaves its valid
+    range, which is reported as not simulated and says nothing about the plan. The exit code of a
+    campaign (--runs) is 0; it reports the rate of success.
+    """
+    from hitchopt.simulation.flight_film import check_film
+    from hitchopt.simulation.flight_task import read_task
+
+    directory = plan_path(directory).parent
+    if film is not None:
+        check_film(film)
+        if runs is not None:
+            remedy = "leave out --runs, give a seed"
+            raise InputError("--film", str(film), "of a single flight", remedy)
+    settings = _settings(options)
+    task = read_task(directory)
+    place = directory / RESULTS if output is None else output
+    if runs is None:
+        _simulate_one(task, settings, place, film)
+    else:
+        _simulate_campaign(task, settings, place, runs, processes)
+
+
+def _settings(options: dict[str, float | str | bool | None]) -> Settings:
+    """Return the settings that options of the command line ask for."""
+    from hitchopt.simulation.simulation_settings import CALM, PRESETS, USUAL, Settings
+
+    usual = USUAL if options.pop("perturbed") else CALM
+    given = {name: options.pop(name) for name in vars(usual)}
+    chosen: dict[str, Any] = {name: x for name, x in given.items() if x is not None}
+    preset = PRESETS[str(options.pop("preset"))]
+    others: dict[str, Any] = {**options, "preset": preset}
+    return Settings(perturbations=replace(usual, **chosen), **others)
+
+
+def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
+    """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.cli.simulation_tables import flight_tables
+    from hitchopt.simulation.flight_film import save_film
+    from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
+    from hitchopt.simulation.run_report import save_simulation
+    from hitchopt.simulation.simulate import simulate as simulated
+
+    with LateProgress(sys.stderr, "building ropes") as progress:
+        done = simulated(task, settings, progress)
+    save_simulation(place, done)
+    say(flight_tables(done))
+    say(f"{_verdict(done)}; results are in {place}")
+    for failure in done.outcome.failures:
+        word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
+        say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
+    if film is not None:
+        with LateProgress(sys.stderr, "drawing the film"):
+            save_film(film, done.flight.film)
+        say(f"the film is {film}")
+    if not done.outcome.succeeded:
+        click.get_current_context().exit(UNMET)
+
+
+def _verdict(done: Simulation) -> str:
+    """Return the verdict on a flight's hitch in words."""
+    if done.flight.linking is None:
+        return "not simulated to its end: nothing is known of the hitch"
+    if done.flight.task.formed[-1]:
+        held = done.outcome.hitched
+        return "hitched: every vertex is linked and held" if held else "NOT hitched"
+    return "NOT untied" if done.flight.linking.any() else "untied: no two cables are linked"
+
+
+def _simulate_campaign(
+    task: Task, settings: Settings, place: Path, runs: int, processes: int | None
+) -> None:
+    """Simulate, save and report a campaign."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.cli.simulation_tables import campaign_tables
+    from hitchopt.simulation.campaign import run_campaign, save_campaign
+
+    with LateProgress(sys.stderr, "flying") as progress:
+        campaign = run_campaign(task, settings, runs, processes, progress)
+    save_campaign(place, campaign)
+    say(campaign_tables(campaign))
+    say(f"results are in {place}")

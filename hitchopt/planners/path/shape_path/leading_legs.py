@@ -1,0 +1,105 @@
+"""Legs that lead and lag, so that drones start and stop more gently than their vertices.
+
+Vertices have a limit of speed, drones one of acceleration besides. Where a vertex moves along the
+legs of its drones, cables that slide through the clasps while it speeds up leave its drones behind
+for a while, and let them overtake it on the way: the vertex is at full speed earlier and stays so
+for longer. The slide is a cubic of the path's parameter that is zero at both ends; its slopes there
+are, for every cable by itself, those that leave its two drones the least to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry.vectors import length
+from hitchopt.model.evaluation import drone_jets
+from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, drones_along
+from hitchopt.planners.timing.speed_profile.demands import Demands
+from hitchopt.planners.timing.speed_profile.speed_profile import (
+    TimingError,
+    fastest_profile,
+    path_grid,
+)
+from hitchopt.requirements import Limits
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+DEGREE = 3
+
+HELPS = 0.9
+"""Share of the fastest drone's start and stop that has to be left at most, or it is not tried."""
+
+SHARES = (1.0, 0.75, 0.5)
+"""Of the slide that leaves drones the least to do: it costs speed on the way."""
+
+SMALLER = 0.4
+"""Of the best share: where that breaks a distance, one that slides less may not."""
+
+GAIN = 0.995
+"""Of toppra's optimum: who promises less is not flown."""
+
+GRID = 80
+"""Steps of toppra's grid on which shares are compared."""
+
+
+def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
+    """Yield paths of the same vertices that promise to be faster, the best first; mostly none.
+
+    What their distances keep, and how fast they are, is for others to say.
+    """
+    if path.legs.length.pieces > 1:
+        return
+    slopes = _slopes(path)
+    ends = np.array([0.0, 1.0])
+    usual, led = (
+        np.max(length(drones_along(p, ends).positions[..., 1])) for p in (path, _slid(path, slopes))
+    )
+    if led > HELPS * usual:
+        return
+    paths = {share: _slid(path, share * slopes) for share in SHARES}
+    times = {share: _optimum(p, limits) for share, p in paths.items()}
+    best = min(SHARES, key=lambda share: times[share])
+    if times[best] < GAIN * _optimum(path, limits):
+        yield paths[best]
+        yield _slid(path, SMALLER * best * slopes)
+
+
+def _slopes(path: ShapePath) -> Array:
+    """Return (2, n) [m]: the slides' slopes at s = 0 and 1 that slow the drones most there.
+
+    A drone's derivative by s is linear in its leg's, which moves it along the leg.
+    """
+    ends = np.array([0.0, 1.0])
+    ones = np.ones((2, path.team.robots))
+    usual = drones_along(path, ends).positions[..., 1]
+    along = drones_along(_slid(path, ones), ends).positions[..., 1] - usual
+    usual, along = (v.reshape(2, path.team.robots, -1) for v in (usual, along))
+    size = np.sum(along**2, axis=-1)
+    slopes: Array = -np.sum(usual * along, axis=-1) / np.where(size > 0.0, size, np.inf)
+    return slopes
+
+
+def _slid(path: ShapePath, slopes: Array) -> ShapePath:
+    """Return the path with its legs slid, with slopes (2, n) at its ends."""
+    law = path.legs.length.coefficients[0]
+    slide = np.zeros((path.team.robots, DEGREE + 1))
+    slide[:, 1], slide[:, -2] = slopes[0] / DEGREE, -slopes[1] / DEGREE
+    order = max(DEGREE, bernstein.degree(law))
+    length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
+    legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)
+    return ShapePath(path.team, path.vertices, legs, path.tensions)
+
+
+def _optimum(path: ShapePath, limits: Limits) -> float:
+    """Return toppra's optimum [s], infinite where there is none."""
+    s = path_grid(GRID)
+    flat = path.flat(s)
+    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
+    try:
+        return fastest_profile(s, demands).duration
+    except TimingError:
+        return float("inf")

@@ -1,0 +1,107 @@
+"""Whether a path can be flown at all: a hitch all the way, and drones that can hold it at rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.model.evaluation import drone_jets
+from hitchopt.planners.path.shape_path.shape_path import Path, shapes_along
+from hitchopt.planners.timing.speed_profile.demands import Demands
+from hitchopt.requirements import Limits
+
+FLATTEST = math.radians(0.01)
+"""[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
+
+SHORTEST_EDGE = 1e-3
+"""[m] A shorter edge on the way has no direction to speak of."""
+
+SHORTEST_LEG = 1e-3
+"""[m] A shorter leg on the way has no direction to speak of."""
+
+PROBES, LOAD_PROBES = 401, 161
+"""Points of the path at which its shapes, and loads at rest, are looked at before it is timed."""
+
+
+def check_shapes(path: Path) -> None:
+    """Raise InfeasibleError where the path has no hitch to fly."""
+    s = np.linspace(0.0, 1.0, PROBES)
+    layout = path.team.layout
+    shapes = shapes_along(path, s)
+    edges = layout.edges(shapes.polygons)
+    ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
+    right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
+    angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
+    lengths = np.linalg.norm(edges, axis=-1)
+    shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
+    angles = np.where(shorter < SHORTEST_EDGE, 0.0, angles)  # a point has no corners
+    if np.min(angles) < FLATTEST:
+        k = int(np.argmin(np.min(angles, axis=0)))
+        first = int(np.argmax(angles[:, k] < FLATTEST))
+        raise InfeasibleError(
+            [
+                Violation(
+                    "convexity",
+                    math.degrees(float(np.min(angles))),
+                    math.degrees(FLATTEST),
+                    "min",
+                    "deg",
+                    (f"p{layout.clasps[k]}",),
+                    f"from {s[first]:.0%} of the way on",
+                    "the straight way is shut: go by a polygon in between, in two morphs",
+                )
+            ]
+        )
+    legs = np.where(layout.has_leg, shapes.legs, np.inf)
+    if np.min(legs) < SHORTEST_LEG:
+        j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
+        raise InfeasibleError(
+            [
+                Violation(
+                    "legs",
+                    float(legs[j, at, end]),
+                    SHORTEST_LEG,
+                    "min",
+                    "m",
+                    (f"{'qr'[end]}{at}",),
+                    f"at {s[j]:.0%} of the way",
+                    f"cable {at} leaves {legs[j, at][layout.has_leg[at]].sum():.6g} m there",
+                )
+            ]
+        )
+
+
+def check_loads(path: Path, limits: Limits) -> None:
+    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
+    s = np.linspace(0.0, 1.0, LOAD_PROBES)
+    flat = path.flat(s)
+    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
+    names = path.team.drone_names
+    for name, unit, ratios, scale, remedy in (
+        ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),
+        (
+            "tilt",
+            "deg",
+            demands.at_rest()[1],
+            np.full(len(names), math.degrees(limits.tilt)),
+            "allow more tilt, or use heavier drones",
+        ),
+    ):
+        j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
+        if ratios[j, i] >= demands.share:
+            raise InfeasibleError(
+                [
+                    Violation(
+                        name,
+                        float(ratios[j, i] * scale[i]),
+                        float(demands.share * scale[i]),
+                        "max",
+                        unit,
+                        (names[i],),
+                        f"at rest, {s[j]:.0%} of the way on, 0.1 % of it being kept to move by",
+                        f"{remedy}, or lower team.tension",
+                    )
+                ]
+            )

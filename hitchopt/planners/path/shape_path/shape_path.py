@@ -1,0 +1,133 @@
+"""Geometric paths of a hitch: flat outputs over a parameter s from 0 to 1, not yet timed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Hitch, Team
+from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
+from hitchopt.model.robot import JET
+from hitchopt.planners.path.shape_path import jets
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+
+class Path(Protocol):
+    """What can be timed and flown."""
+
+    @property
+    def team(self) -> Team:
+        """Whose cables."""
+
+    def flat(self, s: Array) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,)."""
+
+
+def drones_along(path: Path, s: Array) -> DroneJets:
+    """Return the drones' jets by s at s (J,)."""
+    return drone_jets(path.team, path.flat(s))
+
+
+@dataclass(frozen=True, eq=False)
+class LegLaw:
+    """How q-legs follow from what the edges leave of their cables: ``d = length + share · slack``.
+
+    A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
+
+    Attributes
+    ----------
+    length: of shape (n,) over s [m].
+    share: of shape (n,) over s.
+    """
+
+    length: PiecewisePolynomial
+    share: PiecewisePolynomial
+
+    @classmethod
+    def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
+        """Return the law under which ``d_k / (d_k + e_k)`` is as given, (n,) over s."""
+        nothing = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
+        return cls(nothing, fractions)
+
+    def q_legs(self, s: Array, slack: Array) -> Array:
+        """Return the jets (J, n, 4) of ``d`` for those of the slack."""
+        return self.length.jet(s, JET) + jets.product(self.share.jet(s, JET), slack)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePath:
+    """Vertices on polynomials of s, legs by a law.
+
+    Attributes
+    ----------
+    team: whose cables.
+    vertices: of shape (points, 3) over s in [0, 1] [m].
+    legs: the law of the q-legs, wherever the ends of a chain leave a choice.
+    tensions: of shape (n,) over s [N], or None for the team's.
+    """
+
+    team: Team
+    vertices: PiecewisePolynomial
+    legs: LegLaw
+    tensions: PiecewisePolynomial | None = None
+
+    @classmethod
+    def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
+        """Return the path on which vertices go straight and fractions change linearly with s."""
+        whole = np.array([0.0, 1.0])
+        vertices = np.stack([start.vertices, end.vertices], axis=-1)
+        fractions = np.stack([start.fractions, end.fractions], axis=-1)
+        return cls(
+            start.team,
+            PiecewisePolynomial(whole, vertices[None]),
+            LegLaw.of_fractions(PiecewisePolynomial(whole, fractions[None])),
+        )
+
+    def flat(self, s: Array) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,)."""
+        vertices = self.vertices.jet(s, JET)
+        edges = self.team.layout.edges(vertices, axis=1)
+        slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
+        slack[..., 0] += self.team.cable_length
+        tensions = np.zeros((len(s), self.team.robots, JET))
+        tensions[..., 0] = self.team.tension
+        if self.tensions is not None:
+            tensions = self.tensions.jet(s, JET)
+        wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
+        q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
+        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
+
+
+def legs_along(path: Path, s: Array) -> Array:
+    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m].
+
+    Negative where a cable is too short; zero where a chain's end has no leg.
+    """
+    return shapes_along(path, s).legs
+
+
+def polygons_along(path: Path, s: Array) -> Array:
+    """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
+    return shapes_along(path, s).polygons
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Polygons (J, points, 2) in plan view, and legs ``d``, ``e`` (J, n, 2) [m]."""
+
+    polygons: Array
+    legs: Array
+
+
+def shapes_along(path: Path, s: Array) -> Shapes:
+    """Return what ``polygons_along`` and ``legs_along`` do, at once."""
+    flat, layout = path.flat(s), path.team.layout
+    edges = length(layout.edges(flat.vertices[..., 0]))
+    legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
+    return Shapes(flat.vertices[:, :, :2, 0], legs)

@@ -1,0 +1,233 @@
+"""The fastest squared rate of a clock under its rows: an interior-point method of banded systems.
+
+The rate is a cubic spline, so that every row sees four neighbouring coefficients and Newton's
+matrix has seven diagonals: a step costs as much as looking at the rows. Every iterate keeps all
+rows strictly, so the last one is a solution whatever ended the search, and only how fast it is
+depends on that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+
+from hitchopt.planners.timing.speed_profile.rate_rows import RateRows
+from hitchopt.time_limit import check_time
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+DEGREE = 3
+
+STEPS = 60
+"""Of Newton's method, at most; some 15 are usual."""
+
+GAP = 1e-5
+"""Of the duration: by how much less it could be, about, when the search ends."""
+
+LEAST = 1e-4
+"""Of the coefficients: keeps the rate above zero between the samples as well."""
+
+INSIDE = 0.99
+"""Share of the way to the nearest bound that a step may go."""
+
+SHRINK = 1e-3
+"""Share of a slack that every step leaves."""
+
+BACKTRACK, SMALLEST = 0.7, 1e-8
+"""By how much a step is shortened that breaks a row, and where that ends."""
+
+LEAST_LEFT = 0.1
+"""Of the gap after a step of the predictor: less is not believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplineBasis:
+    """A cubic spline's values and two derivatives at samples, by its coefficients.
+
+    Attributes
+    ----------
+    first: (M,), the first of the four coefficients that a sample sees.
+    values: (M, 3, 4)
+    count: of the coefficients.
+    """
+
+    first: Index
+    values: Array
+    count: int
+
+    @classmethod
+    def of(cls, spline: BSpline, at: Array) -> SplineBasis:
+        """Return the basis of a cubic spline at samples (M,) inside of its range."""
+        count = len(spline.c)
+        span = np.clip(np.searchsorted(spline.t, at, side="right") - 1, DEGREE, count - 1)
+        first = span - DEGREE
+        whole = BSpline(spline.t, np.eye(count), DEGREE)
+        columns = first[:, None] + np.arange(DEGREE + 1)
+        rows = np.arange(len(at))[:, None]
+        values = np.stack([whole(at, order)[rows, columns] for order in range(3)], axis=1)
+        return cls(first, values, count)
+
+    def at(self, coefficients: Array) -> Array:
+        """Return value and derivatives (M, 3)."""
+        seen = coefficients[self.first[:, None] + np.arange(DEGREE + 1)]
+        values: Array = np.einsum("moj,mj->mo", self.values, seen)
+        return values
+
+    def transposed(self, forces: Array) -> Array:
+        """Return what (M, 3) by value and derivatives is by coefficients (count,)."""
+        local = np.einsum("mo,moj->mj", forces, self.values)
+        return sum(
+            np.bincount(self.first + j, weights=local[:, j], minlength=self.count)
+            for j in range(DEGREE + 1)
+        ) + np.zeros(self.count)
+
+    def banded(self, forms: Array) -> Array:
+        """Return the lower band (4, count) of what quadratic forms (M, 3, 3) are together."""
+        local = np.swapaxes(self.values, 1, 2) @ forms @ self.values
+        band = np.zeros((DEGREE + 1, self.count))
+        for i in range(DEGREE + 1):
+            for j in range(i + 1):
+                band[i - j] += np.bincount(
+                    self.first + j, weights=local[:, i, j], minlength=self.count
+                )
+        return band
+
+
+@dataclass(frozen=True, eq=False)
+class RateProgram:
+    """``min Σ w / √x`` over the coefficients of x, all rows below zero.
+
+    Attributes
+    ----------
+    basis: of x at the samples.
+    rows: at the samples.
+    weights: (M,) [s], of the quadrature that gives the duration.
+    """
+
+    basis: SplineBasis
+    rows: RateRows
+    weights: Array
+
+    def duration(self, coefficients: Array) -> float:
+        """Return Σ w / √x [s]."""
+        return float(np.sum(self.weights / np.sqrt(self.basis.at(coefficients)[:, 0])))
+
+    def slack(self, coefficients: Array) -> Array | None:
+        """Return by how much rows and coefficients are kept (M · R + count,); None if not."""
+        p = self.basis.at(coefficients)
+        own = coefficients - LEAST
+        if np.min(own) <= 0.0 or np.min(p[:, 0]) <= 0.0:
+            return None
+        slack = np.append(-self.rows.values(p).ravel(), own)
+        return slack if np.min(slack) > 0.0 else None
+
+
+def fastest_rate(program: RateProgram, start: Array) -> Array:
+    """Return the coefficients of the fastest rate that is found from a start inside of all rows.
+
+    A primal-dual method with a predictor, after Mehrotra. The start itself is returned where it is
+    not inside.
+    """
+    found = program.slack(start)
+    if found is None:
+        return start
+    c, slack = start, found
+    force = 0.1 * program.duration(c) / len(slack) / slack
+    for _ in range(STEPS):
+        check_time()
+        duration = program.duration(c)
+        gap = float(force @ slack)
+        newton = _Newton.at(program, program.basis.at(c), force, slack)
+        if gap < GAP * duration and np.max(np.abs(newton.residual)) < GAP * duration:
+            break
+        if not newton.solvable:
+            break
+        dc, dslack, dforce = newton.step(0.0)
+        left = (slack + _share(slack, dslack) * dslack) @ (force + _share(force, dforce) * dforce)
+        aim = max(gap * float(np.clip(left / gap, LEAST_LEFT, 1.0)) ** 3, 0.1 * GAP * duration)
+        dc, dslack, dforce = newton.step(aim / len(slack))
+        share = _share(slack, dslack)
+        kept = program.slack(c + share * dc)
+        while kept is None or np.any(kept < SHRINK * slack):
+            share *= BACKTRACK
+            if share < SMALLEST:
+                return c
+            kept = program.slack(c + share * dc)
+        c, slack = c + share * dc, kept
+        force = force + _share(force, dforce) * dforce
+    return c
+
+
+@dataclass(frozen=True, eq=False)
+class _Newton:
+    """Newton's system at a point.
+
+    Attributes
+    ----------
+    program: what is solved.
+    gradients: (M, R, 3), of the rows by value and derivatives of x.
+    residual: (count,), of what the objective's and the rows' forces come to.
+    force, slack: (M · R + count,), of the rows, then of the coefficients.
+    factor: of the matrix, banded; empty where there is none.
+    """
+
+    program: RateProgram
+    gradients: Array
+    residual: Array
+    force: Array
+    slack: Array
+    factor: Array
+
+    @classmethod
+    def at(cls, program: RateProgram, p: Array, force: Array, slack: Array) -> _Newton:
+        """Return the system at p (M, 3), by the convex part of the rows where it is indefinite."""
+        basis, rows = program.basis, program.rows
+        shape = rows.c.shape
+        inner = rows.c.size
+        gradients = rows.gradients(p)
+        own = force[:inner].reshape(shape)
+        stiff = (force[:inner] / slack[:inner]).reshape(shape)
+        pull = np.einsum("mr,mri->mi", own, gradients)
+        pull[:, 0] -= 0.5 * program.weights * p[:, 0] ** -1.5
+        residual = basis.transposed(pull) - force[inner:]
+        forms = np.swapaxes(stiff[..., None] * gradients, 1, 2) @ gradients
+        forms[:, 0, 0] += 0.75 * program.weights * p[:, 0] ** -2.5
+        factor = np.zeros((0, 0))
+        for convex in (False, True):
+            band = basis.banded(forms + rows.curvature(p, own, convex=convex))
+            band[0] += force[inner:] / slack[inner:]
+            try:
+                factor = cholesky_banded(band, lower=True, check_finite=False)
+            except LinAlgError:
+                continue
+            break
+        return cls(program, gradients, residual, force, slack, factor)
+
+    @property
+    def solvable(self) -> bool:
+        """Whether there is a factor."""
+        return self.factor.size > 0
+
+    def step(self, aim: float) -> tuple[Array, Array, Array]:
+        """Return the steps of coefficients, slack and forces towards products of ``aim`` each."""
+        basis, shape = self.program.basis, self.gradients.shape[:2]
+        inner = shape[0] * shape[1]
+        pull = aim / self.slack - self.force
+        pushed = np.einsum("mr,mri->mi", pull[:inner].reshape(shape), self.gradients)
+        right = pull[inner:] - self.residual - basis.transposed(pushed)
+        dc: Array = cho_solve_banded((self.factor, True), right, check_finite=False)
+        along = np.einsum("mri,mi->mr", self.gradients, basis.at(dc))
+        dslack = np.append(-along.ravel(), dc)
+        return dc, dslack, pull - self.force / self.slack * dslack
+
+
+def _share(values: Array, steps: Array) -> float:
+    """Return how much of a step keeps the values above zero, at most all of it."""
+    falling = steps < 0.0
+    reach = np.min(values[falling] / -steps[falling], initial=np.inf)
+    return min(1.0, INSIDE * float(reach))

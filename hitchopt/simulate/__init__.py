@@ -1,1 +1,0 @@
-"""Flying a plan's setpoints through a rope simulation (an extra: needs mujoco)."""

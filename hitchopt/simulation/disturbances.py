@@ -1,0 +1,65 @@
+"""Random disturbances of a flight, all from one seed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.simulation.simulation_settings import Perturbations
+
+Array = NDArray[np.float64]
+
+NOISE_TIME = 0.3
+"""Correlation time of the error of measured positions [s]."""
+
+GUST_TIME = 1.0
+"""Correlation time of gusts [s]."""
+
+
+class Drift:
+    """Ornstein-Uhlenbeck process: a random walk that is drawn back to zero.
+
+    Its steps are exact, such that its spread does not depend on the step.
+
+    Parameters
+    ----------
+    spread: standard deviation at every time.
+    memory: correlation time [s].
+    shape: shape of the values.
+    random: source of random numbers.
+    """
+
+    def __init__(
+        self, spread: float, memory: float, shape: tuple[int, ...], random: np.random.Generator
+    ) -> None:
+        self._spread = spread
+        self._memory = memory
+        self._random = random
+        self.value: Array = spread * random.standard_normal(shape)
+
+    def advance(self, seconds: float) -> Array:
+        """Return the value ``seconds`` later."""
+        decay = np.exp(-seconds / self._memory)
+        new = self._spread * np.sqrt(1.0 - decay**2)
+        self.value = decay * self.value + new * self._random.standard_normal(self.value.shape)
+        return self.value
+
+
+class Disturbances:
+    """Disturbances of one flight.
+
+    Parameters
+    ----------
+    perturbations: magnitudes.
+    robots: number n of catenary robots.
+    seed: every quantity has a stream of its own, thus disabling one does not change the others.
+    """
+
+    def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
+        streams = np.random.SeedSequence(seed).spawn(4)
+        cables, start, noise, wind = (np.random.default_rng(stream) for stream in streams)
+        drones = (2 * robots, 3)
+        self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
+        self.start_offset: Array = perturbations.start_error * start.standard_normal(drones)
+        self.noise = Drift(perturbations.noise, NOISE_TIME, drones, noise)
+        self.wind = Drift(perturbations.wind / np.sqrt(3.0), GUST_TIME, drones, wind)

@@ -1,0 +1,102 @@
+"""Records of a simulated flight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.validity import InvalidRunError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Measurements, sample by sample; times count from the flight's start, after settling.
+
+    Attributes
+    ----------
+    t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
+    drones: positions (samples, 2n, 3) [m].
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, offset for thick ropes.
+    vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
+    bearing: contact forces (samples, clasps) [N].
+    tensions: means over each cable's length (samples, n) [N].
+    peak_tensions: largest values over length and time since the last sample (samples, n) [N].
+    thrusts: (samples, 2n) [N]
+    saturated: whether a drone's command exceeded its thrust (samples, 2n).
+    """
+
+    t: Array
+    drones: Array
+    commanded: Array
+    vertices: Array
+    bearing: Array
+    tensions: Array
+    peak_tensions: Array
+    thrusts: Array
+    saturated: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Shapes of the cables over time; settling is included, at negative times.
+
+    Attributes
+    ----------
+    t: (frames,) [s]
+    nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
+    cables: (n + 1,), first node of each cable, and the number of nodes.
+    """
+
+    t: Array
+    nodes: NDArray[np.float32]
+    cables: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Touch:
+    """First contact of two things that should stay apart.
+
+    Attributes
+    ----------
+    time: [s], from the flight's start.
+    first, second: names, such as ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
+    """
+
+    time: float
+    first: str
+    second: str
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A flight that was simulated to its end, or until the simulation became invalid.
+
+    Attributes
+    ----------
+    task: what was flown.
+    record: measurements over the flight, rest and pull test.
+    film: shapes of the cables over all of it.
+    touches: first contacts, by time.
+    linking: linking numbers (n, n) of all pairs of cables after the rest; None if not reached.
+    rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
+    density: of the simulated cables [kg/m].
+    least_bearing: contact forces (clasps,) [N] from which on a clasp bears at the end; zero without
+        a hitch.
+    error: what ended the flight early, or None.
+    """
+
+    task: Task
+    record: Record
+    film: Film
+    touches: tuple[Touch, ...]
+    linking: NDArray[np.int64] | None
+    rested: float
+    pulled: float
+    density: float
+    least_bearing: Array
+    error: InvalidRunError | None

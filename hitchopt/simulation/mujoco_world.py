@@ -1,0 +1,134 @@
+"""The simulated world in MuJoCo: ropes that collide, drones at their ends, a ground.
+
+Contacts of drones with cables and with one another are found in ``drone_contacts``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import UnsupportedError
+from hitchopt.hitch import GRAVITY
+from hitchopt.simulation.mujoco_xml import BODY_RADIUS, describe
+from hitchopt.simulation.ropes import Ropes
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+RADII_OF_GYRATION = (0.5, 0.5, 0.65)
+"""Radii of gyration of a drone about its axes, over its radius: four motors on arms, and the
+remaining mass in the middle."""
+
+
+class World:
+    """A compiled model, its state, and the positions of things in MuJoCo's arrays.
+
+    The ropes are straight at first: place the nodes before the first step.
+
+    Parameters
+    ----------
+    ropes: n of them.
+    masses: (2n,) [kg], of the drones q0, r0, q1, r1, ….
+    rigid: whether drones have an attitude.
+    ground: height of the ground [m].
+    gravity: downward acceleration [m/s²].
+
+    Attributes
+    ----------
+    model, data: MuJoCo's.
+    inertia: (2n, 3) [kg m²], about the drones' own axes.
+    node_dofs: addresses (nodes, 3) of the inner nodes of all cables, in order, in qvel.
+    drone_bodies: (2n,)
+    drone_dofs: addresses (2n, 3) of the drones' positions in qvel.
+    cable_vertices: (n + 1,), cable k's nodes, drones among them, are flex vertices
+        ``cable_vertices[k]:cable_vertices[k + 1]``.
+    edge_cables: cable of each edge (edges,).
+
+    Raises
+    ------
+    UnsupportedError: mujoco is not installed.
+    """
+
+    def __init__(
+        self,
+        ropes: Ropes,
+        masses: Array,
+        *,
+        rigid: bool = True,
+        ground: float = 0.0,
+        gravity: float = GRAVITY,
+    ) -> None:
+        mujoco = self._mujoco = _imported_mujoco()
+        self.ropes, self.rigid, self.ground = ropes, rigid, ground
+        self.masses = np.array(masses, dtype=np.float64)
+        self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
+        text = describe(ropes, masses, self.inertia, rigid, ground, gravity)
+        self.model = model = mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(model)
+        names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
+        drones: Index = np.array([model.body(name).id for name in names])
+        nodes = np.setdiff1d(np.arange(1, model.nbody), drones)  # body 0 is the world itself
+        drone_joint, node_joint = model.body_jntadr[drones], model.body_jntadr[nodes]
+        axes = np.arange(3)
+        self.drone_bodies = drones
+        self.drone_dofs: Index = model.jnt_dofadr[drone_joint][:, None] + axes
+        self.node_dofs: Index = model.jnt_dofadr[node_joint][:, None] + axes
+        self._drone_qpos = model.jnt_qposadr[drone_joint][:, None] + axes
+        self._node_qpos = model.jnt_qposadr[node_joint][:, None] + axes
+        # Where the qpos of bodies that slide is zero; a free joint's is the position itself.
+        self._node_origins = model.body_pos[nodes]
+        self._drone_origins = np.zeros((len(names), 3)) if rigid else model.body_pos[drones]
+        self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
+        self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
+
+    def place(self, cables: list[Array]) -> None:
+        """Put every cable's nodes, its drones at the ends, at n of (segments + 1, 3) [m]."""
+        inner = np.concatenate([cable[1:-1] for cable in cables])
+        ends = np.concatenate([cable[[0, -1]] for cable in cables])
+        self.data.qpos[self._node_qpos] = inner - self._node_origins
+        self.data.qpos[self._drone_qpos] = ends - self._drone_origins
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def step(self, count: int = 1) -> None:
+        """Advance by ``count`` time steps."""
+        self._mujoco.mj_step(self.model, self.data, nstep=count)
+
+    @property
+    def nodes(self) -> Array:
+        """Positions of all nodes (nodes, 3) [m], cable after cable, with drones at the ends."""
+        found: Array = self.data.flexvert_xpos
+        return found
+
+    @property
+    def cables(self) -> list[Array]:
+        """Nodes of every cable: n of (segments + 1, 3) [m]."""
+        return np.split(self.nodes, self.cable_vertices[1:-1])
+
+    @property
+    def drones(self) -> Array:
+        """Positions of the drones (2n, 3) [m]."""
+        found: Array = self.data.qpos[self._drone_qpos] + self._drone_origins
+        return found
+
+
+def _imported_mujoco() -> Any:
+    """Return the module, prevented from writing its warnings to a file in the current directory.
+
+    They are counted in the data nevertheless, and end a run (see ``validity``).
+
+    Raises
+    ------
+    UnsupportedError: mujoco is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError:
+        raise UnsupportedError(
+            "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
+        ) from None
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(lambda _text: None)
+    return mujoco

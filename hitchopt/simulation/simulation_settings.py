@@ -1,0 +1,148 @@
+"""Settings of a simulated flight: its resolution, its drones and everything that disturbs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hitchopt.errors import InputError
+from hitchopt.values import finite, not_negative, positive
+
+BODIES = ("rigid", "point")
+
+
+def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
+    """Replace the named values of a frozen record by checked ones; None stays.
+
+    Raises
+    ------
+    InputError: a value out of its range.
+    """
+    for name in names:
+        if (value := getattr(record, name)) is not None:
+            object.__setattr__(record, name, checked(name, value))
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Resolution of the ropes in space and time.
+
+    Parameters
+    ----------
+    name: identifies the preset.
+    segment: largest length of a rope's segments [m].
+    diameter: rope diameter [m]; larger than that of real cables, because contact needs it.
+    time_step: integration step [s].
+    """
+
+    name: str
+    segment: float
+    diameter: float
+    time_step: float
+
+    def __post_init__(self) -> None:
+        _check(self, positive, "segment", "diameter", "time_step")
+
+
+FAST = Preset("fast", 0.030, 0.012, 0.001)
+"""Preset for topology: whether a hitch holds. Its bends have too few segments for friction."""
+
+ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
+"""Preset for friction: the tension ratio of a clasp is that of a capstan."""
+
+PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
+
+
+@dataclass(frozen=True)
+class Perturbations:
+    """Disturbances that the plan does not know, all drawn from one seed.
+
+    Parameters
+    ----------
+    noise: standard deviation per axis of the error of the measured drone positions [m].
+    wind: root mean square of the gust force on a drone [N].
+    lag: time constant of the thrust [s]; None: MOTOR_LAG for a rigid body, FORCE_LAG for a point
+        mass, which has no attitude to turn first.
+    cable_error: standard deviation of the cable lengths, relative.
+    start_error: standard deviation per axis of the drones' start positions [m].
+    downwash: whether drones push down those below them.
+    """
+
+    noise: float = 0.0
+    wind: float = 0.0
+    lag: float | None = None
+    cable_error: float = 0.0
+    start_error: float = 0.0
+    downwash: bool = False
+
+    def __post_init__(self) -> None:
+        _check(self, not_negative, "noise", "wind", "lag", "cable_error", "start_error")
+        if self.cable_error > LARGEST_CABLE_ERROR:
+            raise InputError(
+                "cable_error",
+                self.cable_error,
+                f"at most {LARGEST_CABLE_ERROR}",
+                "give the standard deviation as a fraction of the length",
+            )
+
+
+LARGEST_CABLE_ERROR = 0.1
+"""Largest relative deviation of the cable lengths; more is most likely a percentage."""
+
+CALM = Perturbations()
+
+USUAL = Perturbations(noise=0.01, wind=0.05, cable_error=0.005, start_error=0.02)
+"""Perturbations of earlier rope simulations of the swap, which also have 80 ms of thrust lag."""
+
+MOTOR_LAG = 0.02
+"""Time constant of a rigid drone's motors [s]; its attitude loop adds another 60 ms."""
+
+FORCE_LAG = 0.08
+"""Time constant from a point mass's command to its force [s]."""
+
+DENSITY = 0.01
+"""Cable density where the team gives none [kg/m]: a cord of 4 mm."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of one simulated flight.
+
+    Parameters
+    ----------
+    preset: resolution of the ropes.
+    body: ``rigid`` bodies with an attitude, or ``point`` masses.
+    perturbations: disturbances.
+    seed: seed of all random numbers.
+    friction: coefficient at the clasps that replaces the team's; None: the team's.
+    density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where the
+        team's cables have no weight, because a rope without mass cannot be simulated.
+    ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
+        stand on it.
+    pull_test: whether the flight ends with a pull test of the hitch.
+    """
+
+    preset: Preset = FAST
+    body: str = "rigid"
+    perturbations: Perturbations = CALM
+    seed: int = 0
+    friction: float | None = None
+    density: float | None = None
+    ground: float | None = None
+    pull_test: bool = True
+
+    def __post_init__(self) -> None:
+        if self.body not in BODIES:
+            raise InputError("body", self.body, " or ".join(BODIES), "write rigid")
+        if isinstance(self.seed, bool) or self.seed < 0:
+            raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
+        _check(self, not_negative, "friction")
+        _check(self, positive, "density")
+        _check(self, finite, "ground")
+
+    @property
+    def lag(self) -> float:
+        """Time constant from the command to the force [s]; along the axis of a rigid drone."""
+        if self.perturbations.lag is not None:
+            return self.perturbations.lag
+        return MOTOR_LAG if self.body == "rigid" else FORCE_LAG

@@ -1,0 +1,118 @@
+"""Tasks written by hand: a formed hitch at rest, and drones that form one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.simulation.flight_task import Setpoints, Task
+
+Array = NDArray[np.float64]
+
+RATE = 100.0
+
+
+def smooth(x: Array) -> Array:
+    """Rise from 0 to 1, at rest up to the jerk at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
+
+
+def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
+    """Return the task of positions (samples, 2n, 3) without a hitch; derivatives by differences."""
+    t = np.arange(len(positions)) / RATE
+    velocities = np.gradient(positions, 1.0 / RATE, axis=0)
+    accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
+    jerks = np.gradient(accelerations, 1.0 / RATE, axis=0)
+    yaw = np.zeros(positions.shape[:2])
+    setpoints = Setpoints(positions, velocities, accelerations, jerks, yaw, cable_forces)
+    vertices, tensions = np.zeros((len(t), team.layout.points, 3)), np.zeros((len(t), team.robots))
+    return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
+
+
+def formed_where(task: Task, hitch: Hitch, formed: NDArray[np.bool_]) -> Task:
+    """Return a task whose plan has the hitch in some samples only."""
+    vertices = np.where(formed[:, None, None], hitch.vertices, 0.0)
+    tensions = np.where(formed[:, None], hitch.team.tension, 0.0)
+    return replace(task, formed=formed, vertices=vertices, tensions=tensions)
+
+
+def unformed(task: Task) -> Task:
+    """Return the task of the same setpoints without a hitch."""
+    vertices, tensions = np.zeros_like(task.vertices), np.zeros_like(task.tensions)
+    return replace(task, formed=np.zeros_like(task.formed), vertices=vertices, tensions=tensions)
+
+
+def standing(hitch: Hitch, seconds: float) -> Task:
+    """Return the task of a formed hitch at rest."""
+    count = round(seconds * RATE) + 1
+    still = np.repeat(hitch.drones[None], count, axis=0)
+    forces = np.repeat(hitch.cable_forces[None], count, axis=0)
+    task = hanging_task(hitch.team, still, forces)
+    return formed_where(task, hitch, np.ones(count, dtype=np.bool_))
+
+
+def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
+    """Return a regular hitch with legs of 0.5 m."""
+    given = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
+    team = Team(n, edge + 1.0, **given)  # type: ignore[arg-type]
+    return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
+
+
+def forming(
+    hitch: Hitch,
+    turns: Sequence[float] | Sequence[tuple[float, float]],
+    *,
+    leg: float = 0.3,
+    tilt: float = np.pi / 4.0,
+    swap: float = 5.0,
+    swapped: bool = False,
+) -> Task:
+    """Return the task of drones that swap positions and draw the hitch tight.
+
+    ``turns`` gives the number of turns of the pair at each vertex, in two equal halves; a tuple of
+    two gives those of each half. ``tilt`` is the elevation of the turning axis, the outward
+    bisector. ``swapped``: the hitch is drawn tight with every pair in each other's positions, as
+    half a turn leaves it, such that cables run straight through each other's crossings.
+    """
+    team, layout = hitch.team, hitch.team.layout
+    place, outward = hitch.drones, hitch.leg_directions
+    start = place - (hitch.legs.reshape(-1, 1) - leg) * outward
+    q, r = 2 * layout.ahead, 2 * layout.behind + 1
+    middle, half = 0.5 * (start[q] + start[r]), 0.5 * (start[q] - start[r])
+    size = np.linalg.norm(half, axis=-1, keepdims=True)
+    outward_axis = np.cross([0.0, 0.0, 1.0], half / size)
+    axis = np.cos(tilt) * outward_axis + np.sin(tilt) * np.array([0.0, 0.0, 1.0])
+    up = np.cross(half / size, axis) * 0.35
+    wide = half / size * np.maximum(size, 0.2)
+    halves = np.array([np.broadcast_to(np.asarray(turn) / 2.0, 2) for turn in turns])
+    if np.ndim(turns[0]):
+        halves = np.array(turns, dtype=np.float64)
+    t = np.arange(round((1.5 + 2.0 * swap + 3.5) * RATE) + 1) / RATE
+    first, second = smooth((t - 1.0) / swap), smooth((t - 1.0 - swap - 0.5) / swap)
+    angle = 2.0 * np.pi * (np.multiply.outer(first, halves[:, 0]) + np.outer(second, halves[:, 1]))
+    widen = smooth(t)[:, None, None]
+    chord = half + widen * (wide - half)
+    offset = chord * np.cos(angle)[..., None] + up * np.sin(angle)[..., None]
+    positions = np.repeat(start[None], len(t), axis=0)
+    positions[:, q], positions[:, r] = middle + offset, middle - offset
+    begin = 1.5 + 2.0 * swap
+    tighten = smooth((t - begin) / 2.0)[:, None, None]
+    cable_pull = hitch.cable_forces + upward(team.cable_weight)
+    if swapped:
+        place, cable_pull = place.copy(), cable_pull.copy()
+        for values in (place, cable_pull):
+            values[np.concatenate([q, r])] = values[np.concatenate([r, q])]
+    positions = positions + tighten * (place - positions)
+    pull = smooth((t - begin - 1.0) / 1.5)[:, None, None]
+    forces = pull * cable_pull - upward(team.cable_weight)
+    return formed_where(hanging_task(team, positions, forces), hitch, t >= begin + 2.5)
+
+
+def upward(weight: Array) -> Array:
+    return np.multiply.outer(weight, [0.0, 0.0, 1.0])

@@ -1,0 +1,106 @@
+"""Campaigns: success rates with their uncertainty, and the same run for the same seed alone."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted import regular_hitch, standing, unformed
+
+from hitchopt.errors import InputError
+from hitchopt.simulation.campaign import Campaign, one_run, run_campaign, save_campaign
+from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.simulate import Run, simulate
+from hitchopt.simulation.simulation_settings import Perturbations, Settings
+
+BRIEF = Settings(
+    body="point",
+    perturbations=Perturbations(noise=0.005, start_error=0.01),
+    pull_test=False,
+    seed=40,
+)
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    """Return a hitch at rest that, by its plan, should move at the end."""
+    task = standing(regular_hitch(3), 0.05)
+    vertices = task.vertices.copy()
+    vertices[4:, :, 0] += [[0.01], [0.02]]
+    return replace(task, vertices=vertices, digest="abc")
+
+
+def interval(successes: int, runs: int) -> tuple[float, float]:
+    verdicts = [SUCCEEDED] * successes + [FAILED] * (runs - successes)
+    return Campaign(BRIEF, tuple(Run(i, v, ()) for i, v in enumerate(verdicts)), "").interval
+
+
+@pytest.mark.parametrize(("successes", "runs"), [(0, 5), (5, 5), (95, 100), (8, 10), (1, 3)])
+def test_the_interval_holds_the_rates_that_the_score_test_does_not_reject(
+    successes: int, runs: int
+) -> None:
+    low, high = interval(successes, runs)
+    assert 0.0 <= low <= successes / runs <= high <= 1.0
+    for rate in (low, high):
+        if 0.0 < rate < 1.0:
+            score = (successes / runs - rate) / np.sqrt(rate * (1.0 - rate) / runs)
+            assert abs(score) == pytest.approx(1.959964, abs=1e-6)
+    mirrored = interval(runs - successes, runs)
+    np.testing.assert_allclose(mirrored, (1.0 - high, 1.0 - low), atol=1e-12)
+
+
+def test_known_intervals() -> None:
+    np.testing.assert_allclose(interval(8, 10), (0.4902, 0.9433), atol=5e-5)  # the paper's
+
+
+def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path) -> None:
+    messages: list[str] = []
+    campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
+    alone = [one_run((task, replace(BRIEF, seed=seed))) for seed in (40, 41)]
+    assert [run.seed for run in campaign.runs] == [40, 41]
+    for run, single in zip(campaign.runs, alone, strict=True):
+        assert replace(run, pace=0.0) == replace(single, pace=0.0)
+    assert alone[0].tracking != alone[1].tracking
+    assert campaign.successes == 2
+    assert messages[-1] == "2 of 2 flown, 2 succeeded"
+    save_campaign(tmp_path, campaign)
+    content = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
+    assert content["successes"] == content["runs"] == 2
+    assert content["rate_95_percent"] == list(interval(2, 2))
+    assert content["setpoints_sha256"] == "abc"
+    assert content["settings"]["perturbations"]["noise"] == 0.005
+    with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["seed"] for row in rows] == ["40", "41"]
+    assert [row["verdict"] for row in rows] == ["succeeded", "succeeded"]
+    done = simulate(task, BRIEF).errors
+    moving = np.mean(done.without_sag[done.t > 0.035])
+    assert float(rows[0]["moving_without_sag_mean"]) == pytest.approx(moving, rel=1e-5)
+    assert moving > float(rows[0]["without_sag_mean"]) + 0.001
+    assert float(rows[0]["tracking_mean"]) == pytest.approx(alone[0].tracking.mean, rel=1e-5)
+
+
+def test_flights_that_cannot_begin_are_failures_of_that_run(task: Task) -> None:
+    free = unformed(standing(regular_hitch(3), 0.05))
+    apart = replace(free.setpoints, positions=free.setpoints.positions * 1.6)
+    campaign = run_campaign(replace(free, setpoints=apart), BRIEF, 2, processes=1)
+    assert campaign.successes == 0
+    assert campaign.failures == {("start", ""): 2}
+    assert [run.verdict for run in campaign.runs] == [NOT_SIMULATED] * 2
+    assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
+    assert "its drones start" in campaign.runs[0].failures[0].words
+    assert isinstance(campaign, Campaign)
+    heavy = replace(BRIEF, density=1e-6)
+    with pytest.raises(InputError, match="time_step"):  # nobody could fly this
+        run_campaign(task, heavy, 2, processes=1)
+
+
+@pytest.mark.parametrize(("runs", "processes", "name"), [(0, None, "runs"), (1, 0, "processes")])
+def test_nothing_to_fly_is_refused(task: Task, runs: int, processes: int | None, name: str) -> None:
+    with pytest.raises(InputError, match=f"^{name} = 0"):
+        run_campaign(task, BRIEF, runs, processes)
