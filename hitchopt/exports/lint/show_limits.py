@@ -1,4 +1,4 @@
-"""Limits that a show sets itself, as Skybrush's validation panel holds them against it."""
+"""Checks of the limits that a show sets itself, as Skybrush's validation panel makes them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hitchopt.trajectory.extremum import Cells, Estimate, largest
 Array = NDArray[np.float64]
 
 Size = Callable[[Array], Array]
-"""Of vectors (cells, 3, points), a convex function: it is largest at a control point."""
+"""Convex function of vectors (cells, 3, points): it is largest at a control point."""
 
 
 def _across(vectors: Array) -> Array:
@@ -43,7 +43,7 @@ KINDS: dict[str, tuple[int, str, tuple[Size, ...]]] = {
     "maxAccelerationZ": (2, "m/s²", (_up, _down)),
     "maxAccelerationZUp": (2, "m/s²", (_up,)),
 }
-"""Derivative by time, unit, and what is measured of it; z is up, as in every show."""
+"""Derivative by time, unit, and sizes of each limit's quantity; z is up, as in every show."""
 
 DISTANCE = "minDistance"
 
@@ -67,7 +67,7 @@ class ShowLimits:
     def checks(
         self, window: PiecewisePolynomial, smooth: int, names: Sequence[str]
     ) -> dict[str, Check]:
-        """Return the bounds on single drones, held against the curves (D, 3) of a window.
+        """Return the checks of the limits of single drones on the curves (D, 3) of a window.
 
         Parameters
         ----------
@@ -83,8 +83,7 @@ class ShowLimits:
             order, unit, sizes = KINDS[key]
             if f"{key}Up" in self.bounds:
                 sizes = (_down,)  # upwards, the other key takes precedence
-            worst = [_largest(window, order, size) for size in sizes]
-            value, item, time = max(worst)
+            value, item, time = max(_largest(window, order, size) for size in sizes)
             found[key] = Check.of(key, value, limit, "max", unit, time, (names[item],))
         return found
 
