@@ -248,10 +248,10 @@ def header(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
 
 
 @pytest.mark.parametrize("shape", [(10**7, 8, 3, 10), (2**62, 8), (2**200,), (-1, 8, 3, 10)])
-def test_a_promise_of_absurd_size_costs_nothing(path: Path, shape: tuple[int, ...]) -> None:
+def test_a_claim_of_absurd_size_costs_nothing(path: Path, shape: tuple[int, ...]) -> None:
     with_member(path, "drones", header(shape) + bytes(1000), zipfile.ZIP_STORED)
     tracemalloc.start()
-    with pytest.raises(FileError, match="'drones' promises"):
+    with pytest.raises(FileError, match="'drones' claims"):
         read_plan(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -399,5 +399,5 @@ def test_headers_that_numpy_does_not_write_are_never_evaluated(path: Path, text:
 @pytest.mark.parametrize("compression", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_unusual_compression_is_refused(path: Path, compression: int) -> None:
     with_member(path, "mass", header((4,)) + np.ones(4).tobytes(), compression)
-    with pytest.raises(FileError, match="packed in an unknown manner"):
+    with pytest.raises(FileError, match="packed by an unknown method"):
         read_plan(path)
