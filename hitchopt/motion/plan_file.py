@@ -1,4 +1,8 @@
-"""plan.npz: a plan as piecewise polynomials, exact to the last bit."""
+"""Plan files, plan.npz: piecewise polynomials, exact to the last bit.
+
+Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) over common
+``breaks``, without cables the drones' alone; everything else as JSON under ``settings``.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.motion import JOINT, POLYNOMIALS, CableState, Motion, Phase
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
@@ -26,10 +30,6 @@ T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 
 FORMAT = "hitchopt-plan/1"
-
-POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
-"""Fields of a motion that are stored as Bernstein coefficients (pieces, *shape, degree + 1) over
-common ``breaks``; only the first without cables."""
 
 LEG_TENSIONS = "leg_tensions"
 """Field of a motion that is stored as well where there is friction, and the setting that says so.
