@@ -40,7 +40,7 @@ HEADER = re.compile(
 )
 """Text that numpy writes before an array: its numbers' type, its order and its shape."""
 
-LENGTH_BYTES = {(1, 0): 2, (2, 0): 4}
+LENGTH_BYTES = {b"\x01\x00": 2, b"\x02\x00": 4}
 """[bytes] Size of the header's length, by version of the format."""
 
 BROKEN = (
@@ -128,17 +128,17 @@ def read_header(
     FileError: a header that numpy does not write, or objects.
     """
     start = read(8)
-    version = tuple(start[6:8])
-    if start[:6] != b"\x93NUMPY" or version not in LENGTH_BYTES:
+    size = LENGTH_BYTES.get(start[6:8])
+    if start[:6] != b"\x93NUMPY" or size is None:
         raise FileError(f"array {name!r} does not begin as version 1 or 2 of numpy's format does")
-    given = read(LENGTH_BYTES[version])
-    length = int.from_bytes(given, "little")
-    if len(given) < LENGTH_BYTES[version] or length > MAX_HEADER:
-        raise FileError(f"array {name!r} has a header of {length} bytes; {MAX_HEADER} are the most")
-    text = read(length).decode("latin-1")
+    length = int.from_bytes(read(size), "little")
+    text = read(min(length, MAX_HEADER)).decode("latin-1")
     found = HEADER.fullmatch(text)
     if len(text) < length or found is None:
-        raise FileError(f"array {name!r} has a header that numpy does not write: {text[:60]!r}")
+        raise FileError(
+            f"array {name!r} has a header of {length} bytes that numpy does not write, or more "
+            f"than {MAX_HEADER}: {text[:60]!r}"
+        )
     descr, order, sizes = found.groups()
     try:
         dtype = np.dtype(descr)
@@ -147,7 +147,7 @@ def read_header(
     if dtype.hasobject:
         raise FileError(f"array {name!r} holds objects, not numbers")
     shape = tuple(int(size) for size in sizes.replace(" ", "").split(",") if size)
-    return shape, order == "True", dtype, 8 + len(given) + length
+    return shape, order == "True", dtype, 8 + size + length
 
 
 def _array(name: str, data: bytes) -> NDArray[Any]:

@@ -100,14 +100,10 @@ def _with_orders_given(loaded: Loaded) -> Loaded:
     orders = orders_told(recording)
     if orders == recording.smooth:
         return loaded
-    missing, joined = (
-        (
-            "velocities",
-            "read as positions alone, joined by straight lines; accelerations are not checked",
-        )
-        if orders == 0
-        else ("accelerations", "joined by cubics through positions and velocities")
-    )
+    missing, joined = "accelerations", "joined by cubics through positions and velocities"
+    if orders == 0:
+        missing = "velocities"
+        joined = "read as positions alone, joined by straight lines; accelerations are not checked"
     zeros = note(missing, "", f"none, or all zero although the drones move: {joined}")
     findings = (*loaded.findings, zeros)
     return replace(loaded, recording=with_orders(recording, orders), findings=findings)
@@ -139,47 +135,28 @@ def load(path: Path) -> Loaded:
 
 
 def _load_files(path: Path, files: list[Path]) -> Loaded:
-    kinds = {file.suffix.lower() for file in files}
-    if not kinds <= set(SUFFIXES):
+    if not {file.suffix.lower() for file in files} <= set(SUFFIXES):
         read = ", ".join(SUFFIXES)
         raise FileError(f"{path}: is {_named(files)}, no file of a known format ({read})")
+    kinds = Counter(_kind(file) for file in files)
     if len(kinds) > 1:
-        raise FileError(
-            f"{path}: holds files of several kinds ({', '.join(sorted(kinds))}); name one"
-        )
+        counts = ", ".join(f"{count} of {kind}" for kind, count in kinds.items())
+        raise FileError(f"{path}: holds files of several kinds ({counts}); name one")
     (kind,) = kinds
     if kind in SEVERAL:
-        return SEVERAL[kind](path, files)
+        return SEVERAL[kind](files)
     if len(files) > 1:
-        raise FileError(f"{path}: holds {len(files)} files that end in {kind}; name one")
+        raise FileError(f"{path}: holds {len(files)} files of the kind {kind}; name one")
     return SINGLE[kind](files[0])
 
 
-def _load_csv(path: Path, files: list[Path]) -> Loaded:
-    kinds = Counter(_csv_kind(file) for file in files)
-    if len(kinds) > 1:
-        counts = ", ".join(f"{count} of {kind}" for kind, count in kinds.items())
-        raise FileError(f"{path}: holds CSV files of several kinds ({counts}); name one")
-    (kind,) = kinds
-    if kind != "table":
-        return CSV[kind](files)
-    if len(files) > 1:
-        raise FileError(f"{path}: holds {len(files)} tables; name one")
-    return shows.table_file(files[0])
-
-
-CSV: dict[str, Callable[[Sequence[Path]], Loaded]] = {
+SEVERAL: dict[str, Callable[[Sequence[Path]], Loaded]] = {
+    ".bin": crazyflie.byte_files,
+    "crazyswarm2": crazyflie.poly_files,
     "mavsdk_drone_show": shows.setpoint_files,
     "skybrush_csv": shows.show_csv,
-    "crazyswarm2": crazyflie.poly_files,
 }
-"""Readers of CSV files, one drone each, by format."""
-
-SEVERAL: dict[str, Callable[[Path, list[Path]], Loaded]] = {
-    ".csv": _load_csv,
-    ".bin": lambda _, files: crazyflie.byte_files(files),
-}
-"""Readers of the files of a folder, by their ending."""
+"""Readers of files of one drone each, by their ending or by what a CSV file holds."""
 
 SINGLE: dict[str, Callable[[Path], Loaded]] = {
     ".skyc": shows.show_file,
@@ -189,20 +166,27 @@ SINGLE: dict[str, Callable[[Path], Loaded]] = {
     ".json": shows.table_file,
     ".mcap": shows.bag,
     ".db3": shows.bag,
+    "table": shows.table_file,
 }
-"""Readers of files that stand alone, by their ending."""
+"""Readers of files of all drones, by their ending or by what a CSV file holds."""
 
-SUFFIXES = (*SEVERAL, *SINGLE)
+SUFFIXES = (".csv", *(kind for kind in (*SEVERAL, *SINGLE) if kind.startswith(".")))
 """Endings of files that are read; others in a folder are ignored."""
 
 
-def _csv_kind(path: Path) -> str:
-    """Return the format that a file's first line is of; polynomials may begin with numbers."""
+def _kind(path: Path) -> str:
+    """Return a file's ending; the format of its first line where that is ``.csv``.
+
+    Polynomials may begin with numbers.
+    """
+    suffix = path.suffix.lower()
+    if suffix != ".csv":
+        return suffix
     try:
         with path.open(encoding="utf-8-sig") as file:
             header = file.readline(100_000).partition("#")[0].strip()
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read as text: {error}") from error
+    except (OSError, ValueError) as fault:
+        raise FileError(f"{path}: cannot be read as text: {fault}") from fault
     labels = [label.strip() for label in header.split(",")]
     if labels[:2] == ["t", "drone"]:
         return "table"
