@@ -12,16 +12,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    CollectionEndEvent,
-    DocumentStartEvent,
-    MappingStartEvent,
-    NodeEvent,
-    ScalarEvent,
-)
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.storage.plain import MAX_TEXT, Budget, Plain, key_path
@@ -122,21 +114,21 @@ class _Reader:
         found: Plain = None
         documents = 0
         for event in self.events:
-            if isinstance(event, DocumentStartEvent):
+            if isinstance(event, events.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
                     reason = "a second document begins here; keep one problem per file"
                     raise self._fault(event, reason)
-            elif isinstance(event, NodeEvent):
+            elif isinstance(event, events.NodeEvent):
                 found = self._value(event, [])
         return found
 
     def _value(self, event: Any, path: list[str | int]) -> Plain:
         self._refuse_extras(event)
         self.budget.spend(path)
-        if isinstance(event, ScalarEvent):
+        if isinstance(event, events.ScalarEvent):
             return self.budget.checked(_scalar(event), path)
-        if not isinstance(event, MappingStartEvent):
+        if not isinstance(event, events.MappingStartEvent):
             return [self._value(entry, [*path, i]) for i, entry in enumerate(self._entries())]
         mapping: dict[str, Plain] = {}
         for entry in self._entries():
@@ -147,12 +139,12 @@ class _Reader:
     def _entries(self) -> Iterator[Any]:
         """Yield the events that follow until the innermost mapping or list ends."""
         for event in self.events:
-            if isinstance(event, CollectionEndEvent):
+            if isinstance(event, events.CollectionEndEvent):
                 return
             yield event
 
     def _refuse_extras(self, event: Any) -> None:
-        if isinstance(event, AliasEvent):
+        if isinstance(event, events.AliasEvent):
             raise self._fault(event, "aliases (*) are not allowed; write the value out")
         if event.anchor is not None:
             reason = "anchors (&) are not allowed; write each value where it belongs"
@@ -162,7 +154,7 @@ class _Reader:
 
     def _new_key(self, event: Any, path: list[str | int], mapping: dict[str, Plain]) -> str:
         self._refuse_extras(event)
-        if not isinstance(event, ScalarEvent):
+        if not isinstance(event, events.ScalarEvent):
             raise self._fault(event, "a key must be a word; quote it if it is meant as text")
         key = _scalar(event)
         line = event.start_mark.line + 1

@@ -48,20 +48,21 @@ def poly_files(files: Sequence[Path]) -> Loaded:
     ------
     FileError: a damaged one.
     """
-    tables = {path.stem: read_poly_csv(path) for path in files}
+    names = [path.stem for path in files]
+    tables = [read_poly_csv(path) for path in files]
     facts, findings = [], []
-    for path, (name, table) in zip(files, tables.items(), strict=True):
+    for path, name, table in zip(files, names, tables, strict=True):
         rows = len(table.durations)
         facts.append(DroneFacts(name, rows, rows * PIECE_BYTES, float(np.sum(table.durations))))
         findings += [*_memory(facts[-1]), *_rows(path, name, table)]
-    frames = {table.frame for table in tables.values()} - {""}
+    frames = {table.frame for table in tables} - {""}
     if len(frames) > 1:
         findings.append(error("frame", "", f"files are in {' and '.join(sorted(frames))}"))
     frame = next(iter(frames)) if len(frames) == 1 and frames <= set(AXES) else ""
-    places, faults = _places(files[0].parent / SETTINGS, set(tables))
+    places, faults = _places(files[0].parent / SETTINGS, set(names))
     return Loaded(
         "crazyswarm2",
-        recording_of_curves(tuple(tables), [table.curve for table in tables.values()], frame, 2),
+        recording_of_curves(names, [table.curve for table in tables], frame, 2),
         tuple(facts),
         (*findings, *faults, *_crowded(places)),
         places=places,
@@ -82,8 +83,8 @@ def _rows(path: Path, name: str, table: PolyTable) -> Iterator[Finding]:
         )
     longest = float(np.max(table.durations))
     if longest > LONGEST:
-        told = f"a piece lasts {longest:.4g} s; compressed trajectories allow {LONGEST} s"
-        yield note("duration", name, told)
+        most = f"a piece lasts {longest:.4g} s; compressed trajectories allow {LONGEST} s"
+        yield note("duration", name, most)
     powers = table.powers[:, 3]
     ends = np.sum(powers * table.durations[:, None] ** np.arange(powers.shape[1]), axis=1)
     jumps = np.abs(np.angle(np.exp(1j * (powers[1:, 0] - ends[:-1]))))  # whole turns are none

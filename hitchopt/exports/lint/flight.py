@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, most_pressing
-from hitchopt.exports.lint.findings import (
-    Finding,
-    Flight,
-    Loaded,
-    and_more,
-    error,
-    note,
-    warning,
-)
+from hitchopt.exports.lint.findings import Finding, Flight, Loaded, and_more, error, note, warning
 from hitchopt.exports.lint.places import away_from_places
 from hitchopt.exports.lint.show_limits import DISTANCE
 from hitchopt.exports.lint.together import Rules, Seen, at_one_point, seen_together
@@ -43,7 +35,7 @@ REMEDIES = {
 
 
 def flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding, ...]]:
-    """Return what the drones fly, and what is wrong with it.
+    """Return the figures of the joint flight, and the findings on it.
 
     Raises
     ------
@@ -101,16 +93,10 @@ def _relative(first: Array, loaded: Loaded) -> Iterator[Finding]:
 
 
 def _jumping(seen: Seen, rules: Rules) -> Iterator[Finding]:
-    words = (
-        ("position", "m", error),
-        ("velocity", "m/s", warning),
-        ("acceleration", "m/s²", warning),
-    )
-    for (what, unit, level), (size, drone, t), bound in zip(
-        words, seen.jumps, rules.jumps, strict=False
-    ):
+    words = ("position", "velocity", "acceleration"), ("m", "m/s", "m/s²")
+    for what, unit, (size, drone, t), bound in zip(*words, seen.jumps, rules.jumps, strict=False):
         if size > bound:
-            yield level(
+            yield (error if what == "position" else warning)(
                 "jump",
                 drone,
                 f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s "
@@ -119,7 +105,7 @@ def _jumping(seen: Seen, rules: Rules) -> Iterator[Finding]:
 
 
 def _stopping(last: PiecewisePolynomial, names: Sequence[str], rules: Rules) -> Iterator[Finding]:
-    """Yield who still moves at the end: as what is cut off in mid-flight does."""
+    """Yield who still moves at the end, as drones do whose trajectory is cut off in mid-flight."""
     speeds = np.linalg.norm(last.ends(1)[1][-1], axis=-1)
     drone = int(np.argmax(speeds))
     if speeds[drone] > rules.jumps[1]:

@@ -13,17 +13,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import PLAN
 from hitchopt.exports.formats.poly_csv import COLUMNS as POLY_COLUMNS
 from hitchopt.exports.lint import crazyflie, shows
-from hitchopt.exports.lint.findings import (
-    ERROR,
-    NOTE,
-    WARNING,
-    Finding,
-    Loaded,
-    Report,
-    error,
-    note,
-    warning,
-)
+from hitchopt.exports.lint.findings import LEVELS, Finding, Loaded, Report, error, note, warning
 from hitchopt.exports.lint.flight import flown_together
 from hitchopt.exports.lint.places import flown_from_places
 from hitchopt.exports.lint.together import Rules
@@ -85,7 +75,7 @@ def _report(path: Path, rules: Rules, relative: bool) -> Report:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     findings = [*loaded.findings, *found, *_durations(loaded), *_listed(path)]
-    findings.sort(key=lambda f: (ERROR, WARNING, NOTE).index(f.level))
+    findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
         findings.append(note("frame", "", "the files do not say their axes; read as given"))
