@@ -12,7 +12,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 REST = 1e-6
-"""[m/s], [m/s²] What moves less than this rests."""
+"""[m/s], [m/s²] Largest speed and acceleration of drones at rest."""
 
 
 def rests(motion: Motion) -> NDArray[np.intp]:

@@ -25,7 +25,7 @@ POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where drones, vertices, legs and tensions are at every time, and what they must satisfy.
+    """Drones, vertices, legs and tensions over time, and the requirements on them.
 
     While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
     stored so that one plan has one set of arrays. A team of single drones has none of them.

@@ -32,8 +32,7 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = "hitchopt-plan/1"
 
 LEG_TENSIONS = "leg_tensions"
-"""Field of a motion that is stored as well where there is friction, and the setting that says so.
-"""
+"""Polynomials that are stored as well where there is friction; a setting of this name is true."""
 
 PER_KIND = tuple(field.name for field in fields(Quadrotor))
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""

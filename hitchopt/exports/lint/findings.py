@@ -127,13 +127,13 @@ class Flight:
 
 @dataclass(frozen=True)
 class Report:
-    """All findings and figures of a path.
+    """Findings and figures of a path.
 
     Attributes
     ----------
     path: file or folder that was read.
     kind: of format.
-    frame: enu, nwu or ned; empty where the files do not say.
+    frame: enu, nwu or ned; empty where the files do not state it.
     facts: one per drone.
     flight: of all drones together.
     findings: the errors first.

@@ -12,11 +12,11 @@ import numpy as np
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import PLAN
 from hitchopt.exports.formats.poly_csv import COLUMNS as POLY_COLUMNS
-from hitchopt.exports.lint import crazyflie, shows
+from hitchopt.exports.lint import crazyflie_files, show_files
 from hitchopt.exports.lint.findings import LEVELS, Finding, Loaded, Report, error, note, warning
-from hitchopt.exports.lint.flight import flown_together
-from hitchopt.exports.lint.places import flown_from_places
-from hitchopt.exports.lint.together import Rules
+from hitchopt.exports.lint.flight_rules import flown_together
+from hitchopt.exports.lint.joint_flight import Rules
+from hitchopt.exports.lint.start_places import flown_from_places
 from hitchopt.exports.manifest import FILE, part_folders, read_manifest
 from hitchopt.exports.recording import orders_told, with_orders
 
@@ -32,7 +32,7 @@ OTHERS = {
 }
 """Usual kinds of files that are not read, so that a message can name them."""
 
-COMPANIONS = {crazyflie.SETTINGS, FILE}
+COMPANIONS = {crazyflie_files.SETTINGS, FILE}
 """Files that are read with others, and hitchopt's own."""
 
 LATE = 1e-3
@@ -78,7 +78,7 @@ def _report(path: Path, rules: Rules, relative: bool) -> Report:
     findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
-        findings.append(note("frame", "", "the files do not say their axes; read as given"))
+        findings.append(note("frame", "", "the files do not state their axes; read as given"))
     return Report(path, loaded.kind, frame, loaded.facts, flight, tuple(findings))
 
 
@@ -109,11 +109,11 @@ def load(path: Path) -> Loaded:
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
-        raise FileError(f"{path}: holds a plan; `hitchopt check` is for that, lint for exports")
+        raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
     if not path.is_dir():
         return _load_files(path, [path])
     if (path / "metadata.yaml").is_file():
-        return shows.bag(path)
+        return show_files.bag(path)
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name != FILE)
     if len(files) > MAX_FILES:
         raise FileError(f"{path}: holds {len(files)} files; {MAX_FILES} are the most")
@@ -141,22 +141,22 @@ def _load_files(path: Path, files: list[Path]) -> Loaded:
 
 
 SEVERAL: dict[str, Callable[[Sequence[Path]], Loaded]] = {
-    ".bin": crazyflie.byte_files,
-    "crazyswarm2": crazyflie.poly_files,
-    "mavsdk_drone_show": shows.setpoint_files,
-    "skybrush_csv": shows.show_csv,
+    ".bin": crazyflie_files.byte_files,
+    "crazyswarm2": crazyflie_files.poly_files,
+    "mavsdk_drone_show": show_files.setpoint_files,
+    "skybrush_csv": show_files.show_csv,
 }
 """Readers of files of one drone each, by their ending or by what a CSV file holds."""
 
 SINGLE: dict[str, Callable[[Path], Loaded]] = {
-    ".skyc": shows.show_file,
-    ".zip": shows.show_zip,
-    ".parquet": shows.table_file,
-    ".npz": shows.table_file,
-    ".json": shows.table_file,
-    ".mcap": shows.bag,
-    ".db3": shows.bag,
-    "table": shows.table_file,
+    ".skyc": show_files.show_file,
+    ".zip": show_files.show_zip,
+    ".parquet": show_files.table_file,
+    ".npz": show_files.table_file,
+    ".json": show_files.table_file,
+    ".mcap": show_files.bag,
+    ".db3": show_files.bag,
+    "table": show_files.table_file,
 }
 """Readers of files of all drones, by their ending or by what a CSV file holds."""
 

@@ -16,7 +16,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 AT_START = 0.1
-"""[m] How far from its place a drone's trajectory may begin, across."""
+"""[m] Largest distance across from a drone's place to where its trajectory begins."""
 
 
 def is_place(value: object, lengths: Collection[int]) -> TypeGuard[list[float]]:
@@ -41,7 +41,7 @@ def away_from_places(loaded: Loaded, first: Array) -> Iterator[Finding]:
         yield warning(
             "start",
             loaded.recording.names[i],
-            f"its {loaded.place_key} is {apart[i]:.3g} m beside where its trajectory begins; "
+            f"its {loaded.place_key} is {apart[i]:.3g} m away from where its trajectory begins; "
             "place it there, see that its path there is free, or use --relative if trajectories "
             "are flown from the drones' places",
         )
@@ -51,7 +51,7 @@ def flown_from_places(loaded: Loaded) -> Loaded:
     """Return the trajectories as they are flown relative to where each drone stands.
 
     All are taken to rise by the same height first. Where a place is missing, distances between
-    drones are unknown: they are not checked then, and a finding says so.
+    drones are unknown: they are not checked then, and a finding states it.
     """
     places, recording = _places(loaded), loaded.recording
     missing = [n for n in recording.names if n not in loaded.places]
@@ -60,7 +60,7 @@ def flown_from_places(loaded: Loaded) -> Loaded:
         unknown = warning(
             "separation",
             and_more(missing[0], len(missing)),
-            "no place is known to fly relative to, so how close drones come is not judged; "
+            "no place is known to fly relative to, so how close drones come is not checked; "
             "give initial_position in crazyflies.yaml beside the files, or homes in the show",
         )
         findings = (*findings, unknown)

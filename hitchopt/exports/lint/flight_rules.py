@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.exports.lint.findings import Finding, Flight, Loaded, and_more, error, note, warning
-from hitchopt.exports.lint.places import away_from_places
+from hitchopt.exports.lint.joint_flight import Rules, Seen, at_one_point, seen_together
 from hitchopt.exports.lint.show_limits import DISTANCE
-from hitchopt.exports.lint.together import Rules, Seen, at_one_point, seen_together
+from hitchopt.exports.lint.start_places import away_from_places
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

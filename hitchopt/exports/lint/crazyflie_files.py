@@ -18,7 +18,7 @@ from hitchopt.exports.formats.memory_budget import BYTES
 from hitchopt.exports.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
 from hitchopt.exports.frame import AXES
 from hitchopt.exports.lint.findings import DroneFacts, Finding, Loaded, error, note, warning
-from hitchopt.exports.lint.places import is_place
+from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.requirements import Separation
 from hitchopt.storage.yaml_file import read_yaml
@@ -126,8 +126,8 @@ def _segments(name: str, drone: Compressed) -> Iterator[Finding]:
         yield error(
             "end marker",
             name,
-            "no segment of no duration ends it: the drone flies on into what its memory held "
-            "before; append three zero bytes",
+            "no segment of no duration ends it: the drone flies on into earlier contents of its "
+            "memory; append three zero bytes",
         )
     if float(np.ptp(drone.yaws)) > STEADY:
         yield warning(
@@ -165,7 +165,7 @@ def _begins_with_number(path: Path) -> bool:
 
 
 def _places(path: Path, names: set[str]) -> tuple[dict[str, list[float]], list[Finding]]:
-    """Return the places in the settings beside the trajectories, and what is wrong with them."""
+    """Return the places in the settings beside the trajectories, and the findings on them."""
     if not path.is_file():
         return {}, []
     try:

@@ -20,9 +20,9 @@ from hitchopt.exports.formats.skybrush_csv import lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import read_show
 from hitchopt.exports.frame import AXES
 from hitchopt.exports.lint.findings import DroneFacts, Loaded, error, warning
-from hitchopt.exports.lint.places import is_place
-from hitchopt.exports.lint.receiving import receiver_findings
+from hitchopt.exports.lint.receiver_rules import receiver_findings
 from hitchopt.exports.lint.show_limits import limits_of
+from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import Recording, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -49,12 +49,12 @@ def receiver_findings(
         Receiver(shared_origin=False) if settings is None else receiver, names, places
     )
     if settings is not None and receiver != Receiver():
-        told = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
-        yield note("settings", "", f"flown as they stand only with {told} in src/params.py")
+        stated = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
+        yield note("settings", "", f"flown as they stand only with {stated} in src/params.py")
 
 
 def _settings(folder: Path) -> dict[str, object] | None:
-    """Return what the manifest says of the receiver; None where it says nothing."""
+    """Return the receiver's settings in the manifest; None where it has none."""
     receiver = (read_manifest(folder) or {}).get("receiver")
     settings = receiver.get("settings") if isinstance(receiver, dict) else None
     if settings is not None and not isinstance(settings, dict):

@@ -100,8 +100,8 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
         )
     if seen.first is None:
         seen.first, seen.start = window.coefficients[0, ..., 0], float(window.breaks[0])
-    held = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
-    requirements = Requirements(Limits(speed=held[0], acceleration=held[1]), rules.separation)
+    finite = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
+    requirements = Requirements(Limits(speed=finite[0], acceleration=finite[1]), rules.separation)
     motion = Motion.single(Swarm(len(names)), requirements, window, ())
     found: dict[str, Check | None] = {"speed": speed.check(motion)}
     if len(names) > 1 and loaded.together and not at_one_point(seen.first):
