@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -153,7 +153,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     rows = zip(*(arrays[name].tolist() for name in PER_KIND), strict=True)
     kinds = [Quadrotor(*row) for row in rows]
     alone = "robots" not in given
-    phases = tuple(_phase(**entry, alone=alone) for entry in settings["phases"])
+    phases = tuple(_phase(entry, alone=alone) for entry in settings["phases"])
     if alone:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
@@ -179,40 +179,37 @@ def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
     return Assignment(tuple(robots), tuple(flipped))
 
 
-def _phase(
-    name: Any,
-    step: Any,
-    start: Any,
-    end: Any,
-    remark: Any = "",
-    formed: Any = None,
-    state: Any = None,
-    tension: Any = None,
-    *,
-    alone: bool,
-) -> Phase:
+def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
     """Return a phase as it is stored; older files have ``formed`` in place of a state.
 
     Parameters
     ----------
     alone: whether the drones carry no cables.
     """
+    given = dict(entry)
+    formed, state = given.pop("formed", None), given.pop("state", None)
+    phase = Phase(**given)
     for value, kinds, words in (
-        (name, {str}, "with a name"),
-        (step, {int}, "with a step's index"),
-        (remark, {str}, "with a remark in words"),
+        (phase.name, {str}, "with a name"),
+        (phase.step, {int}, "with a step's index"),
+        (phase.remark, {str}, "with a remark in words"),
         (formed, {bool, type(None)}, "formed as true or false"),
     ):
         if type(value) not in kinds:
             raise InputError("phases", value, words, "do not edit them")
     allowed = [each for each in CableState if (each is CableState.NONE) is alone]
     if state is None:
-        state = CableState.of_label(name, formed=formed is not False)
+        state = CableState.of_label(phase.name, formed=formed is not False)
     elif formed is not None or state not in allowed:
         words = f"one of {', '.join(allowed)}, without formed"
         raise InputError("phases.state", state, words, "do not edit them")
-    times = finite("phases.start", start), finite("phases.end", end)
-    return Phase(name, step, *times, remark, CableState(state), _tension_range(tension))
+    return replace(
+        phase,
+        start=finite("phases.start", phase.start),
+        end=finite("phases.end", phase.end),
+        state=CableState(state),
+        tension=_tension_range(phase.tension),
+    )
 
 
 def _tension_range(given: Any) -> tuple[float, float] | None:

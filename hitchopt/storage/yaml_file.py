@@ -111,17 +111,13 @@ class _Reader:
 
     def document(self) -> Plain:
         """Return the only document's value; None where there is none."""
-        found: Plain = None
-        documents = 0
+        found: list[Plain] = []
         for event in self.events:
-            if isinstance(event, events.DocumentStartEvent):
-                documents += 1
-                if documents > 1:
-                    reason = "a second document begins here; keep one problem per file"
-                    raise self._fault(event, reason)
-            elif isinstance(event, events.NodeEvent):
-                found = self._value(event, [])
-        return found
+            if isinstance(event, events.DocumentStartEvent) and found:
+                raise self._fault(event, "a second document begins here; keep one problem per file")
+            if isinstance(event, events.NodeEvent):
+                found.append(self._value(event, []))
+        return found[0] if found else None
 
     def _value(self, event: Any, path: list[str | int]) -> Plain:
         self._refuse_extras(event)

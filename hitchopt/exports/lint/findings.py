@@ -92,7 +92,7 @@ class Loaded:
     streamed: bool = False
     places: Mapping[str, Sequence[float]] = field(default_factory=dict)
     place_key: str = "place"
-    own: ShowLimits | None = None
+    own: ShowLimits = field(default_factory=ShowLimits)
     together: bool = True
 
 

@@ -55,7 +55,7 @@ def flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding,
         tuple(jump[0] for jump in seen.jumps),
         seen.reach[0],
         *seen.limits,
-        tuple(worst[key] for key in (loaded.own.bounds if loaded.own else ()) if key in worst),
+        tuple(worst[key] for key in loaded.own.bounds if key in worst),
     )
     found = (
         *_broken(worst),

@@ -49,11 +49,11 @@ class Rules:
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
 
-    def limits(self, own: ShowLimits | None) -> tuple[float, float]:
+    def limits(self, own: ShowLimits) -> tuple[float, float]:
         """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
         given = ((self.speed, SPEED), (self.acceleration, ACCELERATION))
         speed, acceleration = (
-            limit if limit is not None else math.inf if own and own.limits(order) else default
+            limit if limit is not None else math.inf if own.limits(order) else default
             for order, (limit, default) in enumerate(given, 1)
         )
         return speed, acceleration
@@ -106,7 +106,7 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
     found: dict[str, Check | None] = {"speed": speed.check(motion)}
     if len(names) > 1 and loaded.together and not at_one_point(seen.first):
         found["separation"] = separation.check(motion)
-        least = loaded.own.bounds.get(DISTANCE) if loaded.own else None
+        least = loaded.own.bounds.get(DISTANCE)
         if least is not None:
             apart = replace(requirements, separation=Separation(0.5 * least, 0.5 * least))
             wider = replace(motion, requirements=apart)
@@ -116,9 +116,8 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
     for name, check in found.items():
         if check is not None:
             seen.checks.setdefault(name, []).append(_renamed(check, names))
-    if loaded.own:
-        for name, check in loaded.own.checks(window, loaded.recording.smooth, names).items():
-            seen.checks.setdefault(name, []).append(check)
+    for name, check in loaded.own.checks(window, loaded.recording.smooth, names).items():
+        seen.checks.setdefault(name, []).append(check)
     whole = window if seen.last is None else _after(seen.last, window)
     for order in range(len(seen.jumps)):
         seen.jumps[order] = max(seen.jumps[order], _jump(whole, order, names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,14 +37,14 @@ DISTANCE = "minDistance"
 
 @dataclass(frozen=True)
 class ShowLimits:
-    """The limits of one show.
+    """Limits that one show sets itself.
 
     Attributes
     ----------
     bounds: by the show's own keys; ``minDistance`` [m] among them where it is given.
     """
 
-    bounds: Mapping[str, float]
+    bounds: Mapping[str, float] = field(default_factory=dict)
 
     def limits(self, order: int) -> bool:
         """Return whether a derivative by time is bounded across and up and down."""
@@ -76,7 +76,7 @@ class ShowLimits:
 
 
 def limits_of(validation: Mapping[str, Any]) -> tuple[ShowLimits, tuple[str, ...]]:
-    """Return what a show's ``settings.validation`` limits, and the keys that limit nothing."""
+    """Return the limits in a show's ``settings.validation``, and keys that are no limits."""
     given = {key: validation[key] for key in (*KINDS, DISTANCE) if validation.get(key) is not None}
     bounds = {
         key: value
