@@ -183,8 +183,8 @@ def lint(
     itself are always held. Ends with 3 if there are errors.
     """
     from hitchopt.cli.lint_report import say_report
+    from hitchopt.exports.lint.joint_flight import Rules
     from hitchopt.exports.lint.linting import lint as linted
-    from hitchopt.exports.lint.together import Rules
     from hitchopt.requirements import Separation
     from hitchopt.values import positive
 

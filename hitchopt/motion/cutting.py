@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.motion.motion import JOINT, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 REST = 1e-6
-"""[m/s], [m/s²] What moves less than this rests."""
+"""[m/s], [m/s²] Largest speed and acceleration of drones at rest."""
 
 
 def rests(motion: Motion) -> NDArray[np.intp]:
@@ -35,8 +35,7 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
 
     phases = tuple(
         replace(phase, start=max(phase.start, start) - start, end=min(phase.end, end) - start)
-        for phase in motion.phases
-        if phase.end > start + JOINT and phase.start < end - JOINT
+        for phase in motion.overlapping(start, end)
     )
     return motion.changed(part, phases)
 
@@ -52,8 +51,4 @@ def stretched(motion: Motion, factor: float) -> Motion:
         raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     if factor == 1.0:
         return motion
-    phases = tuple(
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    )
-    return motion.untimed.changed(lambda part: part.stretched(factor), phases)
+    return motion.untimed.slowed(factor)

@@ -1,10 +1,11 @@
-"""The polynomials of a plan and what they must satisfy, nothing else."""
+"""Motion of a team: the polynomials of a plan, and what they must satisfy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +19,21 @@ from hitchopt.trajectory import PiecewisePolynomial, joined
 
 __all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
 
+POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
+"""Fields of every motion that are polynomials; with friction there are ``leg_tensions`` as well."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where drones, vertices, legs and tensions are at every time, and what they must satisfy.
+    """Drones, vertices, legs and tensions over time, and the requirements on them.
 
     While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
     stored so that one plan has one set of arrays. A team of single drones has none of them.
 
     Parameters
     ----------
-    team: who flies.
-    requirements: what must be satisfied.
+    team: the robots that fly.
+    requirements: what the motion must satisfy.
     drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) of single drones.
     vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
     legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
@@ -74,25 +78,20 @@ class Motion:
             if not np.array_equal(part.breaks, self.drones.breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
         check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
-        if any((phase.state is CableState.NONE) is self.team.has_cables for phase in self.phases):
-            raise InputError(
-                "phases.state",
-                [str(phase.state) for phase in self.phases],
-                "none without cables, another state with them",
-                "give what cables do",
-            )
+        states = [str(phase.state) for phase in self.phases]
+        if any((state == CableState.NONE) is self.team.has_cables for state in states):
+            bound = "none without cables, another state with them"
+            raise InputError("phases.state", states, bound, "give what cables do")
         changes = np.array(
             [b.start for a, b in pairwise(self.phases) if a.state != b.state], dtype=np.float64
         )
         apart = np.abs(changes[:, None] - self.drones.breaks)
         if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
-            raise InputError(
-                "phases", changes.tolist(), "breaks where states change", "split the pieces there"
-            )
-        if self.assignment is not None and len(self.assignment.robots) != n:
-            raise InputError(
-                "assignment", len(self.assignment.robots), f"{n} robots", "give one per role"
-            )
+            bound = "breaks where states change"
+            raise InputError("phases", changes.tolist(), bound, "split the pieces there")
+        roles = n if self.assignment is None else len(self.assignment.robots)
+        if roles != n:
+            raise InputError("assignment", roles, f"{n} robots", "give one per role")
 
     @classmethod
     def single(
@@ -124,7 +123,7 @@ class Motion:
 
     @property
     def pulls(self) -> PiecewisePolynomial:
-        """Of shape (2n,) [N]: what the cable pulls each drone with, q0, r0, q1, …."""
+        """Tension of the leg at each drone, q0, r0, q1, …, of shape (2n,) [N]."""
         if self.leg_tensions is None:
             each = np.repeat(self.tensions.coefficients, 2, axis=1)
         else:
@@ -167,13 +166,12 @@ class Motion:
         )
 
     def _run(self, pieces: slice) -> Motion:
-        breaks = self.drones.breaks[pieces.start : pieces.stop + 1]
-        overlapping = tuple(
-            phase
-            for phase in self.phases
-            if phase.end > breaks[0] + JOINT and phase.start < breaks[-1] - JOINT
-        )
-        return self.taken(pieces, overlapping)
+        breaks = self.drones.breaks
+        return self.taken(pieces, self.overlapping(breaks[pieces.start], breaks[pieces.stop]))
+
+    def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
+        """Return the phases that overlap the time from ``start`` to ``end`` [s]."""
+        return tuple(p for p in self.phases if p.end > start + JOINT and p.start < end - JOINT)
 
     def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
         """Return the motion on a run of pieces, at the same times, and its phases."""
@@ -183,42 +181,31 @@ class Motion:
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
         """Return the motion with all of its polynomials changed alike, and other phases."""
-        legs = self.leg_tensions
-        return replace(
-            self,
-            drones=change(self.drones),
-            vertices=change(self.vertices),
-            legs=change(self.legs),
-            tensions=change(self.tensions),
-            leg_tensions=None if legs is None else change(legs),
-            phases=tuple(phases),
-        )
+        parts: dict[str, Any] = {
+            name: change(part)
+            for name, part in vars(self).items()
+            if isinstance(part, PiecewisePolynomial)
+        }
+        return replace(self, phases=tuple(phases), **parts)
+
+    def slowed(self, factor: float) -> Motion:
+        """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
+        phases = [replace(p, start=factor * p.start, end=factor * p.end) for p in self.phases]
+        return self.changed(lambda part: part.stretched(factor), phases)
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
-    """Return one motion of the given ones in a row; team and limits are the first one's."""
-    first = motions[0]
+    """Return one motion of the given ones in a row, with the first one's team and requirements."""
     phases: list[Phase] = []
     offset = 0.0
     for motion in motions:
         phases += [replace(p, start=offset + p.start, end=offset + p.end) for p in motion.phases]
         offset += motion.duration
-    return Motion(
-        first.team,
-        first.requirements,
-        joined([m.drones for m in motions]),
-        joined([m.vertices for m in motions]),
-        joined([m.legs for m in motions]),
-        joined([m.tensions for m in motions]),
-        tuple(phases),
-        first.assignment,
-        _joined_leg_tensions(motions),
-    )
-
-
-def _joined_leg_tensions(motions: Sequence[Motion]) -> PiecewisePolynomial | None:
-    if all(motion.leg_tensions is None for motion in motions):
-        return None
-    both = joined([motion.pulls for motion in motions])
-    c = both.coefficients
-    return PiecewisePolynomial(both.breaks, c.reshape(len(c), -1, 2, c.shape[-1]))
+    parts: dict[str, Any] = {
+        name: joined([getattr(motion, name) for motion in motions]) for name in POLYNOMIALS
+    }
+    if any(motion.leg_tensions is not None for motion in motions):
+        pulls = joined([motion.pulls for motion in motions])
+        each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)
+        parts["leg_tensions"] = PiecewisePolynomial(pulls.breaks, each)
+    return replace(motions[0], phases=tuple(phases), **parts)

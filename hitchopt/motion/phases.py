@@ -1,4 +1,4 @@
-"""Spans of a plan's time, and in what state the cables are in each."""
+"""Phases of a plan, and the state of the cables in each."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ JOINT = 1e-6
 
 
 class CableState(StrEnum):
-    """In what state the cables are in a phase; the certificate verifies it from the polynomials.
+    """State of the cables in a phase; the certificate verifies it from the polynomials.
 
-    While cables are not hitched, vertices, legs and tensions stand for nothing, except that
+    While cables are not hitched, vertices, legs and tensions have no meaning, except that
     vertices are where the clasps may lie while cables are being tightened.
     """
 
@@ -61,9 +61,9 @@ class Phase:
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
     state: of the cables.
-    tension: smallest and largest [N] that the step states for tensions on the way; None where all
-        keep the team's. Like the limits it is part of the problem, not of what is proved: the check
-        ``tension`` holds tensions to it within the phase and to the team's at both of its ends.
+    tension: smallest and largest tension [N] that the step allows during its motion; None where
+        all tensions are the team's. Like the limits it is part of the problem: the check
+        ``tension`` requires it within the phase, and the team's tensions at both of its ends.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Phase:
 def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     """Raise InputError unless phases follow one another and cover the time from start to end [s].
 
-    They may begin earlier and end later: a part of a motion keeps the phases that it overlaps.
+    They may begin earlier and end later: a part of a motion has all phases that it overlaps.
     """
     if not phases:
         return

@@ -1,4 +1,4 @@
-"""Which tensions a plan states, and how far its cables are drawn from hanging free to taut."""
+"""Tensions that a plan states, and tautness: how far cables are drawn from hanging to taut."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ ROUNDING = 1e-9
 
 
 def ranged_phases(motion: Motion) -> NDArray[np.intp]:
-    """Return (pieces,) the index of the phase whose own range of tensions holds there, else -1.
+    """Return (pieces,) the index of the phase whose own range of tensions applies, else -1.
 
-    A range holds on the pieces that lie within its phase as a whole.
+    A range applies to the pieces that lie within its phase as a whole.
     """
     starts, ends = motion.drones.breaks[:-1], motion.drones.breaks[1:]
     index = np.full(motion.drones.pieces, -1, dtype=np.intp)
@@ -45,7 +45,8 @@ def tautness(motion: Motion) -> Array:
     Weight and level pull of a hanging cable pass to a taut one by this share, as its tension rises
     from 0 to the least that is stated, or falls from there: it is ``T / T_stated``, coefficient by
     coefficient clipped to [0, 1], and 0 while there is no hitch. So it is a polynomial, and
-    continuous wherever tensions are. A morph whose tensions change within its own range keeps 1.
+    continuous wherever tensions are. A morph whose tensions change within its own
+    range has tautness 1.
 
     Returns
     -------

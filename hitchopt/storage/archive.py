@@ -1,4 +1,4 @@
-"""Arrays of an npz file from anywhere: checked before memory is spent on them.
+"""Read arrays of an npz file from any source, checked before memory is spent on them.
 
 Bytes are compared with the archive's checksum first. Only then is an array's header read, by a
 pattern of exactly what numpy writes: no text of a file is evaluated as Python.
@@ -6,6 +6,7 @@ pattern of exactly what numpy writes: no text of a file is evaluated as Python.
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import struct
@@ -24,23 +25,23 @@ MODEST = 64 * 2**20
 """[bytes] Members of this size altogether are read whatever they were packed into."""
 
 MAX_EXPANSION = 100
-"""Beyond MODEST, by how much unpacked members may exceed their file: more is a decompression bomb.
+"""Largest ratio of unpacked members beyond MODEST to their file: more is a decompression bomb.
 hitchopt's own plans are not compressed."""
 
 MAX_HEADER = 10_000
 """[bytes] The longest description of an array's shape that is parsed."""
 
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""How members may be packed: what numpy and shows use."""
+"""Methods by which members may be packed: those that numpy and shows use."""
 
 HEADER = re.compile(
     r"\{'descr': '([<>|=]?[?biufcSUVOmM]\d{0,9})', 'fortran_order': (False|True), "
     r"'shape': \(((?:-?\d{1,100}, ?)*(?:-?\d{1,100})?)\), \} *\n?"
 )
-"""What numpy writes before an array: its numbers' type, its order and its shape."""
+"""Text that numpy writes before an array: its numbers' type, its order and its shape."""
 
-LENGTH_BYTES = {(1, 0): 2, (2, 0): 4}
-"""Of the header's length, by version of the format."""
+LENGTH_BYTES = {b"\x01\x00": 2, b"\x02\x00": 4}
+"""[bytes] Size of the header's length, by version of the format."""
 
 BROKEN = (
     OSError,
@@ -57,11 +58,11 @@ BROKEN = (
     zlib.error,
     HitchoptError,
 )
-"""All that a file of another kind, or a damaged one, makes its readers raise."""
+"""Exceptions that readers raise on a file of another kind, or on a damaged one."""
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the named arrays of the npz file, read-only; others in it are not looked at.
+    """Return the named arrays of the npz file, read-only; others in it are ignored.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def refuse_bomb(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
 
 
 def refuse_expansion(size: int, packed: int) -> None:
-    """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can mean."""
+    """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can hold."""
     if size > MODEST and size > MAX_EXPANSION * packed:
         raise FileError(
             f"it would unpack to {size:.3g} bytes, far more than the file ({packed:.3g} bytes)"
@@ -100,11 +101,11 @@ def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
     Raises
     ------
-    FileError: it is packed in an unusual manner, or shorter than the archive says.
+    FileError: it is packed by an unusual method, or shorter than the archive says.
     BROKEN: the archive is damaged.
     """
     if member.compress_type not in PACKINGS:
-        raise FileError(f"{member.filename!r} is packed in an unknown manner; deflate it, or store")
+        raise FileError(f"{member.filename!r} is packed by an unknown method; deflate it, or store")
     with archive.open(member) as stream:  # read to its end, the archive compares its checksum
         data = stream.read(member.file_size) + stream.read(1)
     if len(data) != member.file_size:
@@ -127,17 +128,17 @@ def read_header(
     FileError: a header that numpy does not write, or objects.
     """
     start = read(8)
-    version = tuple(start[6:8])
-    if start[:6] != b"\x93NUMPY" or version not in LENGTH_BYTES:
+    size = LENGTH_BYTES.get(start[6:8])
+    if start[:6] != b"\x93NUMPY" or size is None:
         raise FileError(f"array {name!r} does not begin as version 1 or 2 of numpy's format does")
-    given = read(LENGTH_BYTES[version])
-    length = int.from_bytes(given, "little")
-    if len(given) < LENGTH_BYTES[version] or length > MAX_HEADER:
-        raise FileError(f"array {name!r} has a header of {length} bytes; {MAX_HEADER} are the most")
-    text = read(length).decode("latin-1")
+    length = int.from_bytes(read(size), "little")
+    text = read(min(length, MAX_HEADER)).decode("latin-1")
     found = HEADER.fullmatch(text)
     if len(text) < length or found is None:
-        raise FileError(f"array {name!r} has a header that numpy does not write: {text[:60]!r}")
+        raise FileError(
+            f"array {name!r} has a header of {length} bytes that numpy does not write, or more "
+            f"than {MAX_HEADER}: {text[:60]!r}"
+        )
     descr, order, sizes = found.groups()
     try:
         dtype = np.dtype(descr)
@@ -146,24 +147,16 @@ def read_header(
     if dtype.hasobject:
         raise FileError(f"array {name!r} holds objects, not numbers")
     shape = tuple(int(size) for size in sizes.replace(" ", "").split(",") if size)
-    return shape, order == "True", dtype, 8 + len(given) + length
+    return shape, order == "True", dtype, 8 + size + length
 
 
 def _array(name: str, data: bytes) -> NDArray[Any]:
-    view = memoryview(data)
-    at = 0
-
-    def read(count: int) -> bytes:
-        nonlocal at
-        at += count
-        return bytes(view[at - count : at])
-
-    shape, fortran, dtype, start = read_header(name, read)
-    promised = math.prod(shape) * dtype.itemsize
-    if any(length < 0 for length in shape) or promised != len(data) - start:
+    shape, fortran, dtype, start = read_header(name, io.BytesIO(data).read)
+    size = math.prod(shape) * dtype.itemsize
+    if any(length < 0 for length in shape) or size != len(data) - start:
         raise FileError(
-            f"array {name!r} promises {promised} bytes of numbers and has {len(data) - start}"
+            f"array {name!r} claims {size} bytes of numbers and has {len(data) - start}"
         )
-    if promised == 0:
+    if size == 0:
         return np.zeros(shape, dtype)
     return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C")

@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.errors import InputError
 
 Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
-"""What a problem file is made of."""
+"""Data that a problem file is made of."""
 
 MAX_DEPTH = 20
 """Levels of nesting; a problem has six."""
@@ -19,7 +19,7 @@ MAX_NODES = 250_000
 """Values in all. A polygon for MAX_ROBOTS robots takes 30 000; reading so many takes seconds."""
 
 MAX_TEXT = 10_000
-"""Characters of one text; the longest that means something is the title."""
+"""Characters of one text; the longest meaningful one is the title."""
 
 _LARGEST = 10**300
 """Whole numbers beyond it are infinite for every purpose here, and costly to print."""
@@ -42,7 +42,7 @@ def key_path(parts: Iterable[str | int]) -> str:
 
 
 class Budget:
-    """Counts values while data are read, and refuses to go on beyond MAX_NODES or MAX_DEPTH."""
+    """Limits on plain data while they are read: MAX_NODES values, MAX_DEPTH levels, MAX_TEXT."""
 
     def __init__(self) -> None:
         self.nodes = 0
@@ -56,19 +56,20 @@ class Budget:
         """
         self.nodes += 1
         if len(path) > MAX_DEPTH:
-            raise InputError(
-                key_path(path),
-                f"{len(path)} levels",
-                f"nested at most {MAX_DEPTH} levels deep",
-                "no problem file needs more than six",
-            )
+            bound = f"nested at most {MAX_DEPTH} levels deep"
+            remedy = "no problem file needs more than six"
+            raise InputError(key_path(path), f"{len(path)} levels", bound, remedy)
         if self.nodes > MAX_NODES:
-            raise InputError(
-                key_path(path),
-                f"{self.nodes} values",
-                f"within {MAX_NODES} values in all",
-                "plan fewer steps at a time",
-            )
+            bound = f"within {MAX_NODES} values in all"
+            remedy = "plan fewer steps at a time"
+            raise InputError(key_path(path), f"{self.nodes} values", bound, remedy)
+
+    def checked(self, value: Plain, path: list[str | int]) -> Plain:
+        """Return a scalar, or raise InputError where it is too long a text."""
+        if isinstance(value, str) and len(value) > MAX_TEXT:
+            bound = f"at most {MAX_TEXT} characters long"
+            raise InputError(key_path(path), value, bound, "shorten it")
+        return value
 
 
 def plain(data: object) -> Plain:
@@ -85,48 +86,27 @@ def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
     budget.spend(path)
     if isinstance(data, np.ndarray | np.generic):
         if data.size > MAX_NODES:  # before a list of it is made
-            raise InputError(
-                key_path(path),
-                f"{data.size} values",
-                f"within {MAX_NODES} values in all",
-                "give less",
-            )
+            bound = f"within {MAX_NODES} values in all"
+            raise InputError(_where(path), f"{data.size} values", bound, "give less")
         data = data.tolist()
     if data is None or isinstance(data, bool | float):
         return data
     if isinstance(data, int):
-        if abs(data) > _LARGEST:
-            return math.inf if data > 0 else -math.inf
-        return int(data)
+        infinite = math.inf if data > 0 else -math.inf
+        return int(data) if abs(data) <= _LARGEST else infinite
     if isinstance(data, str):
-        if len(data) > MAX_TEXT:
-            raise InputError(
-                key_path(path), data, f"at most {MAX_TEXT} characters long", "shorten it"
-            )
-        return str(data)
-    if isinstance(data, Mapping):
-        return _plain_mapping(data, path, budget)
+        return budget.checked(str(data), path)
     if isinstance(data, list | tuple):
         return [_plain(entry, [*path, i], budget) for i, entry in enumerate(data)]
-    raise InputError(
-        key_path(path) or "problem",
-        type(data).__name__,
-        "a mapping, list, text, number, boolean or nothing",
-        "give plain data",
-    )
-
-
-def _plain_mapping(
-    data: Mapping[object, object], path: list[str | int], budget: Budget
-) -> dict[str, Plain]:
-    result: dict[str, Plain] = {}
-    for key, value in data.items():
+    if not isinstance(data, Mapping):
+        bound = "a mapping, list, text, number, boolean or nothing"
+        raise InputError(_where(path), type(data).__name__, bound, "give plain data")
+    for key in data:
         if not isinstance(key, str):
-            raise InputError(
-                key_path(path) or "problem",
-                key,
-                "a mapping whose keys are text",
-                "write the key as a name",
-            )
-        result[str(key)] = _plain(value, [*path, key], budget)
-    return result
+            bound, remedy = "a mapping whose keys are text", "write the key as a name"
+            raise InputError(_where(path), key, bound, remedy)
+    return {str(key): _plain(value, [*path, key], budget) for key, value in data.items()}
+
+
+def _where(path: list[str | int]) -> str:
+    return key_path(path) or "problem"

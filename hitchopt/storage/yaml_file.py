@@ -1,4 +1,4 @@
-"""Reading YAML 1.2 that a stranger wrote: no tags, anchors or aliases, and never without bounds.
+"""Read YAML 1.2 from any source: no tags, anchors or aliases, and bounded in size and depth.
 
 The library's parser only cuts the text into events; the values are made here, by the core schema
 of YAML 1.2 (``1e-3`` is a number, ``yes`` is text), so nothing but plain data can come out.
@@ -7,23 +7,13 @@ of YAML 1.2 (``1e-3`` is a number, ``yes`` is text), so nothing but plain data c
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    CollectionEndEvent,
-    DocumentStartEvent,
-    MappingStartEvent,
-    NodeEvent,
-    ScalarEvent,
-    SequenceStartEvent,
-)
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.storage.plain import MAX_TEXT, Budget, Plain, key_path
@@ -31,21 +21,18 @@ from hitchopt.storage.plain import MAX_TEXT, Budget, Plain, key_path
 MAX_BYTES = 4_000_000
 """Larger files are refused before they are read."""
 
-_NULL = re.compile(r"(?:~|null|Null|NULL|)\Z")
-_TRUE = re.compile(r"(?:true|True|TRUE)\Z")
-_FALSE = re.compile(r"(?:false|False|FALSE)\Z")
-_DECIMAL = re.compile(r"[-+]?[0-9]{1,300}\Z")
-_BASED = re.compile(r"0(?:o[0-7]{1,300}|x[0-9a-fA-F]{1,200})\Z")
-_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
-_SPECIAL = re.compile(r"(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z")
-
-
-@dataclass
-class _Open:
-    """A mapping or list whose end has not been reached."""
-
-    value: dict[str, Plain] | list[Plain]
-    key: str | None = None
+_CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
+    (re.compile(r"~|null|Null|NULL|"), lambda _: None),
+    (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
+    (re.compile(r"[-+]?[0-9]{1,300}"), int),
+    (re.compile(r"0(o[0-7]{1,300}|x[0-9a-fA-F]{1,200})"), lambda text: int(text, 0)),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+    (
+        re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"),
+        lambda text: float(text.replace(".", "")),
+    ),
+)
+"""Patterns of plain scalars that are no text, and how to read them; the first match counts."""
 
 
 def read_yaml(path: str | Path) -> Plain:
@@ -67,27 +54,10 @@ def parse_yaml(text: str, name: str = "text") -> Plain:
     ------
     FileError, InputError: as ``read_yaml``.
     """
-    stack: list[_Open] = []
-    budget = Budget()
-    found: list[Plain] = []
-    for event in _events(text, name):
-        if isinstance(event, DocumentStartEvent) and found:
-            raise _fault(name, event, "a second document begins here; keep one problem per file")
-        if isinstance(event, CollectionEndEvent):
-            stack.pop()
-        elif isinstance(event, NodeEvent):
-            _refuse_extras(name, event)
-            if stack and isinstance(stack[-1].value, dict) and stack[-1].key is None:
-                stack[-1].key = _new_key(name, event, stack)
-                continue
-            budget.spend(_path(stack))
-            value = _value(event, stack)
-            _put(value, stack, found)
-            if isinstance(value, dict | list):
-                stack.append(_Open(value))
-    if not found or found[0] is None:
+    found = _Reader(text, name).document()
+    if found is None:
         raise FileError(f"{name}: is empty; `hitchopt init` writes a problem file to start from")
-    return found[0]
+    return found
 
 
 def _read_text(name: str) -> str:
@@ -131,104 +101,83 @@ def _events(text: str, name: str) -> Iterator[Any]:
         raise FileError(f"{name}: is not YAML ({error}); check its escapes") from None
 
 
-def _refuse_extras(name: str, event: Any) -> None:
-    if isinstance(event, AliasEvent):
-        raise _fault(name, event, "aliases (*) are not allowed; write the value out")
-    if event.anchor is not None:
-        raise _fault(name, event, "anchors (&) are not allowed; write each value where it belongs")
-    if event.ctag is not None:
-        raise _fault(name, event, "tags (!) are not allowed; remove it")
+class _Reader:
+    """Values of one text, made by recursive descent; MAX_DEPTH bounds the recursion."""
 
+    def __init__(self, text: str, name: str) -> None:
+        self.name = name
+        self.events = _events(text, name)
+        self.budget = Budget()
 
-def _new_key(name: str, event: Any, stack: list[_Open]) -> str:
-    if not isinstance(event, ScalarEvent):
-        raise _fault(name, event, "a key must be a word; quote it if it is meant as text")
-    key = _scalar(event)
-    line = event.start_mark.line + 1
-    if not isinstance(key, str):
-        raise InputError(
-            key_path(_path(stack)) or "problem",
-            key,
-            "a mapping whose keys are text",
-            f"write the key in line {line} as a name",
-        )
-    if len(key) > MAX_TEXT:
-        raise _fault(name, event, f"a key must have at most {MAX_TEXT} characters; shorten it")
-    mapping = stack[-1].value
-    if key in mapping:
-        raise InputError(
-            key_path([*_path(stack), key]),
-            "(twice)",
-            "given once",
-            f"remove one of the two (the second is in line {line})",
-        )
-    return key
+    def document(self) -> Plain:
+        """Return the only document's value; None where there is none."""
+        found: list[Plain] = []
+        for event in self.events:
+            if isinstance(event, events.DocumentStartEvent) and found:
+                raise self._fault(event, "a second document begins here; keep one problem per file")
+            if isinstance(event, events.NodeEvent):
+                found.append(self._value(event, []))
+        return found[0] if found else None
 
+    def _value(self, event: Any, path: list[str | int]) -> Plain:
+        self._refuse_extras(event)
+        self.budget.spend(path)
+        if isinstance(event, events.ScalarEvent):
+            return self.budget.checked(_scalar(event), path)
+        if not isinstance(event, events.MappingStartEvent):
+            return [self._value(entry, [*path, i]) for i, entry in enumerate(self._entries())]
+        mapping: dict[str, Plain] = {}
+        for entry in self._entries():
+            key = self._new_key(entry, path, mapping)
+            mapping[key] = self._value(next(self.events), [*path, key])
+        return mapping
 
-def _value(event: Any, stack: list[_Open]) -> Plain:
-    if isinstance(event, MappingStartEvent):
-        return {}
-    if isinstance(event, SequenceStartEvent):
-        return []
-    value = _scalar(event)
-    if isinstance(value, str) and len(value) > MAX_TEXT:
-        raise InputError(
-            key_path(_path(stack)), value, f"at most {MAX_TEXT} characters long", "shorten it"
-        )
-    return value
+    def _entries(self) -> Iterator[Any]:
+        """Yield the events that follow until the innermost mapping or list ends."""
+        for event in self.events:
+            if isinstance(event, events.CollectionEndEvent):
+                return
+            yield event
 
+    def _refuse_extras(self, event: Any) -> None:
+        if isinstance(event, events.AliasEvent):
+            raise self._fault(event, "aliases (*) are not allowed; write the value out")
+        if event.anchor is not None:
+            reason = "anchors (&) are not allowed; write each value where it belongs"
+            raise self._fault(event, reason)
+        if event.ctag is not None:
+            raise self._fault(event, "tags (!) are not allowed; remove it")
 
-def _put(value: Plain, stack: list[_Open], found: list[Plain]) -> None:
-    if not stack:
-        found.append(value)
-        return
-    top = stack[-1]
-    if isinstance(top.value, list):
-        top.value.append(value)
-    elif top.key is not None:
-        top.value[top.key] = value
-        top.key = None
+    def _new_key(self, event: Any, path: list[str | int], mapping: dict[str, Plain]) -> str:
+        self._refuse_extras(event)
+        if not isinstance(event, events.ScalarEvent):
+            raise self._fault(event, "a key must be a word; quote it if it is meant as text")
+        key = _scalar(event)
+        line = event.start_mark.line + 1
+        if not isinstance(key, str):
+            where, remedy = key_path(path) or "problem", f"write the key in line {line} as a name"
+            raise InputError(where, key, "a mapping whose keys are text", remedy)
+        if len(key) > MAX_TEXT:
+            reason = f"a key must have at most {MAX_TEXT} characters; shorten it"
+            raise self._fault(event, reason)
+        if key in mapping:
+            remedy = f"remove one of the two (the second is in line {line})"
+            raise InputError(key_path([*path, key]), "(twice)", "given once", remedy)
+        return key
 
-
-def _path(stack: list[_Open]) -> list[str | int]:
-    """Return where the next value goes; enclosing mappings have put theirs already."""
-    path: list[str | int] = []
-    for k, frame in enumerate(stack):
-        innermost = k == len(stack) - 1
-        if isinstance(frame.value, list):
-            path.append(len(frame.value) - (not innermost))
-        elif not innermost:
-            path.append(next(reversed(frame.value)))
-        elif frame.key is not None:
-            path.append(frame.key)
-    return path
+    def _fault(self, event: Any, reason: str) -> FileError:
+        mark = event.start_mark
+        return FileError(f"{self.name}:{mark.line + 1}:{mark.column + 1}: {reason}")
 
 
 def _scalar(event: Any) -> Plain:
     """Return the scalar's value by the core schema of YAML 1.2."""
     text: str = event.value
-    if (
-        not text.isascii()
-    ):  # JSON writes characters beyond 16 bits as two escapes; halves are no text
+    if not text.isascii():
+        # JSON writes characters beyond 16 bits as two escapes; halves are no text.
         text = text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
-    value: Plain = text
-    if not event.implicit[0]:  # quoted, or a block
-        pass
-    elif _NULL.match(text):
-        value = None
-    elif _TRUE.match(text) or _FALSE.match(text):
-        value = bool(_TRUE.match(text))
-    elif _DECIMAL.match(text):
-        value = int(text)
-    elif _BASED.match(text):
-        value = int(text, 0)
-    elif _FLOAT.match(text):
-        value = float(text)
-    elif _SPECIAL.match(text):
-        value = float(text.lower().replace(".", ""))
-    return value
-
-
-def _fault(name: str, event: Any, reason: str) -> FileError:
-    mark = event.start_mark
-    return FileError(f"{name}:{mark.line + 1}:{mark.column + 1}: {reason}")
+    if event.implicit[0]:  # neither quoted nor a block
+        for pattern, value in _CORE_SCHEMA:
+            if pattern.fullmatch(text):
+                return value(text)
+    return text

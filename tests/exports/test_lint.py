@@ -20,8 +20,8 @@ from hitchopt.exports.formats.mavsdk_lead_in import SPEED
 from hitchopt.exports.formats.poly_csv import write_poly_csv
 from hitchopt.exports.formats.registry import HOMES, format_of
 from hitchopt.exports.lint.findings import ERROR, NOTE, WARNING, Report
+from hitchopt.exports.lint.joint_flight import Rules
 from hitchopt.exports.lint.linting import lint
-from hitchopt.exports.lint.together import Rules
 from hitchopt.requirements import Separation
 
 
@@ -82,6 +82,12 @@ def test_one_row(tmp_path: Path) -> None:
     assert not found.sound
     polys(tmp_path / "b", ([1.0, 1.0], [[0.0, 0.5], [0.5, 0.5]]))
     assert report(tmp_path / "b").sound
+
+
+def test_names_that_differ_by_their_ending_alone(tmp_path: Path) -> None:
+    polys(tmp_path, ([1.0, 1.0], [[0.0], [0.0]]))
+    (tmp_path / "d0.CSV").write_bytes((tmp_path / "d0.csv").read_bytes())
+    assert [fact.name for fact in report(tmp_path).facts] == ["d0", "d0"]
 
 
 def test_too_many_pieces_for_the_memory_and_a_jump(tmp_path: Path) -> None:
@@ -178,7 +184,7 @@ def test_settings_that_contradict_the_trajectories(tmp_path: Path) -> None:
     path.write_text(text.replace(line, "    initial_position: [9, 9, 0]", 1))
     found = report(tmp_path)
     assert rules_of(found, WARNING) == {"start"}
-    assert "beside where its trajectory begins" in found.findings[0].message
+    assert "away from where its trajectory begins" in found.findings[0].message
     path.write_text(text.replace("  q0:", "  q9:", 1))
     messages = [str(finding) for finding in report(tmp_path).findings]
     assert messages == [
@@ -298,14 +304,16 @@ def test_time_that_begins_late_and_tables_without_a_frame(tmp_path: Path) -> Non
         ({"a.csv": "x,y\n1,2\n"}, "is of no known format"),
         ({"a.csv": "duration,x\n1,2\n", "b.bin": ""}, "several kinds"),
         ({"a.csv": "duration,x\n1,2\n", "b.csv": "idx,t,px\n"}, "several kinds"),
-        ({"a.csv": "t,drone,x\n", "b.csv": "t,drone,x\n"}, "2 tables; name one"),
-        ({"a.skyc": "", "b.skyc": ""}, "name one"),
+        ({"a.csv": "t,drone,x\n", "b.csv": "t,drone,x\n"}, "2 files of the kind table; name one"),
+        ({"a.skyc": "", "b.skyc": ""}, "2 files of the kind .skyc; name one"),
         ({"plan.npz": ""}, "hitchopt check"),
         ({"metadata.yaml": "no bag"}, "is no bag"),
         ({"export.json": "{"}, "cannot be read"),
     ],
 )
-def test_what_is_unknown_is_told(files: dict[str, str], told: str, tmp_path: Path) -> None:
+def test_unknown_files_are_refused_in_words(
+    files: dict[str, str], told: str, tmp_path: Path
+) -> None:
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     with pytest.raises(FileError, match=told):

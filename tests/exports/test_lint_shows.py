@@ -16,8 +16,8 @@ from hitchopt.errors import FileError
 from hitchopt.exports import recording
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.lint.findings import ERROR, NOTE, WARNING, Report
+from hitchopt.exports.lint.joint_flight import Rules
 from hitchopt.exports.lint.linting import lint
-from hitchopt.exports.lint.together import Rules
 
 
 def report(path: Path, rules: Rules | None = None, *, relative: bool = False) -> Report:

@@ -1,18 +1,19 @@
-"""What a lint says."""
+"""Findings, reports, and the records that the readers and rules of the lint exchange."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import SupportsInt
 
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.lint.show_limits import ShowLimits
 from hitchopt.exports.recording import Recording
 
-ERROR, WARNING, NOTE = "error", "warning", "note"
-"""It will go wrong; it may; it is good to know."""
-
+LEVELS = ERROR, WARNING, NOTE = "error", "warning", "note"
+"""Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
 FARTHEST = 1e6
 """[m] No drone is farther from its origin: sums and squares of such numbers stay finite."""
@@ -20,12 +21,12 @@ FARTHEST = 1e6
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to be said.
+    """One problem, or one piece of information, found in fleet files.
 
     Attributes
     ----------
     level: ERROR, WARNING or NOTE.
-    rule: in one word or two, such as ``memory`` or ``end marker``.
+    rule: name of the rule in one word or two, such as ``memory`` or ``end marker``.
     where: drone or file; empty for all of them.
     message: value, bound, and the remedy.
     """
@@ -40,9 +41,18 @@ class Finding:
         return f"{self.level}: {self.rule}:{place} {self.message}"
 
 
+error, warning, note = (partial(Finding, level) for level in LEVELS)
+"""Constructors of findings of each level from rule, place and message."""
+
+
+def and_more(name: str, count: SupportsInt) -> str:
+    """Return the name, and how many more of the ``count`` drones are concerned."""
+    return name if int(count) == 1 else f"{name} and {int(count) - 1} more"
+
+
 @dataclass(frozen=True)
 class DroneFacts:
-    """What one drone's file amounts to.
+    """Size and duration of one drone's file.
 
     Attributes
     ----------
@@ -60,18 +70,18 @@ class DroneFacts:
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """What a path holds, read.
+    """Contents of a path, read.
 
     Attributes
     ----------
     kind: of format, as in ``hitchopt export --format``.
     recording: what the drones fly.
     facts: one per drone.
-    findings: what has been seen while reading.
+    findings: those made while reading.
     streamed: whether samples are sent in flight: gaps between them count then.
     places: where drones stand before the flight, (2,) or (3,) [m], by name, as far as known.
-    place_key: what the files call that.
-    own: the limits that a show sets itself.
+    place_key: name of these places in the files.
+    own: limits that a show sets itself.
     together: whether all trajectories are in one frame, so that distances mean something.
     """
 
@@ -82,13 +92,13 @@ class Loaded:
     streamed: bool = False
     places: Mapping[str, Sequence[float]] = field(default_factory=dict)
     place_key: str = "place"
-    own: ShowLimits | None = None
+    own: ShowLimits = field(default_factory=ShowLimits)
     together: bool = True
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What the drones of a folder fly together, over all of the time.
+    """Figures of the drones' joint flight over all of the time.
 
     Attributes
     ----------
@@ -99,9 +109,9 @@ class Flight:
     jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
         far as the format means them to be smooth.
     reach: the largest coordinate, control points included [m].
-    speed_limit, acceleration_limit: what those two are held against [m/s], [m/s²]; inf where only
-        the show's own limits are.
-    own: the show's own limits, held against it.
+    speed_limit, acceleration_limit: limits of these two [m/s], [m/s²]; inf where only the show's
+        own limits apply.
+    own: checks of the show's own limits.
     """
 
     duration: float
@@ -117,13 +127,13 @@ class Flight:
 
 @dataclass(frozen=True)
 class Report:
-    """All that is to be said of a path.
+    """Findings and figures of a path.
 
     Attributes
     ----------
-    path: what was read.
+    path: file or folder that was read.
     kind: of format.
-    frame: enu, nwu or ned; empty where the files do not say.
+    frame: enu, nwu or ned; empty where the files do not state it.
     facts: one per drone.
     flight: of all drones together.
     findings: the errors first.

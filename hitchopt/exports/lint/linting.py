@@ -1,9 +1,9 @@
-"""Which reader a path is for, and the report on what it reads."""
+"""Lint of a file or folder: choose its reader, apply the rules, report the findings."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,16 +12,13 @@ import numpy as np
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import PLAN
 from hitchopt.exports.formats.poly_csv import COLUMNS as POLY_COLUMNS
-from hitchopt.exports.lint import crazyflie, shows
-from hitchopt.exports.lint.findings import ERROR, NOTE, WARNING, Finding, Loaded, Report
-from hitchopt.exports.lint.flight import flown_together
-from hitchopt.exports.lint.places import flown_from_places
-from hitchopt.exports.lint.together import Rules
+from hitchopt.exports.lint import crazyflie_files, show_files
+from hitchopt.exports.lint.findings import LEVELS, Finding, Loaded, Report, error, note, warning
+from hitchopt.exports.lint.flight_rules import flown_together
+from hitchopt.exports.lint.joint_flight import Rules
+from hitchopt.exports.lint.start_places import flown_from_places
 from hitchopt.exports.manifest import FILE, part_folders, read_manifest
 from hitchopt.exports.recording import orders_told, with_orders
-
-SUFFIXES = (".csv", ".bin", ".skyc", ".zip", ".parquet", ".npz", ".json", ".mcap", ".db3")
-"""Of files that are read; others in a folder are not looked at."""
 
 OTHERS = {
     ".bag": "a ROS 1 bag",
@@ -33,15 +30,16 @@ OTHERS = {
     ".yaml": "settings",
     ".yml": "settings",
 }
-"""What files that are not read usually are, so that a message can name them."""
+"""Usual kinds of files that are not read, so that a message can name them."""
 
-COMPANIONS = {crazyflie.SETTINGS, FILE}
+COMPANIONS = {crazyflie_files.SETTINGS, FILE}
 """Files that are read with others, and hitchopt's own."""
 
 LATE = 1e-3
-"""[s] By which durations may differ: formats round to it."""
+"""[s] Durations may differ by this: formats round to it."""
 
 MAX_FILES = 25_000
+"""Largest number of files in a folder that are read."""
 
 
 def lint(
@@ -52,57 +50,52 @@ def lint(
     Parameters
     ----------
     path: a file of a known format, or a folder of such files.
-    rules: what is held against them.
+    rules: limits of the flight.
     relative: whether every drone flies its trajectory from where it stands, as its settings or
-        the show tell, instead of in the one frame of all.
+        the show state, instead of in the one frame of all.
 
     Raises
     ------
     FileError: nothing there that is known, or a damaged file.
     UnsupportedError: a library that its format needs is not installed.
     """
-    place, held = Path(path), rules or Rules()
+    place, applied = Path(path), rules or Rules()
     parts = part_folders(place) if place.is_dir() else ()
-    if parts:
-        return tuple(_report(place / part, held, relative) for part in parts)
-    return (_report(place, held, relative),)
+    return tuple(_report(part, applied, relative) for part in map(place.joinpath, parts or ("",)))
 
 
 def _report(path: Path, rules: Rules, relative: bool) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
-            loaded = _as_told(load(path))
+            loaded = _with_orders_given(load(path))
             if relative:
                 loaded = flown_from_places(loaded)
             flight, found = flown_together(loaded, rules)
-    except (FileError, InputError) as error:
-        text = str(error)
-        raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from error
-    findings = [*loaded.findings, *found, *_durations(loaded), *_listed(path), *_unread(path)]
-    findings.sort(key=lambda f: (ERROR, WARNING, NOTE).index(f.level))
+    except (FileError, InputError) as fault:
+        text = str(fault)
+        raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
+    findings = [*loaded.findings, *found, *_durations(loaded), *_listed(path)]
+    findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
-        told = "the files do not say their axes; read as given"
-        findings.append(Finding(NOTE, "frame", "", told))
+        findings.append(note("frame", "", "the files do not state their axes; read as given"))
     return Report(path, loaded.kind, frame, loaded.facts, flight, tuple(findings))
 
 
-def _as_told(loaded: Loaded) -> Loaded:
-    """Return samples joined by curves of no more derivatives than their files tell."""
+def _with_orders_given(loaded: Loaded) -> Loaded:
+    """Return samples joined by curves of no more derivatives than their files hold."""
     recording = loaded.recording
     if recording.smooth == 0 or any(fact.pieces for fact in loaded.facts):
         return loaded
     orders = orders_told(recording)
     if orders == recording.smooth:
         return loaded
-    missing = "velocities" if orders == 0 else "accelerations"
-    told = (
-        "read as positions alone, joined by straight lines; accelerations are not checked"
-        if orders == 0
-        else "joined by cubics through positions and velocities"
-    )
-    note = Finding(NOTE, missing, "", f"none, or all zero although the drones move: {told}")
-    findings = (*loaded.findings, note)
+    missing, joined = "accelerations", "joined by cubics through positions and velocities"
+    if orders == 0:
+        missing = "velocities"
+        joined = "read as positions alone, joined by straight lines; accelerations are not checked"
+    zeros = note(missing, "", f"none, or all zero although the drones move: {joined}")
+    findings = (*loaded.findings, zeros)
     return replace(loaded, recording=with_orders(recording, orders), findings=findings)
 
 
@@ -116,11 +109,11 @@ def load(path: Path) -> Loaded:
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
-        raise FileError(f"{path}: holds a plan; `hitchopt check` is for that, lint for exports")
+        raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
     if not path.is_dir():
         return _load_files(path, [path])
     if (path / "metadata.yaml").is_file():
-        return shows.bag(path)
+        return show_files.bag(path)
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name != FILE)
     if len(files) > MAX_FILES:
         raise FileError(f"{path}: holds {len(files)} files; {MAX_FILES} are the most")
@@ -132,55 +125,58 @@ def load(path: Path) -> Loaded:
 
 
 def _load_files(path: Path, files: list[Path]) -> Loaded:
-    kinds = {file.suffix.lower() for file in files}
-    if not kinds <= set(SUFFIXES):
+    if not {file.suffix.lower() for file in files} <= set(SUFFIXES):
         read = ", ".join(SUFFIXES)
         raise FileError(f"{path}: is {_named(files)}, no file of a known format ({read})")
+    kinds = Counter(_kind(file) for file in files)
     if len(kinds) > 1:
-        raise FileError(
-            f"{path}: holds files of several kinds ({', '.join(sorted(kinds))}); name one"
-        )
+        counts = ", ".join(f"{count} of {kind}" for kind, count in kinds.items())
+        raise FileError(f"{path}: holds files of several kinds ({counts}); name one")
     (kind,) = kinds
-    if kind == ".bin":
-        return crazyflie.byte_files(files)
-    if kind == ".csv":
-        return _load_csv(path, files)
+    if kind in SEVERAL:
+        return SEVERAL[kind](files)
     if len(files) > 1:
-        raise FileError(f"{path}: holds {len(files)} files that end in {kind}; name one")
-    (file,) = files
-    if kind == ".skyc":
-        return shows.show_file(file)
-    if kind == ".zip":
-        return shows.show_zip(file)
-    if kind in {".mcap", ".db3"}:
-        return shows.bag(file)
-    return shows.table_file(file)
+        raise FileError(f"{path}: holds {len(files)} files of the kind {kind}; name one")
+    return SINGLE[kind](files[0])
 
 
-def _load_csv(path: Path, files: list[Path]) -> Loaded:
-    kinds = Counter(_csv_kind(file) for file in files)
-    if len(kinds) > 1:
-        told = ", ".join(f"{count} of {kind}" for kind, count in kinds.items())
-        raise FileError(f"{path}: holds CSV files of several kinds ({told}); name one")
-    (kind,) = kinds
-    if kind == "table":
-        if len(files) > 1:
-            raise FileError(f"{path}: holds {len(files)} tables; name one")
-        return shows.table_file(files[0])
-    if kind == "mavsdk_drone_show":
-        return shows.setpoint_files(files)
-    if kind == "skybrush_csv":
-        return shows.show_csv(files)
-    return crazyflie.poly_files(files)
+SEVERAL: dict[str, Callable[[Sequence[Path]], Loaded]] = {
+    ".bin": crazyflie_files.byte_files,
+    "crazyswarm2": crazyflie_files.poly_files,
+    "mavsdk_drone_show": show_files.setpoint_files,
+    "skybrush_csv": show_files.show_csv,
+}
+"""Readers of files of one drone each, by their ending or by what a CSV file holds."""
+
+SINGLE: dict[str, Callable[[Path], Loaded]] = {
+    ".skyc": show_files.show_file,
+    ".zip": show_files.show_zip,
+    ".parquet": show_files.table_file,
+    ".npz": show_files.table_file,
+    ".json": show_files.table_file,
+    ".mcap": show_files.bag,
+    ".db3": show_files.bag,
+    "table": show_files.table_file,
+}
+"""Readers of files of all drones, by their ending or by what a CSV file holds."""
+
+SUFFIXES = (".csv", *(kind for kind in (*SEVERAL, *SINGLE) if kind.startswith(".")))
+"""Endings of files that are read; others in a folder are ignored."""
 
 
-def _csv_kind(path: Path) -> str:
-    """Return which format's first line a file has; that of polynomials where it has numbers."""
+def _kind(path: Path) -> str:
+    """Return a file's ending; the format of its first line where that is ``.csv``.
+
+    Polynomials may begin with numbers.
+    """
+    suffix = path.suffix.lower()
+    if suffix != ".csv":
+        return suffix
     try:
         with path.open(encoding="utf-8-sig") as file:
             header = file.readline(100_000).partition("#")[0].strip()
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read as text: {error}") from error
+    except (OSError, ValueError) as fault:
+        raise FileError(f"{path}: cannot be read as text: {fault}") from fault
     labels = [label.strip() for label in header.split(",")]
     if labels[:2] == ["t", "drone"]:
         return "table"
@@ -196,51 +192,40 @@ def _csv_kind(path: Path) -> str:
     )
 
 
-def _durations(loaded: Loaded) -> list[Finding]:
-    """Return whose file is shorter than the longest."""
+def _durations(loaded: Loaded) -> Iterator[Finding]:
+    """Yield whose file is shorter than the longest."""
     longest = max(fact.duration for fact in loaded.facts)
     short = [fact for fact in loaded.facts if fact.duration < longest - LATE]
-    if not short:
-        return []
-    fact = min(short, key=lambda fact: fact.duration)
-    return [
-        Finding(
-            WARNING,
+    if short:
+        fact = min(short, key=lambda fact: fact.duration)
+        yield warning(
             "duration",
             fact.name,
             f"lasts {fact.duration:.6g} s, the longest {longest:.6g} s ({len(short)} are shorter); "
             "let all end together",
         )
-    ]
 
 
-def _listed(path: Path) -> list[Finding]:
-    """Return which files of an export are gone."""
-    manifest = read_manifest(path) if path.is_dir() else None
-    files = manifest.get("files") if manifest else None
-    if not isinstance(files, list):
-        return []
-    there = {entry.name for entry in path.iterdir()}
-    missing = [f for f in files if str(f) not in there]
-    return [Finding(ERROR, "missing", str(f), "was exported and is not there") for f in missing]
-
-
-def _unread(path: Path) -> list[Finding]:
-    """Return which other files of a folder have not been read, by their kinds."""
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
-        return []
-    manifest = read_manifest(path) or {}
-    files = manifest.get("files")
-    known = {str(f) for f in files} if isinstance(files, list) else set()
+def _listed(path: Path) -> Iterator[Finding]:
+    """Yield which files of an export are gone, and which others of the folder are not read."""
+    if not path.is_dir():
+        return
+    listed = (read_manifest(path) or {}).get("files")
+    files = [str(file) for file in listed] if isinstance(listed, list) else []
+    there = {entry.name: entry for entry in path.iterdir()}
+    for file in files:
+        if file not in there:
+            yield error("missing", file, "was exported and is not there")
     others = [
         entry
-        for entry in path.iterdir()
+        for name, entry in there.items()
         if entry.is_file()
         and entry.suffix.lower() not in SUFFIXES
-        and entry.name not in known | COMPANIONS
-        and not entry.name.startswith(".")
+        and name not in {*files, *COMPANIONS}
+        and not name.startswith(".")
     ]
-    return [Finding(NOTE, "not read", "", _named(others))] if others else []
+    if others and "metadata.yaml" not in there:
+        yield note("not read", "", _named(others))
 
 
 def _named(files: Iterable[Path]) -> str:

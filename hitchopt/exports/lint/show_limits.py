@@ -1,10 +1,10 @@
-"""Limits that a show sets itself, as Skybrush's validation panel holds them against it."""
+"""Checks of the limits that a show sets itself, as Skybrush's validation panel makes them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,47 +17,34 @@ from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
 Array = NDArray[np.float64]
 
-Size = Callable[[Array], Array]
-"""Of vectors (cells, 3, points), a convex function: it is largest at a control point."""
+ACROSS, UP, DOWN = 0, 1, -1
+"""Directions in which vectors count; z is up, as in every show."""
 
-
-def _across(vectors: Array) -> Array:
-    sizes: Array = np.linalg.norm(vectors[:, :2], axis=1)
-    return sizes
-
-
-def _up(vectors: Array) -> Array:
-    return vectors[:, 2]
-
-
-def _down(vectors: Array) -> Array:
-    return -vectors[:, 2]
-
-
-KINDS: dict[str, tuple[int, str, tuple[Size, ...]]] = {
-    "maxAltitude": (0, "m", (_up,)),
-    "maxVelocityXY": (1, "m/s", (_across,)),
-    "maxVelocityZ": (1, "m/s", (_up, _down)),
-    "maxVelocityZUp": (1, "m/s", (_up,)),
-    "maxAccelerationXY": (2, "m/s²", (_across,)),
-    "maxAccelerationZ": (2, "m/s²", (_up, _down)),
-    "maxAccelerationZUp": (2, "m/s²", (_up,)),
+KINDS = {
+    "maxAltitude": (0, "m", (UP,)),
+    "maxVelocityXY": (1, "m/s", (ACROSS,)),
+    "maxVelocityZ": (1, "m/s", (UP, DOWN)),
+    "maxVelocityZUp": (1, "m/s", (UP,)),
+    "maxAccelerationXY": (2, "m/s²", (ACROSS,)),
+    "maxAccelerationZ": (2, "m/s²", (UP, DOWN)),
+    "maxAccelerationZUp": (2, "m/s²", (UP,)),
 }
-"""Derivative by time, unit, and what is measured of it; z is up, as in every show."""
+"""Derivative by time, unit, and directions in which each limit's quantity counts."""
 
 DISTANCE = "minDistance"
+"""Key of the smallest distance between two drones [m]."""
 
 
 @dataclass(frozen=True)
 class ShowLimits:
-    """The limits of one show.
+    """Limits that one show sets itself.
 
     Attributes
     ----------
     bounds: by the show's own keys; ``minDistance`` [m] among them where it is given.
     """
 
-    bounds: Mapping[str, float]
+    bounds: Mapping[str, float] = field(default_factory=dict)
 
     def limits(self, order: int) -> bool:
         """Return whether a derivative by time is bounded across and up and down."""
@@ -67,7 +54,7 @@ class ShowLimits:
     def checks(
         self, window: PiecewisePolynomial, smooth: int, names: Sequence[str]
     ) -> dict[str, Check]:
-        """Return the bounds on single drones, held against the curves (D, 3) of a window.
+        """Return the checks of the limits of single drones on the curves (D, 3) of a window.
 
         Parameters
         ----------
@@ -80,17 +67,16 @@ class ShowLimits:
         for key, limit in self.bounds.items():
             if key == DISTANCE or KINDS[key][0] > smooth + 1:
                 continue
-            order, unit, sizes = KINDS[key]
+            order, unit, directions = KINDS[key]
             if f"{key}Up" in self.bounds:
-                sizes = (_down,)  # upwards, the other key takes precedence
-            worst = [_largest(window, order, size) for size in sizes]
-            value, item, time = max(worst)
+                directions = (DOWN,)  # upwards, the other key takes precedence
+            value, item, time = max(_largest(window, order, each) for each in directions)
             found[key] = Check.of(key, value, limit, "max", unit, time, (names[item],))
         return found
 
 
 def limits_of(validation: Mapping[str, Any]) -> tuple[ShowLimits, tuple[str, ...]]:
-    """Return what a show's ``settings.validation`` limits, and the keys that limit nothing."""
+    """Return the limits in a show's ``settings.validation``, and keys that are no limits."""
     given = {key: validation[key] for key in (*KINDS, DISTANCE) if validation.get(key) is not None}
     bounds = {
         key: value
@@ -100,16 +86,24 @@ def limits_of(validation: Mapping[str, Any]) -> tuple[ShowLimits, tuple[str, ...
     return ShowLimits(bounds), tuple(key for key in given if key not in bounds)
 
 
-def _largest(window: PiecewisePolynomial, order: int, size: Size) -> tuple[float, int, float]:
+def _sizes(vectors: Array, direction: int) -> Array:
+    """Return how far vectors (cells, 3, points) go in a direction: a convex function of them."""
+    if direction == ACROSS:
+        across: Array = np.linalg.norm(vectors[:, :2], axis=1)
+        return across
+    return direction * vectors[:, 2]
+
+
+def _largest(window: PiecewisePolynomial, order: int, direction: int) -> tuple[float, int, float]:
     """Return the largest size of a derivative over all drones and times, whose, and when."""
     derivative = window.differentiated(order)
     margin = derivative_margin(window, order) if order else np.zeros(1)
 
     def bound(blocks: tuple[Array, ...]) -> Estimate:
         (vectors,) = blocks
-        sizes = size(vectors)
+        sizes = _sizes(vectors, direction)  # largest at a control point
         x = np.argmax(sizes, axis=-1) / max(1, bernstein.degree(vectors))
-        value = size(bernstein.evaluate(vectors, x[:, None])[..., None])[:, 0]
+        value = _sizes(bernstein.evaluate(vectors, x[:, None])[..., None], direction)[:, 0]
         return Estimate(np.max(sizes, axis=-1), value, x)
 
     found = largest(Cells.over(window.breaks, [derivative.coefficients], margin), bound)

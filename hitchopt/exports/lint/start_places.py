@@ -1,66 +1,69 @@
-"""Where drones stand before the flight: held against their trajectories, or added to them."""
+"""Places where drones stand before the flight: compared with trajectories, or added to them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.exports.lint.findings import WARNING, Finding, Loaded
+from hitchopt.exports.lint.findings import FARTHEST, Finding, Loaded, and_more, warning
 from hitchopt.exports.recording import Recording
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 AT_START = 0.1
-"""[m] How far from its place a drone's trajectory may begin, across."""
+"""[m] Largest distance across from a drone's place to where its trajectory begins."""
 
 
-def away_from_places(loaded: Loaded, first: Array) -> list[Finding]:
-    """Return whose trajectory begins elsewhere than where the drone stands.
+def is_place(value: object, lengths: Collection[int]) -> TypeGuard[list[float]]:
+    """Return whether a value from a file is a list of so many coordinates within FARTHEST [m]."""
+    return (
+        isinstance(value, list)
+        and len(value) in lengths
+        and all(type(x) in {int, float} and abs(x) <= FARTHEST for x in value)
+    )
+
+
+def away_from_places(loaded: Loaded, first: Array) -> Iterator[Finding]:
+    """Yield a warning for every drone whose trajectory begins elsewhere than where it stands.
 
     Parameters
     ----------
     loaded: with the places.
     first: (D, 3) where the trajectories begin [m].
     """
-    places = _places(loaded)[:, :2]
-    apart = np.linalg.norm(places - first[:, :2], axis=1)
-    return [
-        Finding(
-            WARNING,
+    apart = np.linalg.norm(_places(loaded)[:, :2] - first[:, :2], axis=1)
+    for i in np.flatnonzero(apart > AT_START).tolist():
+        yield warning(
             "start",
             loaded.recording.names[i],
-            f"its {loaded.place_key} is {apart[i]:.3g} m beside where its trajectory begins; "
+            f"its {loaded.place_key} is {apart[i]:.3g} m away from where its trajectory begins; "
             "place it there, see that its path there is free, or use --relative if trajectories "
             "are flown from the drones' places",
         )
-        for i in np.flatnonzero(apart > AT_START).tolist()
-    ]
 
 
 def flown_from_places(loaded: Loaded) -> Loaded:
     """Return the trajectories as they are flown relative to where each drone stands.
 
-    All are taken to rise by the same height first. Where a place is missing, how close drones come
-    is unknown: nothing is judged together then, and a finding says so.
+    All are taken to rise by the same height first. Where a place is missing, distances between
+    drones are unknown: they are not checked then, and a finding states it.
     """
     places, recording = _places(loaded), loaded.recording
     missing = [n for n in recording.names if n not in loaded.places]
-    findings = list(loaded.findings)
+    findings = loaded.findings
     if missing and len(recording.names) > 1:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        findings.append(
-            Finding(
-                WARNING,
-                "separation",
-                f"{missing[0]}{more}",
-                "no place is known to fly relative to, so how close drones come is not judged; "
-                "give initial_position in crazyflies.yaml beside the files, or homes in the show",
-            )
+        unknown = warning(
+            "separation",
+            and_more(missing[0], len(missing)),
+            "no place is known to fly relative to, so how close drones come is not checked; "
+            "give initial_position in crazyflies.yaml beside the files, or homes in the show",
         )
+        findings = (*findings, unknown)
 
     def windows() -> Iterator[PiecewisePolynomial]:
         offsets: Array | None = None
@@ -71,7 +74,7 @@ def flown_from_places(loaded: Loaded) -> Loaded:
             yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
 
     moved = Recording(recording.names, recording.frame, recording.smooth, windows)
-    return replace(loaded, recording=moved, findings=tuple(findings), together=not missing)
+    return replace(loaded, recording=moved, findings=findings, together=not missing)
 
 
 def _places(loaded: Loaded) -> Array:

@@ -1,4 +1,4 @@
-"""What all drones of a recording fly together: limits, separation, jumps; bounds for all t."""
+"""Scan the drones' joint flight: limits, separation and jumps, bounded for all t."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ SAME_START = 1e-3
 """[m] Drones that begin this close to one another are given relative trajectories."""
 
 SHORTEST = 1e-9
-"""[s] No piece lasts less: rates over such times are no numbers any more."""
+"""[s] Shortest piece: rates over shorter times overflow."""
 
 SPEED, ACCELERATION = 3.0, 10.0
-"""[m/s], [m/s²] Limits where nobody gives others."""
+"""[m/s], [m/s²] Default limits."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What is held against the drones.
+    """Limits of the drones' flight.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class Rules:
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
 
-    def limits(self, own: ShowLimits | None) -> tuple[float, float]:
+    def limits(self, own: ShowLimits) -> tuple[float, float]:
         """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
         given = ((self.speed, SPEED), (self.acceleration, ACCELERATION))
         speed, acceleration = (
-            limit if limit is not None else math.inf if own and own.limits(order) else default
+            limit if limit is not None else math.inf if own.limits(order) else default
             for order, (limit, default) in enumerate(given, 1)
         )
         return speed, acceleration
@@ -61,7 +61,7 @@ class Rules:
 
 @dataclass
 class Seen:
-    """What has been found so far, window by window."""
+    """Results over the windows so far."""
 
     checks: dict[str, list[Check]]
     jumps: list[tuple[float, str, float]]
@@ -74,7 +74,7 @@ class Seen:
 
 
 def seen_together(loaded: Loaded, rules: Rules) -> Seen:
-    """Return what there is to see of all drones over all windows.
+    """Return the results for all drones over all windows.
 
     Raises
     ------
@@ -100,13 +100,13 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
         )
     if seen.first is None:
         seen.first, seen.start = window.coefficients[0, ..., 0], float(window.breaks[0])
-    held = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
-    requirements = Requirements(Limits(speed=held[0], acceleration=held[1]), rules.separation)
+    finite = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
+    requirements = Requirements(Limits(speed=finite[0], acceleration=finite[1]), rules.separation)
     motion = Motion.single(Swarm(len(names)), requirements, window, ())
     found: dict[str, Check | None] = {"speed": speed.check(motion)}
     if len(names) > 1 and loaded.together and not at_one_point(seen.first):
         found["separation"] = separation.check(motion)
-        least = loaded.own.bounds.get(DISTANCE) if loaded.own else None
+        least = loaded.own.bounds.get(DISTANCE)
         if least is not None:
             apart = replace(requirements, separation=Separation(0.5 * least, 0.5 * least))
             wider = replace(motion, requirements=apart)
@@ -116,11 +116,11 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
     for name, check in found.items():
         if check is not None:
             seen.checks.setdefault(name, []).append(_renamed(check, names))
-    if loaded.own:
-        for name, check in loaded.own.checks(window, loaded.recording.smooth, names).items():
-            seen.checks.setdefault(name, []).append(check)
+    for name, check in loaded.own.checks(window, loaded.recording.smooth, names).items():
+        seen.checks.setdefault(name, []).append(check)
+    whole = window if seen.last is None else _after(seen.last, window)
     for order in range(len(seen.jumps)):
-        seen.jumps[order] = max(seen.jumps[order], _jump(seen.last, window, order, names))
+        seen.jumps[order] = max(seen.jumps[order], _jump(whole, order, names))
     seen.reach = max(seen.reach, (float(np.max(reach)), names[int(np.argmax(reach))]))
     seen.longest = max(seen.longest, float(np.max(window.durations)))
     seen.last = window.taken(slice(window.pieces - 1, window.pieces))
@@ -143,20 +143,19 @@ def _renamed(check: Check, names: Sequence[str]) -> Check:
     return replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
 
 
+def _after(last: PiecewisePolynomial, window: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the window with the last piece of the one before in front."""
+    breaks = np.concatenate([last.breaks[:1], window.breaks])
+    return PiecewisePolynomial(breaks, np.concatenate([last.coefficients, window.coefficients]))
+
+
 def _jump(
-    before: PiecewisePolynomial | None,
-    window: PiecewisePolynomial,
-    order: int,
-    names: Sequence[str],
+    window: PiecewisePolynomial, order: int, names: Sequence[str]
 ) -> tuple[float, str, float]:
-    """Return the largest jump of a derivative, whose and when; also from the window before."""
+    """Return the largest jump of a derivative where pieces join, whose it is, and when."""
     left, right = window.ends(order)
-    steps, times = left[1:] - right[:-1], window.breaks[1:-1]
-    if before is not None:
-        steps = np.concatenate([left[:1] - before.ends(order)[1], steps])
-        times = np.concatenate([window.breaks[:1], times])
-    if len(steps) == 0:
+    sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+    if sizes.size == 0:
         return (0.0, "", 0.0)
-    sizes = np.linalg.norm(steps, axis=-1)
     joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    return (float(sizes[joint, drone]), names[int(drone)], float(times[joint]))
+    return (float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)]))

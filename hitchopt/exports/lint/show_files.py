@@ -1,21 +1,28 @@
-"""Lint of shows and setpoints: Skybrush, mavsdk_drone_show, ROS 2 bags, tables."""
+"""Readers of shows and setpoints for the lint: Skybrush, mavsdk_drone_show, bags, tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.csv_table import read_csv
+from hitchopt.exports.formats.json_table import read_json
 from hitchopt.exports.formats.mavsdk import read_table, recording_of_tables
+from hitchopt.exports.formats.npz_table import read_npz
+from hitchopt.exports.formats.parquet_table import read_parquet
+from hitchopt.exports.formats.ros2_messages import bag_recording
 from hitchopt.exports.formats.skybrush_csv import lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import read_show
-from hitchopt.exports.lint.findings import ERROR, FARTHEST, WARNING, DroneFacts, Finding, Loaded
-from hitchopt.exports.lint.receiving import receiver_findings
+from hitchopt.exports.frame import AXES
+from hitchopt.exports.lint.findings import DroneFacts, Loaded, error, warning
+from hitchopt.exports.lint.receiver_rules import receiver_findings
 from hitchopt.exports.lint.show_limits import limits_of
+from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import Recording, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -33,41 +40,28 @@ def show_file(path: Path) -> Loaded:
     FileError: it is none, or a damaged one.
     """
     show = read_show(path)
-    curves, findings = show.curves, []
-    for name, curve in curves.items():
-        if float(np.min(curve.durations)) < 0.5 * MILLISECOND:
-            findings.append(
-                Finding(
-                    ERROR,
-                    "duration",
-                    name,
-                    f"a piece lasts {np.min(curve.durations):.2g} s, which Skybrush rounds to "
-                    "none; leave its point out",
-                )
-            )
     own, unusable = limits_of(show.validation)
+    places = {name: home for name, home in show.homes.items() if is_place(home, {2, 3})}
+    findings = [
+        error(
+            "duration",
+            name,
+            f"a piece lasts {np.min(curve.durations):.2g} s, which Skybrush rounds to none; leave "
+            "its point out",
+        )
+        for name, curve in show.curves.items()
+        if float(np.min(curve.durations)) < 0.5 * MILLISECOND
+    ]
     for key in unusable:
-        told = f"settings.validation.{key} is no positive number, so it is not held; correct it"
-        findings.append(Finding(WARNING, "settings", "", told))
-    places = {name: home for name, home in show.homes.items() if _is_home(home)}
+        fault = f"settings.validation.{key} is no positive number, so it is not checked; correct it"
+        findings.append(warning("settings", "", fault))
     findings += [
-        Finding(WARNING, "start", name, "has no home of two or three numbers")
-        for name in curves
+        warning("start", name, "has no home of two or three numbers")
+        for name in show.curves
         if name not in places
     ]
-    recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 1)
-    facts = _facts(curves)
-    return Loaded(
-        "skybrush", recording, facts, tuple(findings), places=places, place_key="home", own=own
-    )
-
-
-def _is_home(home: Any) -> bool:
-    return (
-        isinstance(home, list)
-        and len(home) in {2, 3}
-        and all(isinstance(x, float) and abs(x) <= FARTHEST for x in home)
-    )
+    loaded = _of_curves("skybrush", show.curves, 1)
+    return replace(loaded, findings=tuple(findings), places=places, place_key="home", own=own)
 
 
 def show_zip(path: Path) -> Loaded:
@@ -77,7 +71,7 @@ def show_zip(path: Path) -> Loaded:
     ------
     FileError: it is none, or a damaged one.
     """
-    return _lines(read_zip(path))
+    return _of_curves("skybrush_csv", read_zip(path), 0)
 
 
 def show_csv(files: Sequence[Path]) -> Loaded:
@@ -94,16 +88,13 @@ def show_csv(files: Sequence[Path]) -> Loaded:
         except (OSError, ValueError) as error:
             raise FileError(f"{path}: cannot be read: {error}") from error
         curves[path.stem] = lines_of(text, str(path))
-    return _lines(curves)
+    return _of_curves("skybrush_csv", curves, 0)
 
 
-def _lines(curves: dict[str, PiecewisePolynomial]) -> Loaded:
-    recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
-    return Loaded("skybrush_csv", recording, _facts(curves))
-
-
-def _facts(curves: Mapping[str, PiecewisePolynomial]) -> tuple[DroneFacts, ...]:
-    return tuple(DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+def _of_curves(kind: str, curves: Mapping[str, PiecewisePolynomial], smooth: int) -> Loaded:
+    recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", smooth)
+    facts = tuple(DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+    return Loaded(kind, recording, facts)
 
 
 def setpoint_files(files: Sequence[Path]) -> Loaded:
@@ -119,15 +110,8 @@ def setpoint_files(files: Sequence[Path]) -> Loaded:
     findings = []
     if len(set(lengths)) > 1:
         shortest = int(np.argmin(lengths))
-        findings.append(
-            Finding(
-                WARNING,
-                "duration",
-                names[shortest],
-                f"has {lengths[shortest]} rows, others up to {max(lengths)}; let it rest at its "
-                "end",
-            )
-        )
+        rows = f"has {lengths[shortest]} rows, others up to {max(lengths)}; let it rest at its end"
+        findings.append(warning("duration", names[shortest], rows))
         tables = [_rested(table, max(tables, key=len)[:, 0]) for table in tables]
     findings += receiver_findings(files[0].parent, names, tables)
     facts = tuple(DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
@@ -150,8 +134,6 @@ def bag(path: Path) -> Loaded:
     UnsupportedError: rosbags is not installed.
     FileError: no bag, a damaged one, or one of other messages.
     """
-    from hitchopt.exports.formats.ros2_messages import bag_recording
-
     return _sampled("ros2bag", bag_recording(path), streamed=True)
 
 
@@ -164,27 +146,23 @@ def table_file(path: Path) -> Loaded:
     FileError: a damaged one.
     """
     kind = path.suffix.lower().removeprefix(".")
-    if kind == "csv":
-        from hitchopt.exports.formats.csv_table import read_csv
-        from hitchopt.exports.frame import AXES
-
-        frame = path.stem.rpartition("_")[2]
-        recording = read_csv(path, frame if frame in AXES else "")
-    elif kind == "parquet":
-        from hitchopt.exports.formats.parquet_table import read_parquet
-
-        recording = read_parquet(path)
-    elif kind == "npz":
-        from hitchopt.exports.formats.npz_table import read_npz
-
-        recording = read_npz(path)
-    elif kind == "json":
-        from hitchopt.exports.formats.json_table import read_json
-
-        recording = read_json(path)
-    else:
+    if kind not in TABLES:
         raise FileError(f"{path}: is no file of a known format")
-    return _sampled(kind, recording)
+    return _sampled(kind, TABLES[kind](path))
+
+
+def _read_csv(path: Path) -> Recording:
+    frame = path.stem.rpartition("_")[2]
+    return read_csv(path, frame if frame in AXES else "")
+
+
+TABLES: dict[str, Callable[[Path], Recording]] = {
+    "csv": _read_csv,
+    "parquet": read_parquet,
+    "npz": read_npz,
+    "json": read_json,
+}
+"""Readers of tables for scripts, by the ending of a file's name."""
 
 
 def _sampled(kind: str, recording: Recording, *, streamed: bool = False) -> Loaded:

@@ -1,8 +1,8 @@
-"""Lint of what mavsdk_drone_show makes of its files: rows that it replaces or shifts."""
+"""Rules for files of mavsdk_drone_show: which rows the receiver replaces or shifts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.exports.formats.mavsdk_receiver import LATE, NAMES, Receiver
-from hitchopt.exports.lint.findings import ERROR, NOTE, WARNING, Finding
+from hitchopt.exports.lint.findings import Finding, and_more, error, note, warning
 from hitchopt.exports.manifest import read_manifest
 
 Array = NDArray[np.float64]
@@ -20,10 +20,12 @@ REMAINING = 0.1
 so far may a first row be from the ground."""
 
 
-def receiver_findings(folder: Path, names: Sequence[str], tables: Sequence[Array]) -> list[Finding]:
-    """Return which rows are not flown as they stand, one finding a rule.
+def receiver_findings(
+    folder: Path, names: Sequence[str], tables: Sequence[Array]
+) -> Iterator[Finding]:
+    """Yield which rows are not flown as they stand, one finding a rule.
 
-    With the settings that the folder's manifest states, else with those that the show comes with.
+    The settings are those that the folder's manifest states, else those that the show comes with.
 
     Parameters
     ----------
@@ -40,23 +42,20 @@ def receiver_findings(folder: Path, names: Sequence[str], tables: Sequence[Array
     t = tables[0][:, 0]
     places = np.stack([table[:, 1:4] for table in tables], axis=1)
     followed = receiver.followed(t, places, 0.0 if settings is None else LATE)
-    findings = [
-        *_never(receiver, names, places, followed),
-        *_replaced(receiver, names, t, places, followed),
-        *_lowered(receiver, names, places, foreign=settings is None),
-    ]
+    yield from _never(receiver, names, places, followed)
+    yield from _replaced(receiver, names, t, places, followed)
+    # Without settings the mode is unknown; every mode but one counts from the first row.
+    yield from _lowered(
+        Receiver(shared_origin=False) if settings is None else receiver, names, places
+    )
     if settings is not None and receiver != Receiver():
-        told = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
-        findings.append(
-            Finding(NOTE, "settings", "", f"flown as they stand only with {told} in src/params.py")
-        )
-    return findings
+        stated = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
+        yield note("settings", "", f"flown as they stand only with {stated} in src/params.py")
 
 
 def _settings(folder: Path) -> dict[str, object] | None:
-    """Return what the manifest says of the receiver; None where it says nothing."""
-    manifest = read_manifest(folder)
-    receiver = manifest.get("receiver") if manifest else None
+    """Return the receiver's settings in the manifest; None where it has none."""
+    receiver = (read_manifest(folder) or {}).get("receiver")
     settings = receiver.get("settings") if isinstance(receiver, dict) else None
     if settings is not None and not isinstance(settings, dict):
         raise FileError(f"{folder}: its manifest's settings of the receiver are no map")
@@ -65,89 +64,55 @@ def _settings(folder: Path) -> dict[str, object] | None:
 
 def _never(
     receiver: Receiver, names: Sequence[str], places: Array, followed: NDArray[np.bool_]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     never = np.flatnonzero(~followed.any(axis=0))
-    if len(never) == 0:
-        return []
-    highest = float(np.max(-places[:, never, 2] - receiver.lowered(places)[never]))
-    return [
-        Finding(
-            ERROR,
+    if len(never) > 0:
+        highest = float(np.max(-places[:, never, 2] - receiver.lowered(places)[never]))
+        yield error(
             "climb",
-            _whose(names, never),
+            and_more(names[never[0]], len(never)),
             f"mavsdk_drone_show flies none of its rows: it climbs until a row is at "
             f"{receiver.climb_altitude:g} m and {receiver.climb_time:g} s have passed, and they go "
             f"up to {highest:.4g} m; set {NAMES['climb_altitude']} below them and "
             f"{NAMES['climb_time']} to 0",
         )
-    ]
 
 
 def _replaced(
     receiver: Receiver, names: Sequence[str], t: Array, places: Array, followed: NDArray[np.bool_]
-) -> list[Finding]:
-    """Return whose rows before the first and after the last one that is flown move it."""
+) -> Iterator[Finding]:
+    """Yield whose rows before the first and after the last one that is flown move it."""
     flown = followed.any(axis=0)
     first = np.argmax(followed, axis=0)
     last = len(t) - 1 - np.argmax(followed[::-1], axis=0)
     each = np.arange(places.shape[1])
     rows = np.arange(len(t))[:, None]
-    found = []
+    lower = f"{NAMES['climb_altitude']} and {NAMES['climb_time']} lower"
+    land = f"{NAMES['ground_altitude']} below {receiver.ground_altitude:g}"
     for rule, lost, met, end, remedy in (
-        (
-            "climb",
-            rows < first,
-            first,
-            "before",
-            f"let it wait until then, or set {NAMES['climb_altitude']} and {NAMES['climb_time']} "
-            "lower",
-        ),
-        (
-            "landing",
-            rows > last,
-            last,
-            "after",
-            f"end higher, or set {NAMES['ground_altitude']} below {receiver.ground_altitude:g}",
-        ),
+        ("climb", rows < first, first, "before", f"let it wait until then, or set {lower}"),
+        ("landing", rows > last, last, "after", f"end higher, or set {land}"),
     ):
         across = np.linalg.norm((places - places[met, each])[..., :2], axis=-1)
         moved = np.max(np.where(lost, across, 0.0), axis=0) * flown
-        if np.max(moved) <= REMAINING:
-            continue
         drone = int(np.argmax(moved))
-        found.append(
-            Finding(
-                WARNING,
+        if moved[drone] > REMAINING:
+            yield warning(
                 rule,
-                _whose(names, np.flatnonzero(moved > REMAINING), drone),
+                and_more(names[drone], np.count_nonzero(moved > REMAINING)),
                 f"mavsdk_drone_show replaces its rows {end} t = {t[met[drone]]:.4g} s by a "
                 f"{rule}, and they move it by {moved[drone]:.3g} m across; {remedy}",
             )
-        )
-    return found
 
 
-def _lowered(
-    receiver: Receiver, names: Sequence[str], places: Array, *, foreign: bool
-) -> list[Finding]:
-    """Return who flies lower than its rows because its first one is not on the ground."""
-    if foreign:  # nobody knows; every mode but one counts from the first row
-        receiver = Receiver(shared_origin=False)
+def _lowered(receiver: Receiver, names: Sequence[str], places: Array) -> Iterator[Finding]:
+    """Yield who flies lower than its rows because its first one is not on the ground."""
     lower = receiver.lowered(places)
     drone = int(np.argmax(np.abs(lower)))
-    if abs(lower[drone]) <= REMAINING:
-        return []
-    return [
-        Finding(
-            WARNING,
+    if abs(lower[drone]) > REMAINING:
+        yield warning(
             "launch",
-            _whose(names, np.flatnonzero(np.abs(lower) > REMAINING), drone),
+            and_more(names[drone], np.count_nonzero(np.abs(lower) > REMAINING)),
             f"its first row is at {lower[drone]:.3g} m: unless {NAMES['shared_origin']} is on, "
             "altitudes are counted from there, and it flies so much lower; begin on the ground",
         )
-    ]
-
-
-def _whose(names: Sequence[str], drones: NDArray[np.intp], one: int | None = None) -> str:
-    name = names[int(drones[0]) if one is None else one]
-    return name if len(drones) == 1 else f"{name} and {len(drones) - 1} more"
