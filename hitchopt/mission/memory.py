@@ -22,6 +22,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.time_limit import Progress as Progress
 
 VARIABLE = "HITCHOPT_MEMORY"
 OFF = "off"
@@ -32,7 +33,6 @@ MAX_OUTCOMES = 512
 MAX_BYTES = 256 * 2**20
 """Total size of what is remembered [B]; a step of 1000 robots takes 76 MB."""
 
-Progress = Callable[[str], None]
 Pickled = tuple[bytes, ...]
 """A value that nobody can change: its pickle, followed by the contents of its arrays."""
 
