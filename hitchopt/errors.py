@@ -104,7 +104,7 @@ class TimeLimitError(InfeasibleError):
 def broken_limit(
     name: str, value: float, limit: float, sense: str, unit: str, where: Sequence[str]
 ) -> str:
-    """Return "name: value is below the limit of …, at …", with enough digits to distinguish the two."""
+    """Return "name: value is below the limit of … at …", in digits that distinguish the two."""
     relation = "below" if sense == "min" else "above"
     words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""

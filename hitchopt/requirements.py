@@ -72,7 +72,7 @@ class Separation:
 
     @property
     def scale(self) -> NDArray[np.float64]:
-        """Factors (3,) [1/m]: ``separation`` of two drones is the norm of their offset times these."""
+        """Factors (3,) [1/m]: ``separation`` is the norm of two drones' offset times these."""
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
 

@@ -22,7 +22,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.time_limit import Progress as Progress
+from hitchopt.time_limit import Progress as Progress  # noqa: PLC0414, exported
 
 VARIABLE = "HITCHOPT_MEMORY"
 OFF = "off"
