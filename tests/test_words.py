@@ -170,3 +170,15 @@ def test_nothing_public_is_unused_by_the_package() -> None:
         if name not in known and not name.startswith("_")
     ]
     assert not unused, "\n".join(unused)
+
+
+def test_documents_name_files_that_exist() -> None:
+    root = PACKAGE.parent
+    documents = [root / "CONTRIBUTING.md", *(root / "docs").glob("*.md")]
+    named = {
+        (document.name, path)
+        for document in documents
+        for path in re.findall(r"`((?:hitchopt|tests|problems)/[\w./]*)`", document.read_text())
+    }
+    assert len(named) > 10
+    assert not [entry for entry in sorted(named) if not (root / entry[1]).exists()]

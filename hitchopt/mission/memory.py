@@ -1,10 +1,12 @@
 """Plans made in this process, remembered so that the same request is not planned again.
 
-A request is a function and its arguments; its key is a digest of their pickles, so that requests of
-the same contents have the same key. Plans are stored as pickles whose arrays lie in read-only
-memory: what a caller does to a plan never changes the next one. The environment variable
-``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for example after a change of
-the code.
+A request is a function and its arguments; its key is a digest of their pickle, which distinguishes
+all contents to the last bit. Two requests of equal contents have different keys only if objects are
+shared in one of them and equal copies in the other; the plan is then made again.
+
+Plans are stored as pickles whose arrays lie in read-only memory: what a caller does to a plan never
+changes the next one. The environment variable ``HITCHOPT_MEMORY=off`` turns the memory off;
+``forget`` empties it, for example after a change of the code.
 """
 
 from __future__ import annotations
@@ -52,17 +54,11 @@ class _Pickler(pickle.Pickler):
         return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
 
 
-def pickled(value: object, *, shared: bool = True) -> Pickled | None:
-    """Return a value as bytes, or None if it cannot be pickled.
-
-    ``shared=False`` writes a part that occurs twice both times: values of equal contents then have
-    equal pickles, no matter which of their parts are the same object.
-    """
+def pickled(value: object) -> Pickled | None:
+    """Return a value as bytes, or None if it cannot be pickled."""
     stream, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
-    pickler = _Pickler(stream, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
-    pickler.fast = not shared
     try:
-        pickler.dump(value)
+        _Pickler(stream, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append).dump(value)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError):
         return None
     return (stream.getvalue(), *(bytes(buffer.raw()) for buffer in buffers))
@@ -128,7 +124,7 @@ def forget() -> None:
 def request_key(*request: object) -> bytes | None:
     """Return the digest (32,) of a request, or None if it cannot be pickled or memory is off."""
     off = os.environ.get(VARIABLE, "").lower() == OFF
-    parts = None if off else pickled(request, shared=False)
+    parts = None if off else pickled(request)
     return None if parts is None else hashlib.sha256(b"".join(parts)).digest()
 
 

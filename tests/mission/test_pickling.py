@@ -7,6 +7,7 @@ import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from problem_cases import GOOD
 
 import hitchopt as ho
 from hitchopt.mission.memory import VARIABLE, pickled, request_key, unpickled
@@ -196,14 +198,9 @@ def test_records_of_other_classes_and_with_more_than_their_fields_have_other_key
     assert len({request_key(value) for value in alike}) == len(alike)
 
 
-def test_parts_that_are_one_object_have_the_key_of_equal_ones() -> None:
-    word = "".join(["a", "b"])
-    for one, other in (
-        ((TEAM, TEAM), (TEAM, copy.deepcopy(TEAM))),
-        ((word, word), (word, "".join(["a", "b"]))),
-        ((POINTS, POINTS), (POINTS, POINTS.copy())),
-    ):
-        assert request_key(one) == request_key(other)
+@pytest.mark.parametrize("path", GOOD, ids=lambda path: path.stem)
+def test_a_file_that_is_read_twice_gives_one_key(path: Path) -> None:
+    assert request_key(ho.read_problem(path)) == request_key(ho.read_problem(path)) is not None
 
 
 def test_what_cannot_be_pickled_has_no_key() -> None:
