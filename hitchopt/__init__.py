@@ -1,214 +1,33 @@
 """hitchopt plans how teams of quadrotors tie and reshape polygonal cable hitches in midair.
 
-Names are imported when they are first used, so that ``import hitchopt`` stays light.
+``__init__.pyi`` lists the public names. They are imported when they are first used: ``import
+hitchopt`` stays light.
 """
 
 from __future__ import annotations
 
+import ast
 from importlib import import_module
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-if TYPE_CHECKING:
-    from hitchopt.actions import (
-        adjust,
-        follow_vertex,
-        hold,
-        morph,
-        move_edge,
-        move_vertex,
-        transport,
-    )
-    from hitchopt.checks import Certificate, CertificateError, Check, certify
-    from hitchopt.checks.bounds.closest_pairs import Closeness
-    from hitchopt.errors import (
-        FileError,
-        HitchoptError,
-        InfeasibleError,
-        InputError,
-        TimeLimitError,
-        UnsupportedError,
-        Violation,
-    )
-    from hitchopt.exports.lint.linting import lint
-    from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
-    from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
-    from hitchopt.hitch.assignment import Assignment
-    from hitchopt.mission.loading import load_problem, load_swarm, read_problem
-    from hitchopt.mission.memory import forget
-    from hitchopt.mission.problem import (
-        Adjust,
-        DronesStart,
-        FollowVertex,
-        Form,
-        HitchStart,
-        Hold,
-        Land,
-        Morph,
-        MoveEdge,
-        MoveVertex,
-        Problem,
-        Release,
-        SwapSettings,
-        Transport,
-    )
-    from hitchopt.mission.repair import Change, Suggestion
-    from hitchopt.mission.swarm import SwarmProblem
-    from hitchopt.motion.motion import Motion, Phase
-    from hitchopt.motion.states import States
-    from hitchopt.plan import Plan, closest, load
-    from hitchopt.planning import repair, separate, solve, suggestions
-    from hitchopt.requirements import Arena, Limits, Prism, Separation
-    from hitchopt.trajectory import PiecewisePolynomial
-    from hitchopt.tying import form, land, release
-
-_HOMES = {
-    "Adjust": "mission.problem",
-    "Arena": "requirements",
-    "Assignment": "hitch.assignment",
-    "Certificate": "checks",
-    "CertificateError": "checks",
-    "Change": "mission.repair",
-    "Check": "checks",
-    "Closeness": "checks.bounds.closest_pairs",
-    "ConvexArc": "geometry",
-    "ConvexPolygon": "geometry",
-    "DronesStart": "mission.problem",
-    "FileError": "errors",
-    "FollowVertex": "mission.problem",
-    "Form": "mission.problem",
-    "Hitch": "hitch",
-    "HitchStart": "mission.problem",
-    "HitchoptError": "errors",
-    "Hold": "mission.problem",
-    "InfeasibleError": "errors",
-    "InputError": "errors",
-    "Land": "mission.problem",
-    "Limits": "requirements",
-    "Morph": "mission.problem",
-    "Motion": "motion.motion",
-    "MoveEdge": "mission.problem",
-    "MoveVertex": "mission.problem",
-    "Phase": "motion.motion",
-    "PiecewisePolynomial": "trajectory",
-    "Plan": "plan",
-    "Prism": "requirements",
-    "Problem": "mission.problem",
-    "Quadrotor": "hitch",
-    "Release": "mission.problem",
-    "Separation": "requirements",
-    "States": "motion.states",
-    "Suggestion": "mission.repair",
-    "SwapSettings": "mission.problem",
-    "Swarm": "hitch",
-    "SwarmProblem": "mission.swarm",
-    "Team": "hitch",
-    "TimeLimitError": "errors",
-    "Transport": "mission.problem",
-    "UnsupportedError": "errors",
-    "Violation": "errors",
-    "adjust": "actions",
-    "certify": "checks",
-    "closest": "plan",
-    "follow_vertex": "actions",
-    "forget": "mission.memory",
-    "form": "tying",
-    "hold": "actions",
-    "land": "tying",
-    "lint": "exports.lint.linting",
-    "load": "plan",
-    "load_problem": "mission.loading",
-    "load_swarm": "mission.loading",
-    "morph": "actions",
-    "move_edge": "actions",
-    "move_vertex": "actions",
-    "read_problem": "mission.loading",
-    "regular_polygon": "geometry",
-    "release": "tying",
-    "repair": "planning",
-    "separate": "planning",
-    "solve": "planning",
-    "suggestions": "planning",
-    "transport": "actions",
+_MODULES = {
+    name.name: str(line.module)
+    for line in ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body
+    if isinstance(line, ast.ImportFrom)
+    for name in line.names
 }
+"""Module of every public name."""
 
-__all__ = [
-    "Adjust",
-    "Arena",
-    "Assignment",
-    "Certificate",
-    "CertificateError",
-    "Change",
-    "Check",
-    "Closeness",
-    "ConvexArc",
-    "ConvexPolygon",
-    "DronesStart",
-    "FileError",
-    "FollowVertex",
-    "Form",
-    "Hitch",
-    "HitchStart",
-    "HitchoptError",
-    "Hold",
-    "InfeasibleError",
-    "InputError",
-    "Land",
-    "Limits",
-    "Morph",
-    "Motion",
-    "MoveEdge",
-    "MoveVertex",
-    "Phase",
-    "PiecewisePolynomial",
-    "Plan",
-    "Prism",
-    "Problem",
-    "Quadrotor",
-    "Release",
-    "Separation",
-    "States",
-    "Suggestion",
-    "SwapSettings",
-    "Swarm",
-    "SwarmProblem",
-    "Team",
-    "TimeLimitError",
-    "Transport",
-    "UnsupportedError",
-    "Violation",
-    "adjust",
-    "certify",
-    "closest",
-    "follow_vertex",
-    "forget",
-    "form",
-    "hold",
-    "land",
-    "lint",
-    "load",
-    "load_problem",
-    "load_swarm",
-    "morph",
-    "move_edge",
-    "move_vertex",
-    "read_problem",
-    "regular_polygon",
-    "release",
-    "repair",
-    "separate",
-    "solve",
-    "suggestions",
-    "transport",
-]
+__all__ = sorted(_MODULES)  # noqa: PLE0605, there is one list of names
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'hitchopt' has no attribute '{name}'")
-    value: object = getattr(import_module(f"hitchopt.{_HOMES[name]}"), name)
+    value: object = getattr(import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

@@ -1,4 +1,4 @@
-"""What can go wrong, as types: one root, and one class per way a caller reacts.
+"""Errors as types: one root, and one class for every reaction of a caller.
 
 ``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
 cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
@@ -19,9 +19,9 @@ class InputError(HitchoptError, ValueError):
 
     Parameters
     ----------
-    key: where it was given, such as ``limits.speed`` or ``mission[0].morph.polygon``.
-    value: what was given.
-    bound: what it must be, as the end of "must be …".
+    key: path of the value, such as ``limits.speed`` or ``mission[0].morph.polygon``.
+    value: the value that was given.
+    bound: the end of "must be …".
     remedy: what to write instead.
     """
 
@@ -40,7 +40,7 @@ class InputError(HitchoptError, ValueError):
 
 
 class FileError(HitchoptError):
-    """A file that cannot be read or written, or that does not hold what its name promises."""
+    """A file that cannot be read or written, or whose content does not match its name."""
 
 
 class UnsupportedError(HitchoptError):
@@ -49,17 +49,18 @@ class UnsupportedError(HitchoptError):
 
 @dataclass(frozen=True)
 class Violation:
-    """One constraint that cannot be kept, with all that is known of where and when.
+    """One constraint that cannot be satisfied, with its value, limit, place and time.
 
     Attributes
     ----------
-    constraint: name of the check, as in the certificate.
+    constraint: name of the certificate's check.
     value: the quantity's worst value, in ``unit``.
     limit: the bound that it breaks, in ``unit``.
     sense: ``min`` if the value must not be below the limit, ``max`` if not above it.
-    unit: such as ``m`` or ``ratio``.
+    unit: unit of both, for example ``m`` or ``ratio``.
     where: names of drones, cables or vertices.
-    when: such as ``at t = 1.25 s of step 0 (morph)``; words, since some are found before timing.
+    when: time in words, for example ``at t = 1.25 s of step 0 (morph)``: some violations are found
+        before the timing.
     remedy: what to change.
     """
 
@@ -85,8 +86,8 @@ class InfeasibleError(HitchoptError):
 
     Attributes
     ----------
-    violations: what binds, the worst first.
-    note: what else was tried, or nothing.
+    violations: the broken constraints, the worst first.
+    note: what else was tried, or an empty text.
     """
 
     def __init__(self, violations: Sequence[Violation], note: str = "") -> None:
@@ -97,13 +98,13 @@ class InfeasibleError(HitchoptError):
 
 
 class TimeLimitError(InfeasibleError):
-    """Planning has been given up at its time limit: whether there is a plan is not known."""
+    """Planning that ended at its time limit: it is not known whether a plan exists."""
 
 
 def broken_limit(
     name: str, value: float, limit: float, sense: str, unit: str, where: Sequence[str]
 ) -> str:
-    """Return "name: value is below the limit of …, at …", in digits that tell the two apart."""
+    """Return "name: value is below the limit of … at …", in digits that distinguish the two."""
     relation = "below" if sense == "min" else "above"
     words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""
@@ -116,7 +117,7 @@ def broken_limit(
 
 
 def _shown(value: object) -> str:
-    """Return ``value`` in at most 80 characters: a message is no place for a whole table."""
+    """Return ``value`` in at most 80 characters, short enough for a message."""
     try:
         text = repr(value)
     except ValueError:  # Python writes no integer of more than 4300 digits

@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM end a command alike: what it was writing is cleaned up.
 
-An import is the one place in which neither may raise: compiled modules make an ImportError of it,
-or print a traceback. What comes meanwhile is answered when the import is over.
+Neither may raise during an import: compiled modules turn the exception into an ImportError or print
+a traceback. A signal that arrives then is handled when the import is over.
 """
 
 from __future__ import annotations
@@ -15,41 +15,41 @@ from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED, TERMINATED = 130, 143
-"""Exit codes, as shells tell processes that ended by SIGINT and by SIGTERM."""
+"""Exit codes of processes that ended by SIGINT and by SIGTERM, the same as in shells."""
 
-AGAIN = 0.02
-"""[s] After which a signal that came within an import is sent again."""
+RESEND_DELAY = 0.02
+"""Delay before a signal that arrived during an import is sent again [s]."""
 
 _IMPORTING = "<frozen importlib._bootstrap"
 
-_answered: list[int] = []
-"""Signals that have been answered within the outermost context."""
+_handled: list[int] = []
+"""Signals that have been handled within the outermost context."""
 
 _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGTERM: signal.SIG_DFL,
 }
-"""Whoever has set another handler, or ignores the signal as under nohup, is left to it."""
+"""Handlers that are replaced; another handler, or an ignored signal (nohup), is left alone."""
 
 
 @contextmanager
 def ending_signals() -> Iterator[None]:
     """Let SIGINT raise KeyboardInterrupt, and SIGTERM SystemExit, within the context.
 
-    In the main thread only: signals reach no other one.
+    Other threads than the main one are not affected: signals do not reach them.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     changed = [n for n, default in _DEFAULTS.items() if signal.getsignal(n) is default]
     if changed:
-        _answered.clear()
+        _handled.clear()
     for number in changed:
         signal.signal(number, _end)
     try:
         yield
     except Exception:
-        for number in _answered:  # compiled code has made another error of it
+        for number in _handled:  # compiled code has turned it into another error
             _raise(number)
         raise
     finally:
@@ -59,11 +59,11 @@ def ending_signals() -> Iterator[None]:
 
 def _end(number: int, frame: FrameType | None) -> None:
     if _importing(frame):
-        again = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
+        again = threading.Timer(RESEND_DELAY, os.kill, (os.getpid(), number))
         again.daemon = True
         again.start()
         return
-    _answered.append(number)
+    _handled.append(number)
     _raise(number)
 
 

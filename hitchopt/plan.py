@@ -1,9 +1,9 @@
-"""A plan in the user's hands: look, save, export, load."""
+"""A certified plan: sample, save, export and load it."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,7 @@ from hitchopt.exports.options import Wish, export_motion
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_title
 from hitchopt.motion.states import States, states_at
-
-Progress = Callable[[str], None]
+from hitchopt.time_limit import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +28,9 @@ class Plan:
 
     Attributes
     ----------
-    motion: the polynomials, and what they keep.
+    motion: the polynomials, with their team and requirements.
     certificate: its checks, valid for all t.
-    title: what the problem is called.
+    title: the problem's title.
     """
 
     motion: Motion
@@ -40,18 +39,18 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Of all steps together [s]."""
+        """Duration of all steps together [s]."""
         return self.motion.duration
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The steps' spans of time, in order."""
+        """The time spans of the steps, in order."""
         return self.motion.phases
 
     def at(self, t: ArrayLike) -> States:
-        """Return what drones and vertices do at times t (…) [s]: arrays of leading shape (…).
+        """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
 
-        After its end a plan stays at rest where it ended.
+        A plan stays at rest after its end.
 
         Raises
         ------
@@ -64,7 +63,8 @@ class Plan:
     ) -> Path:
         """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
 
-        All of them or none, also if the process is killed; only files of these names are replaced.
+        Either all files are written or none, even if the process is killed; only files of these
+        names are replaced.
 
         Raises
         ------
@@ -102,31 +102,31 @@ class Plan:
         ros_distro: str = "humble",
         progress: Progress | None = None,
     ) -> tuple[Export, ...]:
-        """Write the plan as a fleet reads it; return what was written, one entry per part.
+        """Write the plan in a fleet's format; return what was written, one entry per part.
 
-        Certified as written: an export that loses a limit of what is flown is refused.
+        The certificate is computed for the files: an export that breaks a limit is refused.
 
         Parameters
         ----------
         format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
             parquet, npz or json.
         folder: made if it is missing; only files of an earlier export there are replaced.
-        frame: enu, nwu or ned; None for the format's usual one.
+        frame: enu, nwu or ned; None for the format's default.
         origin: where the plan's origin lies in the room, east, north and up (3,) [m].
-        yaw: how far the plan is turned there, counter-clockwise from above [rad].
-        fleet: a fleet file; None calls the drones as the plan does.
-        rate: samples a second [Hz], where the format samples; None for its usual rate.
-        stretch: how many times as slowly to fly, from 1 on.
-        storage: of a bag, mcap or sqlite3.
+        yaw: rotation of the plan there, counter-clockwise from above [rad].
+        fleet: a fleet file with the drones' names; None for the plan's names.
+        rate: samples per second [Hz] in formats that sample; None for the format's default.
+        stretch: factor by which the plan is slowed down, at least 1.
+        storage: storage format of a bag, mcap or sqlite3.
         ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones read
             bags for earlier ones.
-        progress: called with what is being done now.
+        progress: callback that receives a message about the current work.
 
         Raises
         ------
-        InputError, FileError: what was asked is wrong in itself, or cannot be written.
+        InputError, FileError: an argument is wrong in itself, or a file cannot be written.
         CertificateError, InfeasibleError: the certificate does not hold, the format cannot hold
-            the plan, or it loses a limit; nothing is written.
+            the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
         wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage, ros_distro)
@@ -135,17 +135,17 @@ class Plan:
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
 
-        One entry for every part of the plan, mostly one; certified as ``export`` does it. Before
-        the next part is uploaded, drones ``goTo`` the point where they hover: an upload overwrites
-        the memory that a finished trajectory is still evaluated from.
+        There is one entry per part of the plan, usually one; each is certified like an export.
+        Drones must ``goTo`` the point where they hover before the next part is uploaded: an upload
+        overwrites the memory from which a finished trajectory is still evaluated.
 
         Parameters
         ----------
-        options: ``frame``, ``origin``, ``yaw``, ``fleet`` and ``stretch`` of ``export``.
+        options: the arguments ``frame``, ``origin``, ``yaw``, ``fleet``, ``stretch`` of ``export``.
 
         Raises
         ------
-        InputError, FileError, CertificateError, InfeasibleError: as ``export``.
+        InputError, FileError, CertificateError, InfeasibleError: see ``export``.
         """
         with tempfile.TemporaryDirectory() as place:
             return tuple(
@@ -158,17 +158,17 @@ class Plan:
 
 
 def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -> Closeness:
-    """Return who is closest to whom over time, by bounds that hold for all t; print it as a table.
+    """Return the closest pairs of drones over time, with bounds that hold for all t.
 
     Parameters
     ----------
-    plan: of any drones, two or more.
-    spans: equal parts of its time, each with the pair that comes closest on it.
-    picture: where to write a picture of it as well (PNG), or None.
+    plan: a plan of at least two drones.
+    spans: number of equal parts of its time; each has the pair that comes closest in it.
+    picture: file to draw the result to (PNG), or None.
 
     Raises
     ------
-    InputError: a single drone, or no span.
+    InputError: there is a single drone, or no span.
     FileError: the picture cannot be written.
     """
     found = closeness(plan.motion, spans)
@@ -183,11 +183,11 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
 
 
 def load(directory: Path | str) -> Plan:
-    """Return the plan in a directory, its certificate computed anew from its polynomials.
+    """Return the plan in a directory; its certificate is recomputed from its polynomials.
 
     Raises
     ------
-    FileError: no plan there, or one that is broken.
+    FileError: there is no plan, or its file is damaged.
     """
     path = Path(directory) / PLAN
     motion = read_plan(path)

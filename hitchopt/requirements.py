@@ -1,4 +1,4 @@
-"""What a plan must satisfy: limits of motion, distances, the arena and keep-out volumes."""
+"""Requirements of a plan: limits of motion, distances, the arena and keep-out volumes."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Limits:
 
     Parameters
     ----------
-    speed: of every drone [m/s]
-    acceleration: of every drone [m/s²]
-    jerk: of every drone [m/s³]
+    speed: largest speed of every drone [m/s]
+    acceleration: largest acceleration of every drone [m/s²]
+    jerk: largest jerk of every drone [m/s³]
     tilt: largest angle of the thrust from vertical [rad], below π/2
-    vertex_speed: how fast a vertex of the hitch may go [m/s]
+    vertex_speed: largest speed of every vertex of the hitch [m/s]
     leg: shortest leg, vertex to drone, while the hitch holds [m]
-    duration: of the whole plan [s], or None
+    duration: largest duration of the whole plan [s], or None
     """
 
     speed: float = 1.0
@@ -50,13 +50,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class Separation:
-    """Distances to keep.
+    """Smallest distances between drones and cables.
 
     Parameters
     ----------
     radius, height: semi-axes of a drone's ellipsoid [m] (Preiss et al. 2017)
-    cable: drone to any cable but its own, and to its own edge [m]
-    crossing: cable to cable where they share no clasp, taut parts [m]
+    cable: distance of a drone to any cable but its own, and to its own edge [m]
+    crossing: distance of taut cable parts that share no clasp [m]
     """
 
     radius: float = 0.12
@@ -72,14 +72,14 @@ class Separation:
 
     @property
     def scale(self) -> NDArray[np.float64]:
-        """(3,) [1/m]: ``separation`` of two drones is the norm of their offset times this."""
+        """Factors (3,) [1/m]: ``separation`` is the norm of two drones' offset times these."""
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
 
 
 @dataclass(frozen=True, eq=False)
 class Arena:
-    """The box that the drones stay in.
+    """A box that the drones stay in.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ class Arena:
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Where points are with respect to a prism.
+    """Distances of points to a prism.
 
     Attributes
     ----------
-    distance: (…) [m], negative within it: how deep below the nearest face.
-    normals: (…, 3), unit vectors along which the distance grows.
+    distance: signed distances (…) [m]; inside, minus the depth below the nearest face.
+    normals: unit vectors (…, 3) along which the distance grows.
     """
 
     distance: Array
@@ -127,7 +127,7 @@ class Clearance:
 
 @dataclass(frozen=True, eq=False)
 class Prism:
-    """An upright prism that drones stay out of, by ``Separation.radius`` or more.
+    """An upright prism to which drones keep a distance of at least ``Separation.radius``.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class Prism:
 
     Raises
     ------
-    InputError: an outline that is not convex and clockwise, or a ceiling not above the floor.
+    InputError: the outline is not convex and clockwise, or the ceiling is not above the floor.
     """
 
     polygon: ConvexPolygon
@@ -158,13 +158,13 @@ class Prism:
 
     @property
     def corners(self) -> Array:
-        """(2 m, 3) [m]."""
+        """Corners of floor and ceiling (2 m, 3) [m]."""
         outline = self.polygon.vertices
         levels = np.repeat([self.lower, self.upper], len(outline))
         return np.column_stack([np.vstack([outline, outline]), levels])
 
     def clearance(self, points: Array) -> Clearance:
-        """Return how far points (…, 3) are from the prism, and the way out of it."""
+        """Return the distances of points (…, 3) [m] to the prism and the directions out of it."""
         flat = np.reshape(points, (-1, 3))
         corners = self.polygon.vertices
         edges = self.polygon.edge_vectors

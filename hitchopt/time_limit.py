@@ -1,7 +1,7 @@
-"""A limit on how long planning may take, kept by every loop that may run for long.
+"""A limit on how long planning may take, respected by every loop that may run for long.
 
-A limit holds for all that is called within it, in its own thread only. Loops ask ``check_time``;
-solvers in compiled code are told ``time_left``.
+A limit holds for everything that is called within it, in its own thread only. Loops call
+``check_time``; solvers in compiled code receive ``time_left``.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ REMEDY = (
 
 
 class TimeIsUp(BaseException):
-    """Ends whatever is planned; ``time_limit`` makes a TimeLimitError of it.
+    """Ends all planning; ``time_limit`` turns it into a TimeLimitError.
 
-    It is no Exception: planners that try another guess where one is refused must not go on.
+    It is no Exception, so that planners which try another guess after a refusal do not go on.
     """
 
 
 _END: ContextVar[float] = ContextVar("end", default=math.inf)
-"""[s] By the monotonic clock."""
+"""End of the limit on the monotonic clock [s]."""
 
 
 @dataclass
 class _Listener:
-    """Passes on what is being done, and remembers it."""
+    """Passes messages on and remembers the last one."""
 
     progress: Progress | None
     last: str = ""
@@ -49,18 +49,19 @@ class _Listener:
 
 @contextmanager
 def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
-    """Give what is called within at most ``seconds``; an earlier end of an outer limit stays.
+    """Limit the time of the context to ``seconds``; an earlier end of an outer limit stays.
 
-    Yields what to call with what is being done now, which ``progress`` is told and the error names.
+    Yields a callback for messages about the current work: it passes them to ``progress``, and the
+    error shows the last one.
 
     Parameters
     ----------
-    seconds: [s], or None for no limit.
-    progress: called with what is being done now.
+    seconds: time limit [s], or None for no limit.
+    progress: callback that receives the messages, or None.
 
     Raises
     ------
-    TimeLimitError: the time is up.
+    TimeLimitError: the time limit has been reached.
     """
     listener = _Listener(progress)
     if seconds is None:
@@ -68,7 +69,7 @@ def time_limit(seconds: float | None, progress: Progress | None = None) -> Itera
         return
     begun = time.monotonic()
     end = begun + seconds
-    if _END.get() <= end:  # whoever set that end answers for it
+    if _END.get() <= end:  # the outer limit raises its own error
         yield listener
         return
     token = _END.set(end)
@@ -90,6 +91,6 @@ def time_left() -> float:
 
 
 def check_time() -> None:
-    """Raise TimeIsUp where the limit has been reached."""
+    """Raise TimeIsUp if the limit has been reached."""
     if time_left() <= 0.0:
         raise TimeIsUp

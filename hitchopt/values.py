@@ -1,4 +1,4 @@
-"""Checks of single values, so that every record words its complaints alike."""
+"""Checks of single values, with the same messages for all records."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 
 MAX_COORDINATE = 1e5
-"""[m] Beyond this double precision no longer resolves the tolerances of a plan."""
+"""Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 
 
 def positive(key: str, value: object) -> float:
@@ -53,7 +53,7 @@ def finite(key: str, value: object) -> float:
 
 
 def coordinate(key: str, value: object) -> float:
-    """Return ``value`` as a float, or raise InputError where it is so far off that plans blur."""
+    """Return ``value`` as a float, or raise InputError if it is beyond ±MAX_COORDINATE."""
     number = finite(key, value)
     if abs(number) > MAX_COORDINATE:
         bound = f"within ±{MAX_COORDINATE:g} m"
@@ -67,12 +67,18 @@ def per_robot(
     robots: int,
     checked: Callable[[str, object], float] = positive,
 ) -> NDArray[np.float64]:
-    """Return ``value`` as (robots,), one number having been meant for all of them.
+    """Return ``value`` as a read-only array (robots,); one number holds for all robots.
+
+    Parameters
+    ----------
+    key: name of the value in messages.
+    value: one number, or one per robot.
+    robots: number of robots.
+    checked: check of every number.
 
     Raises
     ------
-    InputError: not one number or one per robot, or any of them not finite or not positive; what
-        ``checked`` raises, if another check of the single numbers is given.
+    InputError: there is not one number, nor one per robot, or ``checked`` refuses a number.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         array = np.full(robots, checked(key, float(value)))

@@ -19,7 +19,7 @@ def test_every_public_name_resolves(name: str) -> None:
 def test_public_names_are_listed_and_others_refused() -> None:
     assert set(hitchopt.__all__) <= set(dir(hitchopt))
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        _ = hitchopt.nonsense
+        _ = hitchopt.nonsense  # type: ignore[attr-defined]
 
 
 HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "pydantic", "ruamel.yaml")

@@ -1,4 +1,4 @@
-"""The command line; it imports what a command needs only when that command runs."""
+"""The command line; a command imports what it needs when it runs."""
 
 from hitchopt.cli import fleet_commands as fleet_commands  # registers its commands
 from hitchopt.cli import simulate_command as simulate_command  # and so does this

@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from hitchopt.plan import Plan
 
 MAX_RATE = 10_000.0
-"""[Hz] No flight controller takes setpoints faster."""
+"""Largest setpoint rate [Hz]: no flight controller accepts a higher one."""
 
 MAX_ROWS = 5e8
-"""Rows of setpoints.csv, about 100 GB; more is a typing error."""
+"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
 
-LONGEST = 600.0
-"""[s] What planning may take unless told otherwise: nobody waits longer without having said so."""
+DEFAULT_LIMIT = 600.0
+"""Time limit of planning [s] unless --limit is given."""
 
-LEAST = 1e-3
-"""[s] What the search for changes is given where no time is left, so that it says so."""
+MIN_SEARCH_TIME = 1e-3
+"""Time limit of the search for changes [s] if no time is left: its end is then reported."""
 
 
 def _version() -> str:
@@ -58,10 +58,10 @@ def main() -> None:
 
     Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
     3 well-formed, but it cannot be met, or its certificate fails; 130 and 143 ended by Ctrl-C and
-    by SIGTERM, nothing half-written being left.
+    by SIGTERM, with no file half-written.
 
-    Models are kept from run to run in the user's cache directory; the environment variable
-    HITCHOPT_CACHE names another one, or says off.
+    Models are stored from run to run in the user's cache directory; the environment variable
+    HITCHOPT_CACHE names another directory, or is off.
     """
 
 
@@ -73,7 +73,7 @@ def main() -> None:
     "directory",
     metavar="DIR",
     type=GivenPath(),
-    help="Where to write the plan; by default ./ and FILE's stem.",
+    help="Directory to write the plan to; by default ./ and FILE's stem.",
 )
 @click.option(
     "--rate",
@@ -85,28 +85,28 @@ def main() -> None:
 )
 @click.option(
     "--repair/--no-repair",
-    "mending",
+    "searching",
     default=True,
-    help="Where there is no plan, search for the smallest change that mends it.",
+    help="If there is no plan, search for the smallest change that makes it feasible.",
 )
 @click.option(
     "--limit",
     metavar="SECONDS",
     type=float,
-    default=LONGEST,
+    default=DEFAULT_LIMIT,
     show_default=True,
-    help="Give up after so long, the search for changes included.",
+    help="Time limit, the search for changes included.",
 )
-def solve(file: Path, directory: Path | None, rate: float, mending: bool, limit: float) -> None:
+def solve(file: Path, directory: Path | None, rate: float, searching: bool, limit: float) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR."""
     _check_rate(rate)
     if not math.isfinite(limit) or limit <= 0.0:
-        raise InputError("--limit", limit, "above 0 s", f"{LONGEST:g} s are usual")
+        raise InputError("--limit", limit, "above 0 s", f"{DEFAULT_LIMIT:g} s are usual")
     end = time.monotonic() + limit
     from hitchopt.mission.loading import read_problem
     from hitchopt.mission.problem import Problem
 
-    place = _place(directory, file)
+    place = _output(directory, file)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
     problem: AnyProblem | None = None
@@ -115,16 +115,16 @@ def solve(file: Path, directory: Path | None, rate: float, mending: bool, limit:
         _check_rows(rate, _least_duration(problem), len(problem.team.drone_names))
         _solve(problem, place, rate, limit)
     except (InputError, FileError):
-        raise  # no solve: DIR keeps telling the last one
+        raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
         hitch = problem if isinstance(problem, Problem) else None
-        searched = mending and not isinstance(error, TimeLimitError)
-        left = max(end - time.monotonic(), LEAST)
+        searched = searching and not isinstance(error, TimeLimitError)
+        left = max(end - time.monotonic(), MIN_SEARCH_TIME)
         _leave_diagnosis(place, error, hitch if searched else None, left)
 
 
-def _place(directory: Path | None, file: Path) -> Path:
-    """Return where to write to; never a place that was named by mistake."""
+def _output(directory: Path | None, file: Path) -> Path:
+    """Return the directory to write to; refuse the root, which is named only by mistake."""
     if directory is None:
         return Path(file.stem)
     if not directory.name and directory.resolve().parent == directory.resolve():
@@ -148,13 +148,13 @@ def _solve(problem: AnyProblem, place: Path, rate: float, limit: float) -> None:
 def _leave_diagnosis(
     place: Path, error: HitchoptError, problem: Problem | None, left: float
 ) -> NoReturn:
-    """Say and write why there is no plan, and end with the exit code that tells so.
+    """Report and write why there is no plan, and exit with the error's code.
 
-    With a problem, what would mend it is searched for in the time ``left`` [s] and told as well.
+    If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
     """
     from hitchopt.exports.directory import save_diagnosis
 
-    complain(error)  # first, in case that the diagnosis cannot be written
+    complain(error)  # first, in case the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
     if problem is not None and isinstance(error, InfeasibleError):
         save_diagnosis(place, *_suggested(problem, error, left))
@@ -165,16 +165,16 @@ def _leave_diagnosis(
 def _suggested(
     problem: Problem, error: InfeasibleError, left: float
 ) -> tuple[InfeasibleError, tuple[Suggestion, ...]]:
-    """Return the verified changes that mend the problem, and say them.
+    """Return the verified changes that make the problem feasible, and report them.
 
-    The error comes back with a note where the time limit has ended the search for them.
+    The error has a note if the time limit has ended the search.
     """
     from hitchopt.cli.progress import LateProgress
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
     from hitchopt.time_limit import time_left, time_limit
 
     found: tuple[Suggestion, ...] = ()
-    with LateProgress(sys.stderr, "looking for what would mend it", left) as progress:
+    with LateProgress(sys.stderr, "searching for changes that make it feasible", left) as progress:
         try:
             with time_limit(left):
                 found = find_suggestions(problem, error, progress=progress)
@@ -194,15 +194,15 @@ def _suggested(
 
 @main.command()
 @click.argument("directory", metavar="DIR", type=GivenPath())
-@click.option("--closest", is_flag=True, help="Tell who is closest to whom, over time.")
+@click.option("--closest", is_flag=True, help="Report the closest pairs of drones over time.")
 @click.option(
     "--picture",
     metavar="PNG",
     type=GivenPath(),
-    help="Draw the closest neighbours over time into that file.",
+    help="Draw the closest pairs over time to this file.",
 )
 def check(directory: Path, closest: bool, picture: Path | None) -> None:
-    """Certify the plan in DIR (or the plan.npz that is named) anew, from its polynomials only."""
+    """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
     from hitchopt.motion.plan_file import read_plan
@@ -234,19 +234,13 @@ def _show(title: str, motion: Motion, certificate: Certificate) -> None:
 
     if title:
         say(title)
-    say(phase_table(motion.phases))
-    say("")
-    say(certificate_table(certificate))
-    say("")
+    say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
 
 
 def _show_closest(plan: Plan, picture: Path | None) -> None:
-    from hitchopt.cli.console_tables import closeness_table
     from hitchopt.plan import closest
 
-    found = closest(plan, picture=picture)
-    say(closeness_table(found))
-    say("")
+    say(f"Closest neighbours\n{closest(plan, picture=picture)}\n")
     if picture is not None:
         say(f"the closest neighbours over time are drawn in {picture}")
 
@@ -257,7 +251,7 @@ def _check_rate(rate: float) -> None:
 
 
 def _least_duration(problem: AnyProblem) -> float:
-    """Return what the steps' own durations sum to [s]; the plan takes at least that long."""
+    """Return the sum of the steps' own durations [s], a lower bound of the plan's duration."""
     from hitchopt.mission.problem import Hold, Problem
 
     if not isinstance(problem, Problem):

@@ -1,4 +1,4 @@
-"""What a plan does and what its certificate says, as tables to read on a terminal or in a file."""
+"""Tables of phases and certificates for a terminal or a text file."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from hitchopt.checks.bounds.closest_pairs import Closeness
     from hitchopt.checks.certificate import Certificate
     from hitchopt.motion.motion import Phase
 
-LEAST_WIDTH = 100
-"""Columns that nothing is cut to where no terminal tells its own width."""
+DEFAULT_WIDTH = 100
+"""Width of tables that are not written to a terminal [characters]."""
 
-MOST_NAMES = 4
-"""Drones, cables or vertices shown of one check."""
+MAX_NAMES = 4
+"""Number of drones, cables or vertices that are shown for one check."""
 
 
 def phase_table(phases: Iterable[Phase]) -> str:
-    """Return the table of a plan's phases, with a column for remarks where there are any."""
+    """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = tuple(phases)
     table = new_table(
         "Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"]
@@ -60,36 +59,20 @@ def certificate_table(certificate: Certificate) -> str:
     return rendered(table)
 
 
-def closeness_table(closest: Closeness) -> str:
-    """Return the table of the closest neighbours, each with its smallest separation for all t."""
-    table = new_table("Closest neighbours", [("pair", "left")], ["separation", "apart", "when"])
-    table.add_column("closest for", justify="right", overflow="fold")
-    span = (closest.spans[-1].end - closest.spans[0].start) / len(closest.spans)
-    for pair in closest.pairs:
-        table.add_row(
-            Text(", ".join(pair.pair)),
-            f"≥ {number(pair.bound)}",
-            f"{pair.apart:.4g} m",
-            f"{pair.time:.3f} s",
-            f"{span * pair.spans:.3f} s",
-        )
-    return rendered(table)
-
-
 def number(value: float) -> str:
-    """Return ``value`` in six significant digits; beyond all numbers it is infinite."""
+    """Return ``value`` in six significant digits; the largest floats mean infinity."""
     if abs(value) >= sys.float_info.max:
         return "inf" if value > 0 else "-inf"
     return f"{value:.6g}"
 
 
 def _names(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:MOST_NAMES])
-    return f"{shown}, and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+    shown = ", ".join(names[:MAX_NAMES])
+    return f"{shown}, and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else shown
 
 
 def new_table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
-    """Return an empty table: columns of words, each with its side, then columns of numbers."""
+    """Return an empty table: columns of words, each with its alignment, then of numbers."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name, side in words:
         table.add_column(name, justify="left" if side == "left" else "right", overflow="fold")
@@ -99,11 +82,11 @@ def new_table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[st
 
 
 def rendered(table: Table) -> str:
-    """Return the table as lines of text, as wide as the terminal."""
+    """Return the table as lines of text that fit the terminal."""
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
-    width = shutil.get_terminal_size().columns if terminal else LEAST_WIDTH
+    width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
     text = StringIO()
-    # Without markup: units in brackets are text.
+    # No markup: units in brackets are text.
     console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
     console.print(table)
     return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())

@@ -1,4 +1,4 @@
-"""Errors to exit codes and to lines on stderr; nothing that a user can cause is a traceback."""
+"""Exit codes and stderr lines of errors; no mistake of a user ends in a traceback."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.interrupts import INTERRUPTED, ending_signals
 
 WRONG = 2
-"""The file or the usage is wrong in itself."""
+"""Exit code of a file or usage that is wrong in itself."""
 
 UNMET = 3
-"""Well-formed, but it cannot be met, or its certificate fails."""
+"""Exit code of a well-formed request that cannot be met, or whose certificate fails."""
 
 
 class SafeGroup(click.Group):
-    """A group of commands whose errors end in a message and the right exit code."""
+    """A group of commands whose errors end in a message and an exit code."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; errors that hitchopt means to raise become its exit code."""
+        """Run the command; turn errors of hitchopt and of the file system into exit codes."""
         try:
             with ending_signals():
                 return super().invoke(ctx)
@@ -38,7 +38,7 @@ class SafeGroup(click.Group):
 
 
 def exit_code(error: HitchoptError) -> int:
-    """Return the exit code that tells a wrong file from a request that cannot be met."""
+    """Return the exit code: WRONG for a wrong input or file, UNMET otherwise."""
     return WRONG if isinstance(error, InputError | FileError) else UNMET
 
 
@@ -49,15 +49,15 @@ def complain(error: HitchoptError) -> None:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Write a line, whatever the stream's encoding, and whether or not anyone still reads it."""
+    """Write a line in any encoding of the stream; a closed stream or pipe is no error."""
     stream = sys.stderr if err else sys.stdout
-    if stream is None:  # closed by `>&-`: nobody is to hear it
+    if stream is None:  # closed by `>&-`
         return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     try:
         click.echo(text.encode(encoding, "replace").decode(encoding), err=err)
     except BrokenPipeError:
-        # The reader has left (`| head`): the work and its exit code stay what they are.
+        # The reader has left (`| head`): the exit code stays the same.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)

@@ -1,4 +1,4 @@
-"""A lint's report, to read on a terminal."""
+"""The report of ``lint`` on the terminal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hitchopt.exports.lint.findings import ERROR, WARNING
 if TYPE_CHECKING:
     from hitchopt.exports.lint.findings import Report
 
-SAME = 5
-"""Findings of one rule that are written out; the rest are counted."""
+MAX_SHOWN = 5
+"""Number of findings of one rule that are shown; the rest are counted."""
 
 
 def say_report(report: Report) -> None:
-    """Write what is in the files, then the findings, then how many."""
+    """Write the contents of the files, then the findings, then their number."""
     facts, flight = report.facts, report.flight
     frame = f", frame {report.frame}" if report.frame else ""
     drones = "drone" if len(facts) == 1 else "drones"
@@ -45,11 +45,11 @@ def say_report(report: Report) -> None:
     for finding in report.findings:
         key = (finding.level, finding.rule)
         said[key] += 1
-        if said[key] <= SAME:
+        if said[key] <= MAX_SHOWN:
             say(str(finding), err=finding.level == ERROR)
     for (level, rule), count in said.items():
-        if count > SAME:
-            say(f"{level}: {rule}: and {count - SAME} more", err=level == ERROR)
+        if count > MAX_SHOWN:
+            say(f"{level}: {rule}: and {count - MAX_SHOWN} more", err=level == ERROR)
     errors = sum(finding.level == ERROR for finding in report.findings)
     warnings = sum(finding.level == WARNING for finding in report.findings)
     say(f"{errors} errors, {warnings} warnings")

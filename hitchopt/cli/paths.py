@@ -1,4 +1,4 @@
-"""Paths on the command line: never an empty one, and a plan by its directory or by its file."""
+"""Paths on the command line: never empty; a plan is named by its directory or its file."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ import click
 
 from hitchopt.errors import InputError
 
-PLAN_FILE = "plan.npz"
-
 
 class GivenPath(click.Path):
-    """A path that is not empty: an unset variable of a shell must not name this directory.
+    """A path that is not empty: an unset shell variable must not mean this directory.
 
     Raises
     ------
-    InputError: an empty one.
+    InputError: the path is empty.
     """
 
     def __init__(self) -> None:
@@ -32,6 +30,8 @@ class GivenPath(click.Path):
 
 
 def plan_path(given: Path) -> Path:
-    """Return the path of the plan in a directory, or of the plan that is given itself."""
-    own = given.name == PLAN_FILE and not given.is_dir()
-    return given if own or given.is_file() else given / PLAN_FILE
+    """Return the path of the plan in a directory; the path of a plan is returned unchanged."""
+    from hitchopt.exports.directory import PLAN
+
+    own = given.name == PLAN and not given.is_dir()
+    return given if own or given.is_file() else given / PLAN

@@ -1,27 +1,26 @@
-"""A sign of life on the terminal for whatever takes longer than two seconds."""
+"""A progress bar on the terminal for work that takes longer than two seconds."""
 
 from __future__ import annotations
 
 import threading
-from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 DELAY = 2.0
-"""[s] What is over sooner needs no bar."""
+"""Time without a bar [s]."""
 
 
 class LateProgress:
-    """Context manager and callback: shows what was told last beside a bar, once ``delay`` is over.
+    """Context manager and callback: shows a bar and the last message once ``delay`` is over.
 
     Parameters
     ----------
-    stream: where to; nothing is shown unless it is a terminal.
-    message: what is being done, until told otherwise.
-    limit: what it takes at most [s], shown beside the time that has passed; None: not known.
-    delay: how long to stay silent [s].
+    stream: output stream; nothing is shown unless it is a terminal.
+    message: first message.
+    limit: time limit [s], shown next to the elapsed time, or None.
+    delay: time before the bar is shown [s].
     """
 
     def __init__(
@@ -44,12 +43,7 @@ class LateProgress:
             self._timer.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._timer.cancel()
         if self._timer.is_alive():
             self._timer.join()
@@ -57,7 +51,7 @@ class LateProgress:
             self._bar.stop()
 
     def __call__(self, message: str) -> None:
-        """Tell what is being done now."""
+        """Show a message about the current work."""
         with self._lock:
             self._message = message
             if self._bar is not None:
@@ -76,5 +70,5 @@ class LateProgress:
                 console=Console(file=self._stream),
                 transient=True,
             )
-            self._bar.add_task(self._message, total=None)  # how far it is nobody knows
+            self._bar.add_task(self._message, total=None)  # progress is not measured
             self._bar.start()

@@ -18,11 +18,11 @@ def template_text() -> str:
 
 
 def write_template(name: str) -> Path:
-    """Write the template to ``name``, .yaml added where it has no such suffix; whole or not at all.
+    """Write the template to ``name``, with the suffix .yaml, completely or not at all.
 
     Raises
     ------
-    FileError: the file exists, or its directory cannot be written.
+    FileError: the file exists, or its directory cannot be written to.
     """
     path = Path(name)
     if not path.name.strip("."):
@@ -47,7 +47,7 @@ def write_template(name: str) -> Path:
 
 
 def _publish(draft: Path, path: Path) -> None:
-    """Give the draft its name, but never over an existing file, as a rename would."""
+    """Give the draft its name; an existing file is not replaced, unlike in a rename."""
     try:
         os.link(draft, path)
     except FileExistsError:

@@ -1,182 +1,180 @@
-"""What has been planned in this process, so that the very same need not be planned again.
+"""Plans made in this process, remembered so that the same request is not planned again.
 
-A step after an edit of the last one, the first steps of a mission that a repair plans over and
-over, a cell of a notebook run twice: the same function of the same arguments, to the last bit of
-every array in them, gives the plan and the certificate that it gave before. Plans and refusals that
-say what binds are remembered; what was interrupted, failed otherwise or has arguments that cannot
-be compared in full is not. In memory only, of a bounded size, what was not used for longest going
-first.
+A request is a function and its arguments; its key is a digest of their pickle, which distinguishes
+all contents to the last bit. Two requests of equal contents have different keys only if objects are
+shared in one of them and equal copies in the other; the plan is then made again.
 
-``HITCHOPT_MEMORY=off`` does without; ``forget`` empties it, as after a change of the code.
+Plans are stored as pickles whose arrays lie in read-only memory: what a caller does to a plan never
+changes the next one. The environment variable ``HITCHOPT_MEMORY=off`` turns the memory off;
+``forget`` empties it, for example after a change of the code.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
+import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.mission.contents import UnknownContents, digest_of
-from hitchopt.mission.sealing import Sealed, sealed
+import numpy as np
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.time_limit import Progress as Progress  # noqa: PLC0414, exported
 
 VARIABLE = "HITCHOPT_MEMORY"
 OFF = "off"
 
-MOST = 512
-"""Things remembered."""
+MAX_OUTCOMES = 512
+"""Number of plans and refusals that are remembered."""
 
-MOST_BYTES = 256 * 2**20
-"""[B] Of all of them together: a mission of one step with 1000 robots takes 76 MB."""
+MAX_BYTES = 256 * 2**20
+"""Total size of what is remembered [B]; a step of 1000 robots takes 76 MB."""
 
-Progress = Callable[[str], None]
+Pickled = tuple[bytes, ...]
+"""A value that nobody can change: its pickle, followed by the contents of its arrays."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """What an InfeasibleError says.
+class _Pickler(pickle.Pickler):
+    """Pickles the contents of every array apart, also if its memory has gaps or is read-only."""
 
-    Attributes
-    ----------
-    violations, note: of it.
-    """
+    def reducer_override(self, value: Any) -> Any:
+        """Return how an array is pickled; everything else has its own method."""
+        if type(value) is not np.ndarray:
+            return NotImplemented
+        dense = value.view() if value.flags.forc else np.ascontiguousarray(value)
+        dense.setflags(write=False)
+        return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
 
-    violations: tuple[Violation, ...]
-    note: str
+
+def pickled(value: object) -> Pickled | None:
+    """Return a value as bytes, or None if it cannot be pickled."""
+    stream, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
+    try:
+        _Pickler(stream, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append).dump(value)
+    except (pickle.PicklingError, AttributeError, TypeError, ValueError):
+        return None
+    return (stream.getvalue(), *(bytes(buffer.raw()) for buffer in buffers))
+
+
+def unpickled(pickle_: Pickled) -> Any:
+    """Return a new copy of a value; its arrays are views of the read-only bytes."""
+    return pickle.loads(pickle_[0], buffers=pickle_[1:])
 
 
 class Memory:
-    """Sealed values by digest, of a bounded number and size; for any number of threads.
+    """Pickles by key, the least recently used ones dropped first; safe to share between threads.
 
     Parameters
     ----------
-    most, most_bytes: values, and [B] of all of them, beyond which the least recently used one goes.
+    max_outcomes, max_bytes: number of pickles, and their total size [B].
     """
 
-    def __init__(self, most: int = MOST, most_bytes: int = MOST_BYTES) -> None:
-        self._most, self._most_bytes = most, most_bytes
-        self._values: OrderedDict[bytes, Sealed[Any]] = OrderedDict()
-        self._size = 0
+    def __init__(self, max_outcomes: int = MAX_OUTCOMES, max_bytes: int = MAX_BYTES) -> None:
+        self._max_outcomes, self._max_bytes = max_outcomes, max_bytes
+        self._pickles: OrderedDict[bytes, Pickled] = OrderedDict()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._values)
+        return len(self._pickles)
 
     @property
     def size(self) -> int:
-        """Of all values together [B]."""
-        return self._size
+        """Total size of the pickles [B]."""
+        return sum(len(part) for found in self._pickles.values() for part in found)
 
-    def recall(self, key: bytes) -> Any | None:
-        """Return the value of a key, or None."""
+    def recall(self, key: bytes) -> Pickled | None:
+        """Return the pickle of a key, or None."""
         with self._lock:
-            found = self._values.get(key)
-            if found is None:
-                return None
-            self._values.move_to_end(key)
-            return found.value
+            if key in self._pickles:
+                self._pickles.move_to_end(key)
+            return self._pickles.get(key)
 
-    def keep(self, key: bytes, found: Sealed[Any]) -> None:
-        """Keep a value, unless it alone is larger than all of them may be."""
-        if found.size > self._most_bytes:
+    def store(self, key: bytes, found: Pickled) -> None:
+        """Remember a pickle, unless it alone exceeds the memory budget."""
+        if sum(map(len, found)) > self._max_bytes:
             return
         with self._lock:
-            known = self._values.pop(key, None)
-            self._size += found.size - (0 if known is None else known.size)
-            self._values[key] = found
-            while len(self._values) > self._most or self._size > self._most_bytes:
-                self._size -= self._values.popitem(last=False)[1].size
+            self._pickles.pop(key, None)
+            self._pickles[key] = found
+            while len(self) > self._max_outcomes or self.size > self._max_bytes:
+                self._pickles.popitem(last=False)
 
     def forget(self) -> None:
-        """Forget everything."""
+        """Drop all pickles."""
         with self._lock:
-            self._values.clear()
-            self._size = 0
+            self._pickles.clear()
 
 
 _MEMORY = Memory()
 
 
 def forget() -> None:
-    """Forget all plans of this process, so that the next ones are planned anew."""
+    """Forget all plans of this process: the next ones are planned again."""
     _MEMORY.forget()
+
+
+def request_key(*request: object) -> bytes | None:
+    """Return the digest (32,) of a request, or None if it cannot be pickled or memory is off."""
+    off = os.environ.get(VARIABLE, "").lower() == OFF
+    parts = None if off else pickled(request)
+    return None if parts is None else hashlib.sha256(b"".join(parts)).digest()
 
 
 def remembered(
     work: Callable[Concatenate[Progress | None, P], T], memory: Memory = _MEMORY
 ) -> Callable[Concatenate[Progress | None, P], T]:
-    """Return a function that does its work once for the same arguments.
+    """Return a function that does its work once for arguments of the same contents.
 
-    Its first argument, which is told of progress, is none of them: ``work`` must return or raise
-    the same whatever that is. All that ``work`` depends on has to be among the others.
+    Results and InfeasibleErrors are remembered; other errors are not, nor is anything that follows
+    an exception of the progress callback. A result is a copy in any case, so that what comes after
+    is the same with and without memory.
+
+    Parameters
+    ----------
+    work: a function whose outcome depends on its arguments alone, except for the first one, the
+        progress callback.
+    memory: where outcomes are stored.
     """
 
     @wraps(work)
     def found(progress: Progress | None, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        key = _key(work.__module__, work.__qualname__, args, sorted(kwargs.items()))
+        key = request_key(work.__module__, work.__qualname__, args, sorted(kwargs.items()))
         known = None if key is None else memory.recall(key)
-        if known is not None and progress is not None:
-            progress("planned before, taken from memory")
-        if isinstance(known, Refusal):
-            raise InfeasibleError(known.violations, known.note)
+        raised = []
+
+        def tell(message: str) -> None:
+            try:
+                if progress is not None:
+                    progress(message)
+            except BaseException as error:
+                raised.append(error)
+                raise
+
         if known is not None:
-            result: T = known
-            return result
-        listener = _Listener(progress)
-        try:
-            made = work(None if progress is None else listener, *args, **kwargs)
-        except InfeasibleError as error:
-            if type(error) is InfeasibleError:
-                kept = None if listener.raised else key
-                _sealed_and_kept(memory, kept, Refusal(error.violations, error.note))
-            raise
-        return _sealed_and_kept(memory, None if listener.raised else key, made)
+            tell("planned before, taken from memory")
+        else:
+            outcome: Any
+            try:
+                outcome = work(None if progress is None else tell, *args, **kwargs), None
+            except InfeasibleError as error:
+                if raised or type(error) is not InfeasibleError:  # a time limit proves nothing
+                    raise
+                outcome = None, (error.violations, error.note)
+            known = pickled(outcome)
+            if known is not None and key is not None and not raised:
+                memory.store(key, known)
+        result: T
+        result, refusal = outcome if known is None else unpickled(known)
+        if refusal is not None:
+            raise InfeasibleError(*refusal)
+        return result
 
     return found
-
-
-class _Listener:
-    """Passes on what is told, and knows whether it is the listener that has raised."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.progress = progress
-        self.raised = False
-
-    def __call__(self, message: str) -> None:
-        try:
-            if self.progress is not None:
-                self.progress(message)
-        except BaseException:
-            self.raised = True
-            raise
-
-
-def _key(*values: object) -> bytes | None:
-    """Return the digest of all that a result depends on; None where it is not to be remembered."""
-    if os.environ.get(VARIABLE, "").lower() == OFF:
-        return None
-    try:
-        return digest_of(*values)
-    except UnknownContents:
-        return None
-
-
-def _sealed_and_kept(memory: Memory, key: bytes | None, value: T) -> T:
-    """Return the value as whoever asks next will get it, kept if it has a key.
-
-    Sealed in any case, so that what comes after is the same whether or not things are remembered.
-    """
-    try:
-        found = sealed(value)
-    except UnknownContents:
-        return value
-    if key is not None:
-        memory.keep(key, found)
-    return found.value

@@ -1,1 +1,1 @@
-"""Floor 8: pictures of a plan. Drawing libraries are imported by the modules that draw."""
+"""Pictures of a plan; its modules import drawing libraries, so import them only when drawing."""

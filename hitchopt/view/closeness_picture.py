@@ -5,49 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hitchopt.checks.bounds.closest_pairs import Closeness
 from hitchopt.motion.motion import Motion
-from hitchopt.view.time_plots import DASHES, LIMIT_COLOUR
+from hitchopt.view.style import COLOURS, DASHES, LIMIT_COLOUR, new_figure, save_png
 
 SIZE = (10.0, 4.8)
-"""[inch]"""
-
-RESOLUTION = 120
-"""[dots per inch]"""
+"""Width and height [inch]."""
 
 SAMPLES = 800
-"""Of a pair's curve."""
-
-DRAWN = 6
-"""Pairs that are drawn."""
+"""Number of points of a pair's curve."""
 
 TOP = 4.0
-"""Separation that the picture ends at, at the most: beyond, nobody is near."""
+"""Largest separation that is shown: larger ones are of no concern."""
 
-STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
-"""Pairs differ in grey as well."""
-
-COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f", "#6a4c93", "0.45")
+DASHED = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
+STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), DASHED, strict=True))
+"""Colour and line style of every pair that is drawn, the closest first; they differ in grey too."""
 
 
 def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     """Return the picture: bounds of every span as steps, the closest pairs as curves."""
-    figure = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(SIZE)
     axes = figure.add_subplot()
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
     bounds = np.array([span.bound for span in closest.spans])
     t = np.linspace(edges[0], edges[-1], SAMPLES)
     positions = motion.drones.at(t) * motion.requirements.separation.scale
     index = {name: i for i, name in enumerate(motion.team.drone_names)}
-    for k, pair in enumerate(closest.pairs[:DRAWN]):
+    for pair, (colour, style) in zip(closest.pairs, STYLES, strict=False):
         i, j = (index[name] for name in pair.pair)
         ratio = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
         axes.plot(
-            t, ratio, color=COLOURS[k], linestyle=STYLES[k], linewidth=1.2, zorder=3,
+            t, ratio, color=colour, linestyle=style, linewidth=1.2, zorder=3,
             label=f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})",
         )  # fmt: skip
     axes.stairs(
@@ -72,5 +63,4 @@ def save_closeness(path: Path | str, motion: Motion, closest: Closeness) -> None
     ------
     OSError: the file cannot be written.
     """
-    figure = draw_closeness(motion, closest)
-    figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+    save_png(draw_closeness(motion, closest), path)

@@ -1,4 +1,4 @@
-"""What the pictures of a plan show over time, sampled. Draws nothing."""
+"""Samples over time of what the pictures of a plan show."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from hitchopt.motion.states import States, states_at
 Array = NDArray[np.float64]
 
 POINTS = 150_000
-"""Drone positions that a picture is made from: about a second of work, whatever the team."""
+"""Number of drone positions that a picture is drawn from; they take about a second."""
 
-FEWEST_SAMPLES = 60
-MOST_SAMPLES = 600
-"""More are finer than a picture's pixels."""
+MIN_SAMPLES, MAX_SAMPLES = 60, 600
+"""Number of times; more are finer than a picture's pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +26,10 @@ class Curves:
 
     Attributes
     ----------
-    states: all that they are computed from, at the same times (samples,).
-    separation: (samples,) smallest ratio over all pairs of drones.
-    speed: (samples,) [m/s], of the fastest drone.
-    thrust: (samples,) largest thrust as a share of the drone's largest.
+    states: the states at all times (samples,).
+    separation: smallest ratio over all pairs of drones (samples,).
+    speed: speed of the fastest drone (samples,) [m/s].
+    thrust: largest thrust as a share of the drone's limit (samples,).
     """
 
     states: States
@@ -40,14 +39,14 @@ class Curves:
 
     @property
     def t(self) -> Array:
-        """(samples,) [s], from the plan's start."""
+        """Times since the plan's start (samples,) [s]."""
         return self.states.t
 
 
 def sampled_curves(motion: Motion) -> Curves:
-    """Return the curves, at times that include the joints of the plan's pieces."""
+    """Return the curves at times that include the joints of the plan's pieces."""
     drones = len(motion.team.drone_names)
-    samples = int(np.clip(POINTS // drones, FEWEST_SAMPLES, MOST_SAMPLES))
+    samples = int(np.clip(POINTS // drones, MIN_SAMPLES, MAX_SAMPLES))
     even = np.linspace(0.0, motion.duration, samples)
     joints = motion.drones.breaks - motion.drones.breaks[0]
     few = joints if len(joints) < samples else joints[:0]
@@ -62,15 +61,15 @@ def sampled_curves(motion: Motion) -> Curves:
 
 
 def smallest_separations(positions: Array, scale: Array) -> Array:
-    """Return (samples,) the smallest distance of two drones after scaling.
+    """Return the smallest distance of two drones after scaling (samples,).
 
-    One search over all times at once: time is a fourth coordinate, so far apart that nobody's
-    nearest neighbour is one of another time.
+    One search covers all times: time is a fourth coordinate, scaled so that every nearest neighbour
+    belongs to the same time.
 
     Parameters
     ----------
-    positions: (samples, drones, 3) [m]; a single drone is infinitely far from any other.
-    scale: (3,) [1/m]
+    positions: drone positions (samples, drones, 3) [m]; a single drone has no neighbour (inf).
+    scale: factor of every axis (3,) [1/m].
     """
     scaled = positions * scale
     samples, drones, _ = scaled.shape

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import textwrap
-import warnings
 from pathlib import Path
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.motion.motion import Motion
 from hitchopt.view.curves import sampled_curves
 from hitchopt.view.plan_view import draw_plan_view
-from hitchopt.view.swarm_view import draw_swarm_view
+from hitchopt.view.style import new_figure, save_png
 from hitchopt.view.time_plots import draw_legend, draw_panel, draw_phases, panels
 
 SIZE = (13.0, 7.2)
-"""[inch]"""
-
-RESOLUTION = 120
-"""[dots per inch]"""
+"""Width and height [inch]."""
 
 
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
@@ -29,19 +24,14 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     Parameters
     ----------
     motion: the plan.
-    certificate: of that plan; its worst values are marked.
-    title: what the problem is called.
+    certificate: its certificate, whose worst values are marked.
+    title: the problem's title.
     """
-    figure = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(SIZE)
     curves = sampled_curves(motion)
     shown = panels(motion, curves)
     grid = figure.add_gridspec(len(shown), 2)
-    above = figure.add_subplot(grid[:, 0])
-    if motion.team.has_cables:
-        draw_plan_view(above, motion, curves)
-    else:
-        draw_swarm_view(above, motion, curves)
+    draw_plan_view(figure.add_subplot(grid[:, 0]), motion, curves)
     axes = [figure.add_subplot(grid[row, 1]) for row in range(len(shown))]
     for each, panel in zip(axes, shown, strict=True):
         draw_panel(each, curves.t, panel, certificate)
@@ -60,18 +50,14 @@ def save_summary(path: Path, motion: Motion, certificate: Certificate, title: st
 
     Parameters
     ----------
-    path: of the file, replaced if there is one.
+    path: the file, replaced if it exists.
     motion, certificate, title: as in ``draw_summary``.
 
     Raises
     ------
     OSError: the file cannot be written.
     """
-    figure = draw_summary(motion, certificate, title)
-    with warnings.catch_warnings():
-        # A title in a script that the font lacks is drawn with boxes, which is no news to anyone.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+    save_png(draw_summary(motion, certificate, title), path)
 
 
 def _headline(motion: Motion, certificate: Certificate, title: str) -> str:

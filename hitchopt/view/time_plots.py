@@ -16,28 +16,24 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import Certificate
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.view.curves import Curves
+from hitchopt.view.style import DASHES, INK, LIMIT_COLOUR, legend_below, marker
 
 Array = NDArray[np.float64]
 
-INK = "0.1"
-LIMIT_COLOUR = "#b3261e"
 FORBIDDEN = "0.8"
 HATCH = "////"
 
 CURVE = 1.4
-"""[points] Width of a curve."""
-
-DASHES = (0, (6, 2))
-"""How limits are drawn, so that they differ in grey as well."""
+"""Width of a curve [points]."""
 
 ENDLESS = 1e9
-"""Beyond this, a worst value is that of nothing at all, or of a quantity without bound."""
+"""Largest worst value that is drawn: larger ones say that nothing was counted or bounded."""
 
 LINE = 11.0
-"""[points] What a line of small text takes."""
+"""Height of a line of small text [points]."""
 
 HEIGHT = 110.0
-"""[points] About the height of a panel."""
+"""Approximate height of a panel [points]."""
 
 CHARACTER = 0.013
 """Width of a character of a phase's name as a share of the axes' width."""
@@ -49,12 +45,12 @@ class Panel:
 
     Attributes
     ----------
-    label: what it is, with its unit.
+    label: its name and unit.
     check: name of the certificate's check of it.
-    values: (samples,), in the label's unit.
-    limit: in the same unit.
+    values: the curve (samples,), in the label's unit.
+    limit: its limit, in the same unit.
     sense: ``min`` if the limit is a lower one, ``max`` if an upper one.
-    factor: from the certificate's unit to the label's.
+    factor: the label's unit over the certificate's; nan: values are shares of the limit.
     """
 
     label: str
@@ -66,7 +62,7 @@ class Panel:
 
 
 def panels(motion: Motion, curves: Curves) -> tuple[Panel, ...]:
-    """Return what is drawn, from top to bottom; thrust as a share where drones differ.
+    """Return the quantities from top to bottom; thrust is a share if drones differ.
 
     A single drone has no separation.
     """
@@ -90,10 +86,10 @@ def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> 
 
     Parameters
     ----------
-    axes: to draw on.
-    t: (samples,) [s]
+    axes: what to draw on.
+    t: times (samples,) [s]
     panel: the quantity.
-    certificate: of the plan.
+    certificate: the plan's certificate.
     """
     axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
     worst = _worst(panel, certificate)
@@ -115,13 +111,13 @@ def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> 
 
 
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
-    """Shade every other phase on all axes, and name on the first those that have room.
+    """Shade every other phase on all axes, and name the phases whose names fit on the first.
 
     Parameters
     ----------
-    axes: from top to bottom.
-    phases: of the plan.
-    duration: of the plan [s].
+    axes: the panels' axes from top to bottom.
+    phases: the plan's phases.
+    duration: the plan's duration [s].
     """
     for i, phase in enumerate(phases):
         for each in axes:
@@ -143,21 +139,14 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
 
 
 def draw_legend(axes: Axes) -> None:
-    """Say below the lowest axes what the lines mean."""
+    """Draw the legend below the lowest axes."""
     handles = [
         Line2D([], [], color=INK, linewidth=CURVE, label="worst drone or pair"),
         Line2D([], [], color=LIMIT_COLOUR, linestyle=DASHES, label="limit"),
         _worst_marker(),
         Patch(facecolor="none", edgecolor=FORBIDDEN, hatch=HATCH, linewidth=0, label="forbidden"),
     ]
-    axes.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.32),
-        ncols=2,
-        frameon=False,
-        fontsize="small",
-    )
+    legend_below(axes, handles, 0.32, 2)
 
 
 def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None:
@@ -178,21 +167,13 @@ def _mark(axes: Axes, time: float, value: float, end: float) -> None:
 
 
 def _worst_marker() -> Line2D:
-    return Line2D(
-        [],
-        [],
-        linestyle="none",
-        marker="D",
-        markersize=6.0,
-        markerfacecolor="white",
-        markeredgecolor=INK,
-        markeredgewidth=CURVE,
-        label="worst for all t, from the certificate",
-    )
+    line = marker("D", "white", INK, "worst for all t, from the certificate")
+    line.set_markeredgewidth(CURVE)
+    return line
 
 
 def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0) -> None:
-    """Write beside the axes, where no curve can be."""
+    """Write a text on the right of the axes, where no curve can be."""
     axes.annotate(
         text,
         (1.0, value),
@@ -207,7 +188,7 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
 
 
 def _shift(panel: Panel, value: float, top: float) -> float:
-    """Return how far [points] to move the worst's label away from the limit's."""
+    """Return the offset [points] that separates the worst value's label from the limit's."""
     gap = (value - panel.limit) / top * HEIGHT
     upward = gap > 0.0 if gap != 0.0 else panel.sense == "min"
     missing = max(LINE - abs(gap), 0.0)

@@ -128,7 +128,7 @@ def test_a_limit_ends_the_solve_with_a_diagnosis(place: Path) -> None:
 def test_a_limit_ends_the_search_for_changes_too(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.cli.commands.LEAST", 1e-9)
+    monkeypatch.setattr("hitchopt.cli.commands.MIN_SEARCH_TIME", 1e-9)
     reads = iter([0.0])  # then the time is up
     monkeypatch.setattr(
         "hitchopt.cli.commands.time", SimpleNamespace(monotonic=lambda: next(reads, 1e9))

@@ -58,6 +58,6 @@ def test_times_go_from_the_start_over_every_joint_to_the_end(
     t = sampled_curves(motion).t
     assert (t[0], t[-1]) == (0.0, motion.duration)
     assert 2.2 in t
-    assert len(t) <= curves.MOST_SAMPLES + 3
+    assert len(t) <= curves.MAX_SAMPLES + 3
     monkeypatch.setattr(curves, "POINTS", 8 * 200)
     assert len(sampled_curves(motion).t) <= 203

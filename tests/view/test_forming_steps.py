@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forming_steps import save_forming_steps
 from matplotlib.image import imread
 
 import hitchopt as ho
-from hitchopt.view.forming_steps import save_forming_steps
 
 HITCH = ho.Hitch.spread(ho.Team(3, 2.4), [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], 1.5)
 
@@ -25,7 +25,7 @@ def test_four_panels_with_cables_and_drones_in_them(tmp_path: Path) -> None:
     picture = imread(path)[..., :3]
     for panel in np.array_split(picture, 4, axis=1):
         colours = np.unique((panel[60:-60] * 8).astype(int).reshape(-1, 3), axis=0)
-        assert len(colours) > 20  # three cables, drones and ways, not an empty frame
+        assert len(colours) > 20  # three cables, drones and paths, not an empty frame
     assert picture.shape[1] > 3 * picture.shape[0]
 
 

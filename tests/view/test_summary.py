@@ -19,7 +19,8 @@ from pictured import made_certificate, make_motion
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.motion.motion import Phase
-from hitchopt.view.plan_view import CABLE_COLOURS, _colours
+from hitchopt.view.plan_view import _colours
+from hitchopt.view.style import COLOURS
 from hitchopt.view.summary import draw_summary, save_summary
 
 
@@ -81,7 +82,7 @@ def test_neighbouring_cables_differ_in_grey(n: int) -> None:
         return 0.299 * red + 0.587 * green + 0.114 * blue
 
     shades = [grey(colour) for colour in _colours(n)]
-    assert set(_colours(n)) <= set(CABLE_COLOURS)
+    assert set(_colours(n)) <= set(COLOURS)
     assert min(abs(a - b) for a, b in zip(shades, shades[1:] + shades[:1], strict=True)) > 0.15
 
 

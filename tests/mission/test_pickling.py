@@ -1,4 +1,4 @@
-"""What tells one plan's inputs from another's: every field of every record, to the last bit."""
+"""What is remembered: every field of every record, to the last bit, and nobody can change it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from problem_cases import GOOD
 
 import hitchopt as ho
-from hitchopt.mission.contents import UnknownContents, digest_of
-from hitchopt.mission.sealing import sealed
+from hitchopt.mission.memory import VARIABLE, pickled, request_key, unpickled
 from hitchopt.mission.situation import Situation
 from hitchopt.mission.step_records import Step
 from hitchopt.requirements import Requirements
+
+
+@pytest.fixture(autouse=True)
+def _remembering(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE)
+
 
 TRIANGLE = ho.ConvexPolygon([[0.3, -1.0], [-0.4, 0.5], [0.4, 0.55]])
 TEAM = ho.Team(
@@ -33,7 +40,7 @@ TEAM = ho.Team(
 )
 HITCH = ho.Hitch.balanced(TEAM, TRIANGLE, 1.3)
 POINTS = np.arange(9.0).reshape(3, 3)
-KEPT = Requirements(
+REQUIREMENTS = Requirements(
     ho.Limits(duration=20.0), ho.Separation(), ho.Arena([-3.0, -2.0, 0.1], [3.0, 4.0, 2.5])
 )
 STEPS = (
@@ -63,7 +70,7 @@ ROOTS: dict[str, Any] = {
     "Hitch": HITCH,
     "HitchStart": ho.HitchStart(TRIANGLE, 1.1),
     "DronesStart": ho.DronesStart(POINTS, POINTS + 2.0),
-    "Kept": KEPT,
+    "Requirements": REQUIREMENTS,
     "Situation": Situation(TEAM, HITCH.drones, HITCH, np.ones(3), ho.SwapSettings()),
     "SwarmProblem": SWARM,
     "Problem": ho.Problem(TEAM, ho.HitchStart(TRIANGLE, 1.1), STEPS[:1], title="one"),
@@ -105,11 +112,18 @@ def variants(value: Any) -> Iterator[Any]:
         yield float(np.nextafter(value, np.inf))
 
 
+def copied(value: Any) -> Any:
+    """What is recalled of a value that was stored."""
+    parts = pickled(value)
+    assert parts is not None
+    return unpickled(parts)
+
+
 @pytest.mark.parametrize("name", ROOTS)
-def test_whatever_changes_in_a_record_changes_its_digest(name: str) -> None:
+def test_whatever_changes_in_a_record_changes_its_key(name: str) -> None:
     root = ROOTS[name]
-    others = [digest_of(other) for other in variants(root)]
-    assert len({digest_of(root), *others}) == 1 + len(others)
+    others = [request_key(other) for other in variants(root)]
+    assert len({request_key(root), *others}) == 1 + len(others)
 
 
 def test_every_kind_of_step_is_looked_at() -> None:
@@ -117,10 +131,11 @@ def test_every_kind_of_step_is_looked_at() -> None:
 
 
 @pytest.mark.parametrize("name", ROOTS)
-def test_records_of_the_same_contents_have_one_digest(name: str) -> None:
+def test_records_of_the_same_contents_have_one_key(name: str) -> None:
     root = ROOTS[name]
-    assert digest_of(copy.deepcopy(root)) == digest_of(root)
-    assert digest_of(sealed(root).value) == digest_of(root)
+    assert request_key(copy.deepcopy(root)) == request_key(root)
+    assert request_key(root) is not None
+    assert request_key(copied(root)) == request_key(root)
 
 
 VALUES = st.recursive(
@@ -131,8 +146,8 @@ VALUES = st.recursive(
 
 
 @given(VALUES, VALUES)
-def test_values_have_one_digest_where_they_are_written_alike(first: object, last: object) -> None:
-    assert (digest_of(first) == digest_of(last)) == (repr(first) == repr(last))
+def test_values_have_one_key_where_they_are_written_alike(first: object, last: object) -> None:
+    assert (request_key(first) == request_key(last)) == (repr(first) == repr(last))
 
 
 def test_things_that_look_alike_are_told_apart() -> None:
@@ -162,7 +177,7 @@ def test_things_that_look_alike_are_told_apart() -> None:
         (ho.Release(1.0),),
         (ho.Land(1.0),),
     ]
-    assert len({digest_of(*values) for values in alike}) == len(alike)
+    assert len({request_key(*values) for values in alike}) == len(alike)
 
 
 @dataclass(frozen=True)
@@ -176,31 +191,42 @@ class Bent(ho.ConvexPolygon):
     """One whose methods may be anything."""
 
 
-def test_what_cannot_be_told_in_full_is_refused() -> None:
+def test_records_of_other_classes_and_with_more_than_their_fields_have_other_keys() -> None:
     more = copy.copy(HITCH)
     object.__setattr__(more, "beside", 1.0)
-    bent = Bent(TRIANGLE.vertices)
-    for value in (object(), {}, {1}, len, 1j, Foreign(), bent, more, np.array([None])):
+    alike = [HITCH, more, TRIANGLE, Bent(TRIANGLE.vertices), Foreign(), Foreign(2.0)]
+    assert len({request_key(value) for value in alike}) == len(alike)
+
+
+@pytest.mark.parametrize("path", GOOD, ids=lambda path: path.stem)
+def test_a_file_that_is_read_twice_gives_one_key(path: Path) -> None:
+    assert request_key(ho.read_problem(path)) == request_key(ho.read_problem(path)) is not None
+
+
+def test_what_cannot_be_pickled_has_no_key() -> None:
+    for value in (lambda: 1, memoryview(b""), (i for i in range(2))):
         for place in (value, (1.0, value), ho.HitchStart(typing.cast(Any, value), 1.0)):
-            with pytest.raises(UnknownContents):
-                digest_of(place)
-            with pytest.raises(UnknownContents):
-                sealed(place)
+            assert request_key(place) is None
+            assert pickled(place) is None
 
 
 @given(
     arrays(np.float64, array_shapes(min_dims=0, max_dims=3, min_side=0), elements=st.floats()),
     st.randoms(use_true_random=False),
 )
-def test_sealed_arrays_are_the_same_and_never_change(array: np.ndarray, random: Any) -> None:
+def test_stored_arrays_are_the_same_and_never_change(array: np.ndarray, random: Any) -> None:
     axes = list(range(array.ndim))
     random.shuffle(axes)
     given_array = array.transpose(axes)
     before = given_array.tobytes()
-    (found,) = sealed((given_array,)).value
+    parts = pickled((given_array,))
+    assert parts is not None
+    (found,) = unpickled(parts)
     assert found.dtype == array.dtype
     assert found.shape == given_array.shape
-    assert found.strides == given_array.copy(order="K").strides
+    if given_array.flags.forc:  # the order in which it lies in memory decides how sums round
+        order = (found.flags.c_contiguous, found.flags.f_contiguous)
+        assert order == (given_array.flags.c_contiguous, given_array.flags.f_contiguous)
     array[...] = 7.0
     assert found.tobytes() == before
     with pytest.raises(ValueError, match="read-only"):
@@ -211,11 +237,16 @@ def test_sealed_arrays_are_the_same_and_never_change(array: np.ndarray, random: 
 
 def test_what_was_one_stays_one_and_is_counted_once() -> None:
     large = np.zeros((100, 1000))
-    once, twice = sealed((large,)), sealed((large, large))
-    assert twice.value[0] is twice.value[1]
-    assert large.nbytes < once.size <= twice.size < 1.1 * large.nbytes
-    assert sealed((large, large.copy())).size > 2 * large.nbytes
-    situation = sealed(ROOTS["Situation"]).value
+    once, twice, both = map(pickled, ((large,), (large, large), (large, large.copy())))
+    assert once is not None
+    assert twice is not None
+    assert both is not None
+    values = unpickled(twice)
+    assert values[0] is values[1]
+    size, again, two = (sum(map(len, parts)) for parts in (once, twice, both))
+    assert large.nbytes < size <= again < 1.1 * large.nbytes
+    assert two > 2 * large.nbytes
+    situation = copied(ROOTS["Situation"])
     assert situation.hitch.team is situation.team
 
 
@@ -229,9 +260,9 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
         yield from arrays_in(part)
 
 
-def test_nothing_of_a_sealed_record_is_the_one_that_was_given() -> None:
+def test_a_stored_record_shares_no_memory_with_the_one_that_was_given() -> None:
     root = ROOTS["Situation"]
-    mine, theirs = list(arrays_in(root)), list(arrays_in(sealed(root).value))
+    mine, theirs = list(arrays_in(root)), list(arrays_in(copied(root)))
     assert len(mine) == len(theirs) > 5
     for a, b in [*zip(mine, theirs, strict=True), *pairwise(theirs)]:
         assert a is b or not np.shares_memory(a, b)

@@ -36,12 +36,12 @@ def swarm(n: int) -> Motion:
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])
-def test_the_summary_shows_ways_ends_prisms_and_arena(n: int) -> None:
+def test_the_summary_shows_paths_ends_prisms_and_arena(n: int) -> None:
     motion = swarm(n)
     figure = draw_summary(motion, certify(motion), "Side by side")
     above = figure.axes[0]
-    (ways,) = (c for c in above.collections if isinstance(c, LineCollection))
-    segments = ways.get_segments()
+    (paths,) = (c for c in above.collections if isinstance(c, LineCollection))
+    segments = paths.get_segments()
     assert len(segments) == n
     np.testing.assert_allclose(segments[0][0], [2.0, -1.0])
     np.testing.assert_allclose(segments[-1][-1], [2.0 + 0.5 * (n - 1) + 0.3, 0.2])

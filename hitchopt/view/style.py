@@ -1,0 +1,62 @@
+"""Colours, line styles and legends that all pictures share, and how a picture is written."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+INK = "0.1"
+LIMIT_COLOUR = "#b3261e"
+
+COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
+"""Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70 per
+cent); the last one, of 45 per cent, stands only between the first and the third."""
+
+DASHES = (0, (6, 2))
+"""Line style of limits: they differ from curves in grey as well."""
+
+RESOLUTION = 120
+"""Resolution of every picture [dots per inch]."""
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return an empty figure of a size [inch], drawn without pyplot."""
+    figure = Figure(figsize=size, dpi=RESOLUTION, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_png(figure: Figure, path: Path | str) -> None:
+    """Write a figure as a PNG whose bytes depend on its content only.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    with warnings.catch_warnings():
+        # A title in a script that the font lacks is drawn with boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+
+
+def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:
+    """Return a single marker of a size [points], such as a legend shows."""
+    return Line2D(
+        [], [], linestyle="none", marker=shape, markersize=size, markerfacecolor=fill,
+        markeredgecolor=edge, label=label,
+    )  # fmt: skip
+
+
+def legend_below(axes: Axes, handles: Sequence[Artist], gap: float, columns: int) -> None:
+    """Draw a legend below the axes, ``gap`` of their height away."""
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -gap), ncols=columns,
+        frameon=False, fontsize="small",
+    )  # fmt: skip
