@@ -12,8 +12,8 @@ from hitchopt.geometry.outline import Outline
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.path.shape_path.shape_path import ShapePath
-from hitchopt.planners.timing.speed_profile.flight import Flight, fly
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
 
 

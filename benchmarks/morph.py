@@ -16,9 +16,9 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.environment import print_environment
-from hitchopt.planners.path.shape_path.shape_path import ShapePath, drones_along
-from hitchopt.planners.timing.speed_profile.demands import Demands
-from hitchopt.planners.timing.speed_profile.speed_profile import fastest_profile
+from hitchopt.planners.path.shape_path import ShapePath, drones_along
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.speed_profile import fastest_profile
 
 FINE = 1001
 

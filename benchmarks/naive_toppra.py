@@ -17,7 +17,7 @@ from toppra import algorithm, constraint
 from benchmarks.rival import RivalError, Solution
 from benchmarks.samples import Samples
 from benchmarks.tasks import Task
-from hitchopt.planners.path.shape_path.shape_path import ShapePath, drones_along
+from hitchopt.planners.path.shape_path import ShapePath, drones_along
 
 Array = NDArray[np.float64]
 

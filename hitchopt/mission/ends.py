@@ -15,7 +15,7 @@ from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
-from hitchopt.planners.path.shape_path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, legs_along
 from hitchopt.requirements import Requirements
 
 

@@ -20,8 +20,8 @@ from hitchopt.planners.forming.approach import CLEARANCE, ApproachTask, hover_al
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied, undone
-from hitchopt.planners.path.shape_path.rigid_path import RigidPath
-from hitchopt.planners.timing.speed_profile.flown import fly_unhurried
+from hitchopt.planners.path.rigid_path import RigidPath
+from hitchopt.planners.timing.flown import fly_unhurried
 from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]

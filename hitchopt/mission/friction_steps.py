@@ -8,7 +8,7 @@ from dataclasses import replace
 from hitchopt.mission.motions import certified
 from hitchopt.mission.planning import Planned
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.friction.slip_tensions.leaning import leaning, worth_leaning
+from hitchopt.planners.friction.leaning import leaning, worth_leaning
 from hitchopt.requirements import Requirements
 
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)

@@ -12,11 +12,11 @@ from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.motions import Certified, certified, flying
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise.candidates import candidates
-from hitchopt.planners.path.shape_path.leading_legs import leading
-from hitchopt.planners.path.shape_path.leg_law import legs_clear
-from hitchopt.planners.path.shape_path.shape_path import ShapePath
-from hitchopt.planners.timing.speed_profile.flight import Flight
-from hitchopt.planners.timing.speed_profile.flown import fly_unhurried
+from hitchopt.planners.path.leading_legs import leading
+from hitchopt.planners.path.leg_law import legs_clear
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import Flight
+from hitchopt.planners.timing.flown import fly_unhurried
 from hitchopt.requirements import Requirements
 
 

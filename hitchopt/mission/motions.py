@@ -11,7 +11,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.timing.speed_profile.flown import Flown
+from hitchopt.planners.timing.flown import Flown
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -30,11 +30,11 @@ from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.flying import Flying, fly_action
 from hitchopt.planners.actions.following import follow_vertex
 from hitchopt.planners.actions.shape_moves import adjust, move_edge, move_vertex
-from hitchopt.planners.path.shape_path.blended_path import SAME, blended, check_turns, passing_times
-from hitchopt.planners.path.shape_path.path_feasibility import check_loads, check_shapes
-from hitchopt.planners.path.shape_path.rigid_path import RigidPath
-from hitchopt.planners.path.shape_path.straight_morph import straight_morph
-from hitchopt.planners.timing.speed_profile.flown import Flown, fly_unhurried
+from hitchopt.planners.path.blended_path import SAME, blended, check_turns, passing_times
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
+from hitchopt.planners.path.rigid_path import RigidPath
+from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.timing.flown import Flown, fly_unhurried
 from hitchopt.requirements import Requirements
 
 IDLE = 0.01

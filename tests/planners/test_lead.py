@@ -7,8 +7,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import random_convex_polygon, regular_polygon
-from hitchopt.planners.path.shape_path.leading_legs import leading
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, drones_along
+from hitchopt.planners.path.leading_legs import leading
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.trajectory import PiecewisePolynomial
 
 ENDS = np.array([0.0, 1.0])

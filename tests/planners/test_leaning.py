@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.friction.slip_tensions.leaning import Leaning, leaning
-from hitchopt.planners.friction.slip_tensions.slip_tensions import FARTHEST, ROOM
+from hitchopt.planners.friction.leaning import Leaning, leaning
+from hitchopt.planners.friction.slip_tensions import FARTHEST, ROOM
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import measured
-from hitchopt.planners.path.shape_path.leg_law import sharing_task, with_legs_clear
-from hitchopt.planners.path.shape_path.shape_path import ShapePath, legs_along
-from hitchopt.planners.path.shape_path.straight_morph import straight_morph
+from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
+from hitchopt.planners.path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.straight_morph import straight_morph
 from hitchopt.requirements import Requirements
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]

@@ -16,9 +16,9 @@ from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.morph_program import WayProgram
 from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.path.shape_path.shape_path import ShapePath
-from hitchopt.planners.path.shape_path.straight_morph import straight_morph
-from hitchopt.planners.timing.speed_profile.flight import Flight, fly
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
 
 

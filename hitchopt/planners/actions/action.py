@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

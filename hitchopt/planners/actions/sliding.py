@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import measured, share
-from hitchopt.planners.path.shape_path.leg_law import CLEAR, PROBES, RAMP, legs_clear, sharing_task
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, legs_along
+from hitchopt.planners.path.leg_law import CLEAR, PROBES, RAMP, legs_clear, sharing_task
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.path.shape_path.shape_path import ShapePath
-from hitchopt.planners.timing.speed_profile.flight import FINEST, MODEL_ERROR
-from hitchopt.planners.timing.speed_profile.flown import TimedFlight
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR
+from hitchopt.planners.timing.flown import TimedFlight
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hitchopt.planners.forming.clock import timed
 from hitchopt.planners.forming.reserve import SHARE
-from hitchopt.planners.path.shape_path.jets import chained
+from hitchopt.planners.path.jets import chained
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 

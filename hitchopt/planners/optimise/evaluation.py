@@ -14,13 +14,13 @@ from hitchopt.hitch.leg_lengths import measured
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.variable_bounds import Bounds
-from hitchopt.planners.path.shape_path.leg_law import CLEAR, sharing_task
-from hitchopt.planners.path.shape_path.path_feasibility import check_loads, check_shapes
-from hitchopt.planners.path.shape_path.shape_path import ShapePath, drones_along, legs_along
-from hitchopt.planners.timing.speed_profile.demands import Demands
-from hitchopt.planners.timing.speed_profile.flight import Flight
-from hitchopt.planners.timing.speed_profile.speed_profile import TimingError, fastest_profile
-from hitchopt.planners.timing.speed_profile.time_warp import WarpError
+from hitchopt.planners.path.leg_law import CLEAR, sharing_task
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
+from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.flight import Flight
+from hitchopt.planners.timing.speed_profile import TimingError, fastest_profile
+from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
 

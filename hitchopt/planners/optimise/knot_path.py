@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.planners.path.shape_path.shape_path import (
+from hitchopt.planners.path.shape_path import (
     LegLaw,
     ShapePath,
     legs_along,

@@ -15,7 +15,7 @@ from hitchopt.checks.certificate import within
 from hitchopt.checks.keep_out import smallest_clearance
 from hitchopt.errors import Violation
 from hitchopt.planners.separation.setting import Course
-from hitchopt.planners.timing.speed_profile.demands import LIMIT_SHARE
+from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
 

@@ -18,9 +18,9 @@ from hitchopt.geometry.vectors import length
 from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.robot import JET
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.friction.slip_tensions.slip_tensions import counted_on
+from hitchopt.planners.friction.slip_tensions import counted_on
 from hitchopt.planners.path.shape_path import jets
-from hitchopt.planners.timing.speed_profile.stretch import needed_stretch
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.planners.timing.speed_profile.demands import Demands, loads_at_rest
+from hitchopt.planners.timing.demands import Demands, loads_at_rest
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.path.shape_path.shape_path import Path, shapes_along
-from hitchopt.planners.timing.speed_profile.demands import Demands
+from hitchopt.planners.path.shape_path import Path, shapes_along
+from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
 
 FLATTEST = math.radians(0.01)

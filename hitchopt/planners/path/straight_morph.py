@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.hitch import Hitch
-from hitchopt.planners.path.shape_path.leg_law import with_legs_clear
-from hitchopt.planners.path.shape_path.path_feasibility import check_loads, check_shapes
-from hitchopt.planners.path.shape_path.shape_path import ShapePath
-from hitchopt.planners.timing.speed_profile.flight import Flight
-from hitchopt.planners.timing.speed_profile.flown import fly_unhurried
+from hitchopt.planners.path.leg_law import with_legs_clear
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.flight import Flight
+from hitchopt.planners.timing.flown import fly_unhurried
 from hitchopt.requirements import Requirements
 
 STILL = 1e-9

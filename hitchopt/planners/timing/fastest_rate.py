@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
-from hitchopt.planners.timing.speed_profile.rate_rows import RateRows
+from hitchopt.planners.timing.rate_rows import RateRows
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
-from hitchopt.planners.timing.speed_profile.demands import Demands
+from hitchopt.planners.timing.demands import Demands
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.planners.timing.speed_profile.demands import LIMIT_SHARE, Demands
+from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.planners.timing.speed_profile.speed_profile import SpeedProfile
+from hitchopt.planners.timing.speed_profile import SpeedProfile
 
 Array = NDArray[np.float64]
 

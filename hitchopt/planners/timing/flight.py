@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.path.shape_path.jets import chained
-from hitchopt.planners.path.shape_path.shape_path import Path
-from hitchopt.planners.timing.speed_profile.demands import Demands
-from hitchopt.planners.timing.speed_profile.mesh import time_mesh
-from hitchopt.planners.timing.speed_profile.speed_profile import (
+from hitchopt.planners.path.jets import chained
+from hitchopt.planners.path.shape_path import Path
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.mesh import time_mesh
+from hitchopt.planners.timing.speed_profile import (
     SpeedProfile,
     fastest_profile,
     path_grid,
 )
-from hitchopt.planners.timing.speed_profile.stretch import needed_stretch
-from hitchopt.planners.timing.speed_profile.time_warp import Clock, first_clock, jerk_limited
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 

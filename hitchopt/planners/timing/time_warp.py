@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.errors import HitchoptError
-from hitchopt.planners.path.shape_path.jets import chained
-from hitchopt.planners.timing.speed_profile.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.speed_profile.fastest_rate import (
+from hitchopt.planners.path.jets import chained
+from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
+from hitchopt.planners.timing.fastest_rate import (
     DEGREE,
     RateProgram,
     SplineBasis,
     fastest_rate,
 )
-from hitchopt.planners.timing.speed_profile.rate_rows import ClockedPath, RateRows
-from hitchopt.planners.timing.speed_profile.speed_profile import SpeedProfile
+from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
+from hitchopt.planners.timing.speed_profile import SpeedProfile
 
 Array = NDArray[np.float64]
 DemandsAt = Callable[[Array], Demands]

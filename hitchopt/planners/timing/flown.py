@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.planners.path.shape_path.shape_path import Path
-from hitchopt.planners.timing.speed_profile.flight import Flight, fly
+from hitchopt.planners.path.shape_path import Path
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 

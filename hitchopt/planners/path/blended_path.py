@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.speed_profile.flight import GRID
-from hitchopt.planners.timing.speed_profile.flown import Flown
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
+from hitchopt.planners.timing.flight import GRID
+from hitchopt.planners.timing.flown import Flown
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import measured, share
 from hitchopt.hitch.leg_task import SharingTask
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

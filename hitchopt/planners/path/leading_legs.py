@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.path.shape_path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.speed_profile.demands import Demands
-from hitchopt.planners.timing.speed_profile.speed_profile import (
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.speed_profile import (
     TimingError,
     fastest_profile,
     path_grid,
