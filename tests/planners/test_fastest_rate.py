@@ -11,11 +11,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 
 from hitchopt import Limits, Team
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.fastest_rate import (
-    RateProgram,
-    SplineBasis,
-    fastest_rate,
-)
+from hitchopt.planners.timing.fastest_rate import RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
 
 LIMITS = Limits(speed=1.1, acceleration=1.7, jerk=9.0, tilt=math.radians(24.0))

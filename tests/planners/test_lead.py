@@ -66,7 +66,7 @@ def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> No
         v = drones_along(p, ENDS[:1]).positions[0, 2 * k : 2 * k + 2, :, 1]
         return float(np.sum(v**2))
 
-    from hitchopt.planners.path.shape_path import leading_legs
+    from hitchopt.planners.path import leading_legs
 
     slopes = leading_legs._slopes(path)
     for k in range(5):

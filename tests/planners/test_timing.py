@@ -10,16 +10,13 @@ from hypothesis import strategies as st
 
 from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
 from hitchopt.geometry import random_convex_polygon, regular_polygon
-from hitchopt.planners.path.shape_path import ShapePath, drones_along, jets
+from hitchopt.planners.path import jets
+from hitchopt.planners.path.shape_path import ShapePath, drones_along
+from hitchopt.planners.timing import speed_profile
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.planners.timing.mesh import time_mesh
-from hitchopt.planners.timing.speed_profile import (
-    acceleration_rows,
-    fastest_profile,
-    path_grid,
-    speed_profile,
-)
+from hitchopt.planners.timing.speed_profile import acceleration_rows, fastest_profile, path_grid
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 

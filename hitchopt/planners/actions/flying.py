@@ -12,11 +12,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import cleared
 from hitchopt.planners.actions.timed import fly_timed
-from hitchopt.planners.path.path_feasibility import (
-    SHORTEST_LEG,
-    check_loads,
-    check_shapes,
-)
+from hitchopt.planners.path.path_feasibility import SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
 from hitchopt.planners.timing.flown import MOVES, Flown, fly_unhurried, moving
 from hitchopt.requirements import Requirements

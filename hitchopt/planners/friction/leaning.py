@@ -19,7 +19,7 @@ from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.robot import JET
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.friction.slip_tensions import counted_on
-from hitchopt.planners.path.shape_path import jets
+from hitchopt.planners.path import jets
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial

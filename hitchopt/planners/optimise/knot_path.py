@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.planners.path.shape_path import (
-    LegLaw,
-    ShapePath,
-    legs_along,
-    polygons_along,
-)
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along, polygons_along
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

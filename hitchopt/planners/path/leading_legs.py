@@ -18,11 +18,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.speed_profile import (
-    TimingError,
-    fastest_profile,
-    path_grid,
-)
+from hitchopt.planners.timing.speed_profile import TimingError, fastest_profile, path_grid
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 

@@ -12,7 +12,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.robot import JET
-from hitchopt.planners.path.shape_path import jets
+from hitchopt.planners.path import jets
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -16,11 +16,7 @@ from hitchopt.planners.path.jets import chained
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.mesh import time_mesh
-from hitchopt.planners.timing.speed_profile import (
-    SpeedProfile,
-    fastest_profile,
-    path_grid,
-)
+from hitchopt.planners.timing.speed_profile import SpeedProfile, fastest_profile, path_grid
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits

@@ -24,12 +24,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from hitchopt.errors import HitchoptError
 from hitchopt.planners.path.jets import chained
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.fastest_rate import (
-    DEGREE,
-    RateProgram,
-    SplineBasis,
-    fastest_rate,
-)
+from hitchopt.planners.timing.fastest_rate import DEGREE, RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
 from hitchopt.planners.timing.speed_profile import SpeedProfile
 
