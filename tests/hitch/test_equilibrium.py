@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.geometry import random_convex_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.statics import clasp_residuals, contact_forces, leg_directions
+from problems.random_morph import random_convex_polygon
 
 
 def hitch(seed: int, n: int, *, equal: bool) -> Hitch:

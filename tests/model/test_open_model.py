@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.geometry import ConvexArc, random_convex_polygon
+from hitchopt.geometry import ConvexArc
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.statics import clasp_residuals as plain_residuals
 from hitchopt.model.evaluation import DroneJets, FlatJets, clasp_residuals, drone_jets
+from problems.random_morph import random_convex_polygon
 
 H = 1e-4
 TIMES = H * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.geometry import random_convex_polygon
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.statics import clasp_residuals as hitch_residuals
 from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, clasp_residuals, drone_jets
 from hitchopt.model.planar import planar_function
 from hitchopt.model.robot import clasp_function, robot_function
+from problems.random_morph import random_convex_polygon
 
 
 def hitch(seed: int, n: int, *, equal: bool) -> Hitch:

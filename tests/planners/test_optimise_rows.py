@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from optimise_cases import ends
 
 import hitchopt as ho
-from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.leg_lengths import measured
 from hitchopt.hitch.leg_task import SharingTask
@@ -27,6 +27,7 @@ from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.optimise.variable_bounds import Bounds, Step
 from hitchopt.planners.optimise.variables import Layout
 from hitchopt.requirements import Requirements
+from problems.random_morph import random_convex_polygon
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}
 
