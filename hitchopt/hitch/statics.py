@@ -53,37 +53,6 @@ def leg_directions(
     return q, r
 
 
-def clasp_residuals(
-    vertices: Array,
-    q: Array,
-    r: Array,
-    tensions: ArrayLike,
-    loads: ArrayLike = 0.0,
-    topology: str = CLOSED,
-) -> Array:
-    """Return the unbalanced force at every clasp of a hitch.
-
-    Parameters
-    ----------
-    vertices: (…, points, 3) [m]
-    q, r: (…, n, 3) [m], positions of the drones.
-    tensions: (…, n) or scalar [N].
-    loads: (…, clasps, 3) or scalar [N], outside forces ``w_k`` on the clasps.
-
-    Returns
-    -------
-    (…, clasps, 3) [N]; zero in equilibrium.
-    """
-    T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), q.shape[:-1])[..., None]
-    layout = layout_of(q.shape[-2], topology)
-    here, cable, before = vertices[..., layout.clasps, :], layout.ahead, layout.behind
-    u = _unit(layout.edges(vertices))
-    ahead = T[..., cable, :] * (_unit(q[..., cable, :] - here) + u[..., cable, :])
-    behind = T[..., before, :] * (_unit(r[..., before, :] - here) - u[..., before, :])
-    residuals: Array = ahead + behind + np.asarray(loads, dtype=np.float64)
-    return residuals
-
-
 def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
     """Return how hard the two cables of each clasp press on each other.
 
@@ -103,8 +72,3 @@ def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = 
     q, _ = leg_directions(u, T, topology)
     bend: Array = T * np.linalg.norm(u + q, axis=-1)  # what a cable bent by a clasp presses with
     return bend[..., layout_of(u.shape[-2], topology).ahead]
-
-
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit
