@@ -1,4 +1,4 @@
-"""The shortest time from rest to rest along a straight line: no way between its ends is faster."""
+"""The shortest time from rest to rest along a straight line, the fastest of all routes."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
 filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
-at first all give way to the same side, as in a roundabout, or to layers of altitude. Everything
+at first all give route to the same side, as in a roundabout, or to layers of altitude. Everything
 is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.geometry.vectors import TIE
-from hitchopt.planners.separation.setting import SAMPLES, Course, inside
+from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
@@ -34,12 +34,12 @@ STIFFNESS = 0.08
 """Of the filter: bends shorter than this share of the duration are smoothed away."""
 
 FADING = 0.5
-"""Share of the rounds over which the side to give way to is of importance."""
+"""Share of the rounds over which the side to give route to is of importance."""
 
 
 @dataclass(frozen=True)
-class Manners:
-    """How drones give way when they meet.
+class PriorityRule:
+    """How drones give route when they meet.
 
     Attributes
     ----------
@@ -54,30 +54,30 @@ class Manners:
 
     def __str__(self) -> str:
         side = "right" if self.side > 0.0 else "left"
-        words = f"all give way to the {side} where they meet"
+        words = f"all give route to the {side} where they meet"
         if self.layers > 1:
             words = f"those that meet pass in {self.layers} layers"
         return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
-def pushed_apart(course: Course, manners: Manners) -> Array:
+def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
     """(N, count, 3) [m]: coefficients of curves that are clear, or nearly so."""
-    task, grid, scale = course.task, course.grid, course.scale
+    task, grid, scale = setting.task, setting.grid, setting.scale
     s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
     basis, rates = grid.sampled(s), grid.sampled(s, 1)
     free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
     stiff = STIFFNESS**6 * bends.T @ bends
     smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
-    layer = np.arange(task.drones) % manners.layers
-    coefficients = course.nominal.copy()
+    layer = np.arange(task.drones) % rule.layers
+    coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
         check_time()
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
-        pushes, crowded = _pushes(points, velocities, scale, manners, layer, fading)
-        pushes += _other_pushes(course, points)
+        pushes, crowded = _pushes(points, velocities, scale, rule, layer, fading)
+        pushes += _other_pushes(setting, points)
         if not crowded and not np.any(pushes):
             break
         speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
@@ -91,7 +91,7 @@ def _pushes(
     points: Array,
     velocities: Array,
     scale: Array,
-    manners: Manners,
+    rule: PriorityRule,
     layer: Indices,
     fading: float,
 ) -> tuple[Array, bool]:
@@ -109,11 +109,11 @@ def _pushes(
     offset = scaled[first] - scaled[second]
     flat = velocities.reshape(-1, 3)
     still = TIE * float(np.max(np.abs(flat)))
-    way_out = _way_out(flat[first] - flat[second], still)
+    rightward = _rightward(flat[first] - flat[second], still)
     apart = layer[first % drones] - layer[second % drones]
     upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
-    aside = np.where((apart != 0)[:, None], upward, np.sign(manners.side) * way_out)
-    direction = offset + fading * abs(manners.side) * aside
+    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * rightward)
+    direction = offset + fading * abs(rule.side) * aside
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), aside)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
@@ -128,7 +128,7 @@ def _pushes(
     return pushes.reshape(points.shape), True
 
 
-def _way_out(velocity: Array, still: float) -> Array:
+def _rightward(velocity: Array, still: float) -> Array:
     """Return unit vectors (pairs, 3) to the right of relative velocities (pairs, 3).
 
     East where it is upright, or slower than ``still``: rounding has no direction.
@@ -141,9 +141,9 @@ def _way_out(velocity: Array, still: float) -> Array:
     return np.where(sideways, right / np.where(sideways, length, 1.0), east)
 
 
-def _other_pushes(course: Course, points: Array) -> Array:
+def _other_pushes(setting: Setting, points: Array) -> Array:
     """Return pushes (samples, drones, 3) out of prisms, and together along taut cables [m]."""
-    task = course.task
+    task = setting.task
     pushes = np.zeros_like(points)
     wanted = WANTED * task.requirements.separation.radius
     for prism in task.requirements.keep_out:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.planners.separation.rows import Rows
-from hitchopt.planners.separation.setting import Course
+from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.separation.spline import HELD
 
 Array = NDArray[np.float64]
@@ -17,22 +17,24 @@ ACROSS = (0.3, 0.7)
 
 
 def add_limits(
-    rows: Rows, course: Course, coefficients: Array, duration: float, trust: float, slack: int
+    rows: Rows, setting: Setting, coefficients: Array, duration: float, trust: float, slack: int
 ) -> None:
     """Keep the first three derivatives: along themselves up to the limit, and little across.
 
     Parameters
     ----------
     rows: to which they are added.
-    course: grid and limits.
+    setting: grid and limits.
     coefficients: (N, count, 3) [m], the current curves.
     duration: in which the limits are to be kept [s]
     trust: what an unknown of one stands for [m]
     slack: column of the first drone's slack, in shares of the duration.
     """
-    n, free = len(coefficients), course.grid.count - 2 * HELD
+    n, free = len(coefficients), setting.grid.count - 2 * HELD
     drones = np.arange(n)
-    for order, (rate, cap) in enumerate(zip(course.grid.rates, course.caps, strict=True), start=1):
+    for order, (rate, cap) in enumerate(
+        zip(setting.grid.rates, setting.caps, strict=True), start=1
+    ):
         matrix = rate / duration**order
         current = np.einsum("rc,ncd->nrd", matrix, coefficients) / cap[:, None, None]
         size = np.linalg.norm(current, axis=-1)

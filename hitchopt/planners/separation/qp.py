@@ -91,14 +91,14 @@ class Solver:
         self._program: QuadraticProgram | None = None
         self._multipliers: Array | None = None
 
-    def solve(self, program: QuadraticProgram, first: Array, kept_rows: int) -> Solution:
+    def solve(self, program: QuadraticProgram, first: Array, common_rows: int) -> Solution:
         """Return a solution, searched from ``first``.
 
         Parameters
         ----------
         program: what is to be solved.
         first: (unknowns,) where to start.
-        kept_rows: how many of the first rows mean what they did in the last program.
+        common_rows: how many of the first rows mean what they did in the last program.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class Solver:
         multipliers = np.zeros(len(program.lower))
         if self._multipliers is not None:
             same = self._same_pattern(program)
-            kept = len(multipliers) if same else min(kept_rows, len(self._multipliers))
+            kept = len(multipliers) if same else min(common_rows, len(self._multipliers))
             multipliers[:kept] = self._multipliers[:kept]
         if self._same_pattern(program):
             self._osqp.update(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
-from hitchopt.planners.separation.routes import ways_along, ways_around
+from hitchopt.planners.separation.routes import routes_along, routes_around
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena
@@ -37,7 +37,7 @@ SAMPLES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Setting:
     """A task on its grid.
 
     Attributes
@@ -47,8 +47,8 @@ class Course:
     nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
     caps: (3, N): largest norms of the first three derivatives of each drone, by time.
     bound: no flight of all drones takes less [s].
-    alone: what the drones would take about on their ways around prisms, if each were alone [s].
-    size: the longest way [m], by which deviations are measured.
+    alone: what the drones would take about on their routes around prisms, if each were alone [s].
+    size: the longest route [m], by which deviations are measured.
     """
 
     task: SeparationTask
@@ -65,8 +65,8 @@ class Course:
         return self.task.requirements.separation.scale
 
 
-def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
-    """Return the task's course: its grid suits the drone that takes longest.
+def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
+    """Return the task's setting: its grid suits the drone that takes longest.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
 
     Raises
     ------
-    InfeasibleError: the prisms leave no way.
+    InfeasibleError: the prisms leave no route.
     """
     limits = task.requirements.limits
     n = task.drones
@@ -85,13 +85,13 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     straight = np.linalg.norm(task.goal - task.start, axis=1)
     bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
-    ways = ways_along(task.nominal) if task.nominal is not None else ways_around(task)
-    ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
+    routes = routes_along(task.nominal) if task.nominal is not None else routes_around(task)
+    ramps = fastest_ramps(routes.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
     alone = float(ramps.duration[slowest])
     rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
-    size = max(float(np.max(ways.lengths)), 2.0 * task.requirements.separation.radius)
-    going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    size = max(float(np.max(routes.lengths)), 2.0 * task.requirements.separation.radius)
+    going = float(routes.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
     middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
@@ -104,18 +104,20 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
         points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
     elif patience > 1.0 and going:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
-        rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
-        leaving = departures(ways, shares, rises, task.requirements.separation.scale)
+        rises = np.divide(
+            ramps.rise, ramps.duration, out=np.full(n, 0.5), where=routes.lengths > 0.0
+        )
+        leaving = departures(routes, shares, rises, task.requirements.separation.scale)
         own = [
             progress_along((s - leave) / share, float(rise))
             for leave, share, rise in zip(leaving, shares, rises, strict=True)
         ]
-        points = ways.points(np.stack(own))
+        points = routes.points(np.stack(own))
     else:
         share = progress_along(s, 1.0 / breaks[-1])
-        points = ways.points(np.broadcast_to(share, (n, len(share))))
+        points = routes.points(np.broadcast_to(share, (n, len(share))))
     nominal = _fitted(task, grid, s, points)
-    return Course(task, grid, nominal, caps, float(bound), alone, size)
+    return Setting(task, grid, nominal, caps, float(bound), alone, size)
 
 
 def inside(arena: Arena, points: Array) -> Array:

@@ -14,7 +14,7 @@ from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING
 from hitchopt.checks.certificate import within
 from hitchopt.checks.keep_out import smallest_clearance
 from hitchopt.errors import Violation
-from hitchopt.planners.separation.setting import Course
+from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
@@ -31,7 +31,7 @@ REMEDY = "give more time or room, or move the drones concerned apart"
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class Evaluation:
     """What is known of curves for all of the time.
 
     Attributes
@@ -53,31 +53,31 @@ class Standing:
         return not self.broken
 
 
-def standing_of(course: Course, coefficients: Array) -> Standing:
+def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
     """Return how curves stand, by bounds for all of the time."""
-    unit = course.grid.curves(coefficients, 1.0)
-    duration = needed_duration(course, unit)
-    closest, broken = _separation(course, unit, duration)
-    found = [broken, *_surroundings(course, unit, duration), *_cables(course, unit, duration)]
-    return Standing(coefficients, duration, closest, tuple(v for v in found if v is not None))
+    unit = setting.grid.curves(coefficients, 1.0)
+    duration = needed_duration(setting, unit)
+    closest, broken = _separation(setting, unit, duration)
+    found = [broken, *_surroundings(setting, unit, duration), *_cables(setting, unit, duration)]
+    return Evaluation(coefficients, duration, closest, tuple(v for v in found if v is not None))
 
 
-def needed_duration(course: Course, unit: PiecewisePolynomial) -> float:
+def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
     """Return the shortest duration in which curves, given over 1 s, keep all limits [s]."""
     factors = []
-    for order, cap in enumerate(course.caps, start=1):
+    for order, cap in enumerate(setting.caps, start=1):
         shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
         factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
     return max(*factors, IDLE) * STRETCH
 
 
 def _separation(
-    course: Course, unit: PiecewisePolynomial, duration: float
+    setting: Setting, unit: PiecewisePolynomial, duration: float
 ) -> tuple[float, Violation | None]:
-    n = course.task.drones
+    n = setting.task.drones
     if n < 2:
         return math.inf, None
-    scaled = unit.coefficients * course.scale[:, None]
+    scaled = unit.coefficients * setting.scale[:, None]
     bodies = Bodies(scaled[:, :, None])
     size = float(np.max(np.abs(scaled)))
     found = smallest_distance(
@@ -91,7 +91,7 @@ def _separation(
     if found.worst >= within(1.0, "min", size):
         return found.worst, None
     i, j = sorted(divmod(found.item, n))
-    names = (course.task.names[i], course.task.names[j])
+    names = (setting.task.names[i], setting.task.names[j])
     when = _when(found.time, duration)
     return found.worst, Violation(
         "separation", found.worst, 1.0, "min", "ratio", names, when, REMEDY
@@ -99,9 +99,9 @@ def _separation(
 
 
 def _surroundings(
-    course: Course, unit: PiecewisePolynomial, duration: float
+    setting: Setting, unit: PiecewisePolynomial, duration: float
 ) -> list[Violation | None]:
-    task = course.task
+    task = setting.task
     found: list[Violation | None] = []
     if task.requirements.arena is not None:
         x = unit.coefficients  # an arena is convex: what holds the coefficients holds the curves
@@ -130,8 +130,8 @@ def _surroundings(
     return found
 
 
-def _cables(course: Course, unit: PiecewisePolynomial, duration: float) -> list[Violation | None]:
-    tethers = course.task.tethers
+def _cables(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation | None]:
+    tethers = setting.task.tethers
     if not tethers:
         return []
     first = [tether.first for tether in tethers]
@@ -145,7 +145,7 @@ def _cables(course: Course, unit: PiecewisePolynomial, duration: float) -> list[
     if found.worst <= within(1.0, "max", size):
         return []
     tether = tethers[found.item]
-    names = (course.task.names[tether.first], course.task.names[tether.second])
+    names = (setting.task.names[tether.first], setting.task.names[tether.second])
     when = _when(found.time, duration)
     return [Violation("span", found.worst, 1.0, "max", "ratio", names, when, REMEDY)]
 
