@@ -104,9 +104,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
         points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
     elif patience > 1.0 and going:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
-        rises = np.divide(
-            ramps.rise, ramps.duration, out=np.full(n, 0.5), where=routes.lengths > 0.0
-        )
+        rises = np.full(n, 0.5)
+        np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)
         leaving = departures(routes, shares, rises, task.requirements.separation.scale)
         own = [
             progress_along((s - leave) / share, float(rise))
