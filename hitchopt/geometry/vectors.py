@@ -1,9 +1,9 @@
-"""Products and lengths of many vectors, without arrays in between."""
+"""Products, lengths and directions of many vectors, and choices among values that tie."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -11,7 +11,7 @@ TIE = 1e-9
 """Relative difference of values that tie: far above rounding, far below what matters."""
 
 GOLDEN = 0.6180339887498949
-"""The golden ratio's fraction: sums of a few of its multiples and powers do not tie again."""
+"""Fractional part of the golden ratio: sums of a few multiples and powers do not tie again."""
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -24,6 +24,21 @@ def length(a: Array) -> Array:
     """Return the lengths (…) of vectors (…, d)."""
     lengths: Array = np.sqrt(dot(a, a))
     return lengths
+
+
+def unit(a: Array, fallback: ArrayLike = 0.0, least: float = 0.0) -> Array:
+    """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
+
+    Parameters
+    ----------
+    a: (…, d)
+    fallback: what stands for the direction of vectors no longer than ``least``.
+    least: the length up to which a vector has no direction.
+    """
+    size = np.linalg.norm(a, axis=-1, keepdims=True)
+    long = size > least
+    directions: Array = np.where(long, a / np.where(long, size, 1.0), fallback)
+    return directions
 
 
 def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, fitting_polygon
-from hitchopt.hitch.leg_lengths import share
-from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask
-from hitchopt.hitch.statics import leg_directions
+from hitchopt.hitch.leg_lengths import split_slack
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.values import coordinate
@@ -175,13 +175,9 @@ class Hitch:
 
     @property
     def cable_forces(self) -> Array:
-        """(2n, 3) [N]: the force that the cable puts on each drone.
-
-        ``-T_k`` along the leg, and down by half of the cable's weight.
-        """
-        forces = -np.repeat(self.team.tension, 2)[:, None] * self.leg_directions
-        forces[:, 2] -= self.team.cable_weight
-        return forces
+        """(2n, 3) [N]: the force that the taut cable puts on each drone."""
+        pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
+        return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
 def _nearest_legs(
@@ -191,7 +187,7 @@ def _nearest_legs(
     margin: float,
     requirements: Requirements,
 ) -> Array:
-    task = SharingTask(
+    task = LegTask(
         team,
         requirements,
         polygon.vertices[None],
@@ -199,5 +195,5 @@ def _nearest_legs(
         requirements.limits.leg * LIMIT_MARGIN,
         margin,
     )
-    q_legs: Array = share(task).q_legs[0]
+    q_legs: Array = split_slack(task).q_legs[0]
     return q_legs

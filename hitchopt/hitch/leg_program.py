@@ -14,7 +14,7 @@ from scipy import sparse
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.convex_qp import QuadraticProgram
-from hitchopt.hitch.leg_task import SharingTask
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.requirements import Arena
@@ -26,7 +26,7 @@ PENALTY = 1e3
 """[m²] per robot and unit of margin: so dear that distances come first, deviation second."""
 
 
-class SharingBodies:
+class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
 
     Parameters
@@ -35,7 +35,7 @@ class SharingBodies:
     lowest, highest: sharings (J, n) [m] between which pairs have to come near to be kept.
     """
 
-    def __init__(self, task: SharingTask, lowest: Array, highest: Array) -> None:
+    def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         p = task.polygons
         layout = task.team.layout
@@ -65,7 +65,7 @@ class SharingBodies:
         """Return the shortest vector of each pair, second body to first, (pairs, 2) [m]."""
         return shortest_offset(differences(nodes[self.first], nodes[self.second]))
 
-    def margin(self, task: SharingTask, d: Array) -> float:
+    def margin(self, task: LegTask, d: Array) -> float:
         """Return the smallest distance over its limit; crossings count up to their margin only."""
         distance = np.linalg.norm(self.offsets(self.nodes(d)), axis=1)
         ratios = distance / self.limits[self.kind]
@@ -81,7 +81,7 @@ class SharingBodies:
         drones = self.nodes(d)[self.drones]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
-    def _find_pairs(self, task: SharingTask, parts: Parts, lower: Array, upper: Array) -> None:
+    def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
         """Keep the pairs whose sweeps between two sharings come within reach of their limits."""
         J = len(task.reference)
         swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
@@ -106,7 +106,7 @@ class SharingBodies:
         self.second: Index = parts.nodes[j[wanted]] + offset
 
 
-def sharing_bounds(task: SharingTask) -> tuple[Array, Array]:
+def leg_bounds(task: LegTask) -> tuple[Array, Array]:
     """Return the smallest and largest ``d`` (J, n) that leave both legs long enough.
 
     The same one at the ends of a chain, where a cable has one leg only.
@@ -120,7 +120,7 @@ def sharing_bounds(task: SharingTask) -> tuple[Array, Array]:
     return lower, upper
 
 
-def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> QuadraticProgram:
+def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
     J, n = d.shape
     size = J * n + 2
@@ -160,7 +160,7 @@ def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> Quadr
     hessian = sparse.eye(J * n, format="csc") + _roughness(task)
     full = sparse.csc_matrix(sparse.block_diag([hessian, sparse.csc_matrix((2, 2))]))
     gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = sharing_bounds(task)
+    lower, upper = leg_bounds(task)
     return QuadraticProgram(
         full,
         gradient,
@@ -171,7 +171,7 @@ def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> Quadr
     )
 
 
-def _end_combinations(bodies: SharingBodies) -> tuple[Index, Index, Index]:
+def _end_combinations(bodies: LegBodies) -> tuple[Index, Index, Index]:
     """Return (pair, node of the first, node of the second): one row of the QP each."""
     found: list[tuple[Index, Index, Index]] = []
     for kind, firsts, seconds in (
@@ -186,7 +186,7 @@ def _end_combinations(bodies: SharingBodies) -> tuple[Index, Index, Index]:
     return np.concatenate(pairs), np.concatenate(a), np.concatenate(b)
 
 
-def _wall_rows(bodies: SharingBodies, arena: Arena, size: int) -> tuple[sparse.csc_matrix, Array]:
+def _wall_rows(bodies: LegBodies, arena: Arena, size: int) -> tuple[sparse.csc_matrix, Array]:
     """Return rows and bounds that keep every drone between the arena's upright walls."""
     base, slope = bodies.base[bodies.drones], bodies.slope[bodies.drones]
     entries = np.concatenate([slope[:, 0], slope[:, 1], -slope[:, 0], -slope[:, 1]])
@@ -201,7 +201,7 @@ def _wall_rows(bodies: SharingBodies, arena: Arena, size: int) -> tuple[sparse.c
     return sparse.csc_matrix((values, places), shape=(len(row), size)), least[free]
 
 
-def _roughness(task: SharingTask) -> sparse.csc_matrix:
+def _roughness(task: LegTask) -> sparse.csc_matrix:
     """Return the Hessian of the fractions' squared second differences along the knots."""
     J, n = task.reference.shape
     if task.roughness == 0.0 or J < 3:

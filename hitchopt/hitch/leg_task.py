@@ -23,7 +23,7 @@ CROSSING_MARGIN = 1.005
 
 
 @dataclass(frozen=True, eq=False)
-class SharingTask:
+class LegTask:
     """Sharings of one team on J polygons (one, or the knots of a path) at once.
 
     Attributes
@@ -71,7 +71,7 @@ class SharingTask:
 
 
 @dataclass(frozen=True, eq=False)
-class Sharing:
+class LegLengths:
     """A sharing that was found.
 
     Attributes

@@ -1,6 +1,7 @@
-"""Force balance at the clasps (eq. (2) of the paper, in its general form).
+"""Static forces: the balance at the clasps, and what cables do to drones.
 
-At ``p_k`` cables k-1 and k bend around each other without friction:
+At ``p_k`` cables k-1 and k bend around each other without friction (eq. (2)
+of the paper, in its general form):
 ``T_k q̂_k + T_k u_k + T_{k-1} r̂_{k-1} - T_{k-1} u_{k-1} + w_k = 0``. Arrays carry any leading
 axes (times, for instance); the cable index is the last axis but the coordinates. Results at clasps
 are in the order of ``Layout.clasps``: all n points of a closed hitch, the n - 1 inner ones of a
@@ -12,7 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.layout import CLOSED, layout_of
+from hitchopt.hitch.team import GRAVITY, Team
 
 Array = NDArray[np.float64]
 
@@ -72,3 +76,43 @@ def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = 
     q, _ = leg_directions(u, T, topology)
     bend: Array = T * np.linalg.norm(u + q, axis=-1)  # what a cable bent by a clasp presses with
     return bend[..., layout_of(u.shape[-2], topology).ahead]
+
+
+def hanging_forces(team: Team, drones: Array) -> Array:
+    """Return the force of hanging cables on drones that are at (…, 2n, 3) [m], in [N] likewise.
+
+    Zero where cables weigh nothing.
+    """
+    if team.cable_density == 0.0:
+        return np.zeros(drones.shape)
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    pull = Catenary.between(q, r, team.cable_length).pull(q, r)
+    forces: Array = GRAVITY * team.cable_density * pull.reshape(drones.shape)
+    return forces
+
+
+def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
+    """Return the force of cables on drones (…, 2n, 3) [N], between hanging free and taut.
+
+    A leg pulls toward its vertex (at a chain's end along the edge), and a taut cable puts half of
+    its weight on each of its drones. To the share that a cable is not yet taut, what a hanging one
+    pulls with takes the place of that weight.
+
+    Parameters
+    ----------
+    drones: (…, 2n, 3) [m]
+    vertices: (…, points, 3) [m]
+    pulls: (…, 2n) [N], of the legs; 0 while there is no hitch.
+    taut: (…, n), from 0 to 1.
+    """
+    if not team.has_cables:
+        return np.zeros(drones.shape)
+    # A leg without length has no direction: no force rather than nan (certified plans have none).
+    directions = unit(drones - vertices[..., team.layout.pulled_to, :])
+    forces: Array = 0.0 - pulls[..., None] * directions  # no negative zeros
+    if team.cable_density > 0.0:
+        share = np.repeat(taut, 2, axis=-1)
+        forces[..., 2] -= share * team.cable_weight
+        if np.any(share < 1.0):
+            forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
+    return forces

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.hanging_forces import hanging_forces
+from hitchopt.hitch.statics import hanging_forces
 from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
