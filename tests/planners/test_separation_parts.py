@@ -15,6 +15,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import LinearConstraint, minimize
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.planners.separation import SeparationTask, Tether
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
@@ -25,7 +26,7 @@ from hitchopt.planners.separation.planes import (
     hull_points,
     planes_between,
 )
-from hitchopt.planners.separation.qp import QuadraticProgram, Solver
+from hitchopt.planners.separation.qp import Solver
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.separation_program import Around, Built, build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
@@ -394,7 +395,7 @@ def test_the_objective_is_the_integral_and_its_slope_the_gradient() -> None:
     built = build_program(setting, around)
     program = built.program
     unknowns = around.coefficients[:, setting.grid.free].size
-    full = program.P + sp.triu(program.P, 1).T
+    full = program.P
 
     def value(x: np.ndarray) -> float:
         return float(0.5 * x @ (full @ x) + program.q @ x)

@@ -1,4 +1,4 @@
-"""How curves stand: what their certificate will say, and in what time they keep the limits."""
+"""Evaluation of curves: the requirements they break, and the shortest time within limits."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from hitchopt.trajectory.extremum import Cells, largest
 Array = NDArray[np.float64]
 
 STRETCH = 1.0 / LIMIT_SHARE
-"""So much more time than limits need leaves room for what exports round and refit."""
+"""Stretch of the shortest duration: a reserve for the rounding and refitting of exports."""
 
 IDLE = 0.01
-"""[s] What it takes where nobody moves."""
+"""[s] Duration where no drone moves."""
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What is known of curves for all of the time.
+    """Bounds on curves that hold at every time.
 
     Attributes
     ----------
-    coefficients: (N, count, 3) [m], of the curves.
+    coefficients: (N, count, 3) [m].
     duration: the shortest in which they keep speed, acceleration and jerk [s].
-    closest: bounds the smallest separation of any pair.
-    broken: what they break, whatever the duration; times are for ``duration``.
+    closest: lower bound of the smallest separation of any pair.
+    broken: violations that no duration removes; times are for ``duration``.
     """
 
     coefficients: Array
@@ -54,7 +54,7 @@ class Evaluation:
 
 
 def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
-    """Return how curves stand, by bounds for all of the time."""
+    """Return the evaluation of curves, by bounds that hold at every time."""
     unit = setting.grid.curves(coefficients, 1.0)
     duration = needed_duration(setting, unit)
     closest, broken = _separation(setting, unit, duration)
@@ -112,7 +112,7 @@ def _surroundings(
         size = float(np.max(np.abs(x)))
         worst = float(np.min(room)) - ROUNDING * (size + float(np.max(corners)))
         if float(np.min(room)) >= -LAST_PLACE * float(np.max(corners)):
-            worst = 0.0  # who rests on the floor is not below it, as the certificate has it
+            worst = 0.0  # a drone that rests on the floor is not below it, as in the certificate
         if worst < within(0.0, "min", size):
             piece, drone = np.unravel_index(int(np.argmin(room)), room.shape)[:2]
             when = _when(float(unit.breaks[piece]), duration)

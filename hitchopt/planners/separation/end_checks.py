@@ -1,4 +1,4 @@
-"""What can be told before anything is planned: starts and goals that break a limit themselves."""
+"""Checks before planning: starts and goals that break a limit themselves."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hitchopt.planners.separation.task import SeparationTask
 Array = NDArray[np.float64]
 
 HALF = 0.5
-"""Share of the tolerance of checks: certificates need the rest for rounding."""
+"""Share of the checks' tolerance that is used here; certificates need the rest for rounding."""
 
 MOST = 10
-"""Violations that are told of one kind."""
+"""Maximum number of violations of one kind that are reported."""
 
 
 def check_ends(task: SeparationTask) -> None:

@@ -1,8 +1,8 @@
-"""Guesses: nominal curves, pushed apart where they meet until they are clear, or nearly so.
+"""Initial guesses: nominal curves, pushed apart where they meet until they are nearly clear.
 
 Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
 filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
-at first all give route to the same side, as in a roundabout, or to layers of altitude. Everything
+at first all give way to the same side, as in a roundabout, or to layers of altitude. Everything
 is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
 """
 
@@ -22,30 +22,30 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 WANTED = 1.15
-"""Separation that pushes aim at: samples are not all of the time."""
+"""Separation that pushes aim at, larger than 1 as drones also move between samples."""
 
 ROUNDS = 120
-"""Of pushing, at most."""
+"""Maximum rounds of pushing."""
 
 MOMENTUM = 0.8
-"""Of the pushes, from one round to the next."""
+"""Share of a round's pushes that carries over to the next round."""
 
 STIFFNESS = 0.08
-"""Of the filter: bends shorter than this share of the duration are smoothed away."""
+"""Shortest bend that the filter passes, as a share of the duration."""
 
 FADING = 0.5
-"""Share of the rounds over which the side to give route to is of importance."""
+"""Share of the rounds over which the common side fades out of the pushes."""
 
 
 @dataclass(frozen=True)
 class PriorityRule:
-    """How drones give route when they meet.
+    """The rule by which drones give way to each other where they meet.
 
     Attributes
     ----------
-    side: how strongly to the right (negative: to the left), in separations.
-    layers: of altitude that drones are dealt to, one after the other; 1: none.
-    patience: how many times the slowest flight's time there is to leave one after the other.
+    side: strength of the push to the right (negative: to the left), in separations.
+    layers: number of altitude layers over which drones are distributed; 1 for none.
+    patience: duration over that of the slowest flight; above 1, departures are staggered.
     """
 
     side: float
@@ -54,14 +54,14 @@ class PriorityRule:
 
     def __str__(self) -> str:
         side = "right" if self.side > 0.0 else "left"
-        words = f"all give route to the {side} where they meet"
+        words = f"all give way to the {side} where they meet"
         if self.layers > 1:
             words = f"those that meet pass in {self.layers} layers"
         return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
 def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
-    """(N, count, 3) [m]: coefficients of curves that are clear, or nearly so."""
+    """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so."""
     task, grid, scale = setting.task, setting.grid, setting.scale
     s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
     basis, rates = grid.sampled(s), grid.sampled(s, 1)

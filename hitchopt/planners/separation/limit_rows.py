@@ -1,4 +1,4 @@
-"""Rows of a program that keep speed, acceleration and jerk, norms made linear around what is."""
+"""Rows of a program that limit speed, acceleration and jerk, linearised about current curves."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
-from hitchopt.planners.separation.rows import Rows
+from hitchopt.hitch.convex_qp import Rows
 from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.separation.spline import HELD
 
 Array = NDArray[np.float64]
 
 ACROSS = (0.3, 0.7)
-"""How far a derivative may turn aside, as shares of its limit: when it is there, and at zero."""
+"""Largest change across a derivative, as shares of its limit: at the limit, and at zero."""
 
 
 def add_limits(
     rows: Rows, setting: Setting, coefficients: Array, duration: float, trust: float, slack: int
 ) -> None:
-    """Keep the first three derivatives: along themselves up to the limit, and little across.
+    """Limit the first three derivatives: along themselves to the limit, across to a share of it.
 
     Parameters
     ----------
-    rows: to which they are added.
+    rows: collects them.
     setting: grid and limits.
     coefficients: (N, count, 3) [m], the current curves.
-    duration: in which the limits are to be kept [s]
-    trust: what an unknown of one stands for [m]
+    duration: [s] for which they hold.
+    trust: change of a coefficient that an unknown of one stands for [m]
     slack: column of the first drone's slack, in shares of the duration.
     """
     n, free = len(coefficients), setting.grid.count - 2 * HELD

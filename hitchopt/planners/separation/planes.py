@@ -21,20 +21,20 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BATCH = 4096
-"""Hulls whose nearest points are computed at once; it bounds the memory."""
+"""Number of hulls whose nearest points are computed at once, which bounds the memory."""
 
 FLAT = 1e-12
 """Sine of the angle below which two edges of a triangle count as parallel: all of it is then as
 near to its edges."""
 
 LEVEL = 1e-6
-"""Normals whose upward components are smaller count as level."""
+"""Largest upward component of a normal that counts as level."""
 
 LEAN, LEAN_UNTIL = 1e-2, 2.0
 """Upward slope of level normals, for every unit by which the separation falls short of this."""
 
 CURVE_SAMPLES = 17
-"""Of a piece, to find about where it comes nearest."""
+"""Number of samples of a piece that locate its nearest point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _nearest_of_curves(differences: Array) -> Array:
-    """(m, 3): about the points nearest to the origin of curves (m, 3, degree + 1)."""
+    """Return about the points (m, 3) nearest to the origin of curves (m, 3, degree + 1)."""
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), differences.shape[-1] - 1)
     points = differences @ weights.T
     squared = np.sum(points * points, axis=1)

@@ -26,18 +26,18 @@ STAND_OFF = 1.25
 """Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
 
 HALVINGS = 12
-"""Of the search for the widest route where all are too narrow."""
+"""Number of bisections in the search for the widest route where all are too narrow."""
 
 HIGH = 1e6
-"""[m] Above and below all that flies."""
+"""[m] Altitude above, and depth below, everything that flies."""
 
 TIGHT = 1e-6
-"""Relative: corners of routes lie outside of what must not be entered by so much at least."""
+"""Smallest distance of a route's corners to what they stay out of, relative to the radius."""
 
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """One route per drone.
+    """Routes of all drones.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Routes:
     lengths: Array
 
     def points(self, shares: Array) -> Array:
-        """(N, m, 3) [m]: where all routes are after shares (N, m) of their lengths."""
+        """Return the points (N, m, 3) [m] of all routes at shares (N, m) of their lengths."""
         first = np.stack([route[0] for route in self.corners])
         last = np.stack([route[-1] for route in self.corners])
         points: Array = first[:, None] + shares[..., None] * (last - first)[:, None]
@@ -63,7 +63,7 @@ class Routes:
         return [i for i, route in enumerate(self.corners) if len(route) > 2]
 
     def of(self, drone: int, share: Array) -> Array:
-        """(*share.shape, 3): where one route is after shares of its length."""
+        """Return the points (*share.shape, 3) [m] of one route at shares of its length."""
         corners = self.corners[drone]
         steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -72,14 +72,13 @@ class Routes:
 
 
 def routes_around(task: SeparationTask) -> Routes:
-    """Return the routes: straight lines where nothing is in between.
+    """Return the shortest routes: straight lines where no prism is in between.
 
-    Those whose straight lines are blocked are looked for one by one, each among the corners of all
-    prisms.
+    Blocked ones are searched one by one, each among the corners of all prisms.
 
     Raises
     ------
-    InfeasibleError: no route was found that is wide enough.
+    InfeasibleError: every route that was found is too narrow.
     """
     radius = task.requirements.separation.radius
     corners = list(np.stack([task.start, task.goal], axis=1))
@@ -159,7 +158,7 @@ def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> 
 
 
 def _over(prism: Prism, start: Array, goal: Array, distance: float) -> Array:
-    """Return the points (m, 3) above and below a prism where the straight route comes and goes."""
+    """Return points (m, 3) over and under a prism where the straight route enters and leaves."""
     tower = _Solid.around(Prism(prism.polygon, -HIGH, HIGH), distance)
     into, out = tower.crossed(start[None], goal[None])
     if not into[0] < out[0]:
@@ -186,17 +185,17 @@ class _Solid:
         return cls(normals, np.concatenate([reach, [-prism.lower, prism.upper]]) + distance)
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """(m,): whether points (m, 3) are within."""
+        """Return whether points (m, 3) are within, (m,)."""
         within: NDArray[np.bool_] = np.all(points @ self.normals.T < self.offsets, axis=1)
         return within
 
     def cuts(self, first: Array, last: Array) -> NDArray[np.bool_]:
-        """(m,): whether the segments between points (m, 3) go through it."""
+        """Return whether segments between points (m, 3) pass through, (m,)."""
         into, out = self.crossed(first, last)
         return into < out
 
     def crossed(self, first: Array, last: Array) -> tuple[Array, Array]:
-        """(m,) each: at which shares segments (m, 3) come and go; in another order they miss it."""
+        """Return the shares (m,) where segments enter and leave; they miss it if enter ≥ leave."""
         before = first @ self.normals.T - self.offsets
         after = last @ self.normals.T - self.offsets
         change = after - before
@@ -228,7 +227,7 @@ def _inside(arena: Arena | None, points: Array) -> NDArray[np.bool_]:
 
 
 def _too_narrow(task: SeparationTask, drone: int) -> Violation:
-    """Return how wide the widest route is that was found for a drone."""
+    """Return the violation of the widest route that was found for a drone."""
     start, goal, limit = task.start[drone], task.goal[drone], task.requirements.separation.radius
     narrow, wide = 0.0, limit
     for _ in range(HALVINGS):

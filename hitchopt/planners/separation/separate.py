@@ -1,4 +1,4 @@
-"""The planner: guesses, convex programs around them, and the certificate that ends the search."""
+"""The separation planner: guesses, convex programs around them, and bounds that end the search."""
 
 from __future__ import annotations
 
@@ -32,54 +32,54 @@ GUESSES = (
     PriorityRule(1.5, layers=2),
     PriorityRule(0.5, patience=3.0),
 )
-"""How drones give route when they meet, in the order in which it is tried."""
+"""Priority rules in the order in which they are tried."""
 
 ROUNDS = 16
-"""Programs around one guess, at most."""
+"""Maximum number of programs around one guess."""
 
 FASTER = 0.85
-"""Share of the duration that the next program aims at, as long as the curves are clear."""
+"""Share of the present duration that the next program aims at while the curves are clear."""
 
 BARELY = 1.03
-"""Times what each takes alone: splines on the grid cannot be faster, so nothing aims at less."""
+"""Smallest duration to aim at, over that of single flights: splines cannot be faster."""
 
 GOOD = 1.05
-"""Times what each takes alone: what is as fast is not improved any more."""
+"""Duration over that of single flights at which the search ends."""
 
 PATIENCE = 3
-"""Rounds in a row that may gain nothing."""
+"""Maximum consecutive rounds without a gain."""
 
 GAIN = 0.02
-"""Share of the duration: rounds that gain less are the last ones."""
+"""Smallest relative gain that counts."""
 
 TRUST = 2.5
-"""Radii that a coefficient may move by in one program."""
+"""Trust radius: largest move of a coefficient in one program, in drone radii."""
 
 STALLED = 6
-"""Rounds in a row that may bring nothing while drones still meet."""
+"""Maximum consecutive rounds without a gain while drones still meet."""
 
 UNCLEAR, LATE = 1e9, 1e6
-"""Orders of demerit: of curves that break a limit at any speed, and of those that take too long."""
+"""Offsets of the merit for curves that break a limit at any speed, and that take too long."""
 
 REACH = 1.0
-"""Pieces this much farther apart than they must be get a plane as well."""
+"""Excess of the separation [1] up to which pairs of pieces get a plane."""
 
 NEARLY = 1.15
-"""Times what each takes alone: as fast as this, one round without a gain is the last one."""
+"""Duration over that of single flights at which one round without a gain ends the search."""
 
 
 def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
-    """Return curves for all drones that keep all of the task for all of the time.
+    """Return curves for all drones that satisfy the task at every time.
 
     Parameters
     ----------
-    task: who flies from where to where, and what must hold.
-    progress: called with what is being done now.
+    task: starts, goals and requirements.
+    progress: called with a description of the present stage.
 
     Raises
     ------
-    InfeasibleError: it cannot be met, or no route was found; the violations name the pair and the
-        time.
+    InfeasibleError: the task cannot be met, or the search found no curves; the violations name the
+        pair and the time.
     """
     say = progress if progress is not None else _silent
     check_ends(task)
@@ -87,7 +87,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     if task.duration is not None and task.duration < setting.bound:
         raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
     tried: list[Evaluation] = []
-    if evaluate(setting, setting.nominal).clear:  # nobody is in anybody's route
+    if evaluate(setting, setting.nominal).clear:  # no two drones meet
         found = _improved(setting, setting.nominal, say)
         if found.clear and found.duration <= (task.duration or math.inf):
             return _separated(setting, found, "")
@@ -106,7 +106,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
 
 
 def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
-    """Return the best curves that programs around a guess lead to, clear ones if there are any."""
+    """Return the best curves that programs around a guess reach."""
     solver = Solver()
     here = best = evaluate(setting, guess)
     known: ClosePieces | None = None
@@ -122,8 +122,8 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
             break
         here = evaluate(setting, built.moved(solution.x))
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
-        idle = 0 if _demerit(setting, here) < (1.0 - GAIN) * _demerit(setting, best) else idle + 1
-        if _demerit(setting, here) < _demerit(setting, best):
+        idle = 0 if _merit(setting, here) < (1.0 - GAIN) * _merit(setting, best) else idle + 1
+        if _merit(setting, here) < _merit(setting, best):
             best = here
         if _enough(setting, here, best, idle):
             break
@@ -131,7 +131,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
 
 
 def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Around:
-    """Return where the next program is set up, with the planes of the last one among its own."""
+    """Return the data of the next program; it has the planes of the last one as well."""
     task = setting.task
     radius = task.requirements.separation.radius
     aimed = FASTER * here.duration if here.clear else here.duration
@@ -148,7 +148,7 @@ def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Ar
 
 
 def _enough(setting: Setting, here: Evaluation, best: Evaluation, idle: int) -> bool:
-    """Return whether more rounds are not worth their while."""
+    """Return whether the search around this guess ends."""
     if not best.clear:
         return idle >= STALLED
     if setting.task.duration is not None:
@@ -159,11 +159,11 @@ def _enough(setting: Setting, here: Evaluation, best: Evaluation, idle: int) -> 
     return idle >= (1 if nearly else PATIENCE)
 
 
-def _demerit(setting: Setting, evaluation: Evaluation) -> float:
-    """Return a number that is smaller the better.
+def _merit(setting: Setting, evaluation: Evaluation) -> float:
+    """Return the merit of curves, smaller for better ones.
 
-    What is not clear is worst. Of the rest the fastest is best; or, where the duration is given and
-    kept, what is nearest to the nominal curves.
+    Curves that are not clear come last. Of the others the fastest is best or, where a given
+    duration is satisfied, the one nearest to the nominal curves.
     """
     given = setting.task.duration
     if not evaluation.clear:
@@ -186,7 +186,7 @@ def _separated(setting: Setting, found: Evaluation, remark: str) -> Separated:
 
 
 def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
-    """Return the fastest flight at the pace that is asked for, or say how long it takes."""
+    """Return the fastest flight slowed to the given duration, or refuse with the time it takes."""
     nearest = max(tried, key=lambda evaluation: evaluation.closest)
     note = f"no route was found from {len(tried)} guesses, which proves nothing"
     if task.duration is None:
@@ -203,7 +203,9 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
-    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # upward: what is told must do
+    grain = 10.0 ** (
+        math.floor(math.log10(needed)) - 3
+    )  # rounded up
     enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
     return Violation(
         "duration",

@@ -1,4 +1,4 @@
-"""One convex program: the curves around a setting's current ones, linearised.
+"""The convex program around given curves: all requirements, linearised.
 
 Unknowns are the changes of the free coefficients, in trust radii, and slacks: one per drone for its
 limits, one per cable, plane and wall. All rows hold on whole pieces, by their Bernstein (or spline)
@@ -13,10 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
-from hitchopt.planners.separation.qp import QuadraticProgram
-from hitchopt.planners.separation.rows import Rows
 from hitchopt.planners.separation.setting import Setting, inside
 from hitchopt.planners.separation.spline import DEGREE, HELD
 from hitchopt.planners.separation.walls import Walls
@@ -26,22 +25,22 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MARGIN = 0.01
-"""By which planes are to be kept, in separations: OSQP errs by some thousandths."""
+"""Margin of every plane, in separations: OSQP errs by some thousandths."""
 
 DEVIATION, ROUGHNESS = 1.0, 3e-7
 """Weights of the squared distance to the nominal curves and of the squared third derivative, both
-over the longest route and a duration of one."""
+scaled to the longest route and a duration of one."""
 
 BROKEN = 10.0
-"""Weight of a squared slack of a plane, wall or cable."""
+"""Penalty weight of a squared slack of a plane, wall or cable."""
 
 EXCEEDED = 100.0
-"""Weight of a squared slack of a drone's limits, over the number of drones."""
+"""Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Where a program is set up.
+    """The curves that a program is linearised about, with planes and walls.
 
     Attributes
     ----------
@@ -60,7 +59,7 @@ class Around:
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A program and the meaning of its unknowns.
+    """A program and what its unknowns stand for.
 
     Attributes
     ----------
@@ -75,12 +74,12 @@ class Built:
     _arena: Arena | None = field(repr=False)
 
     def moved(self, x: Array) -> Array:
-        """(N, count, 3) [m]: the coefficients that a solution stands for."""
+        """Return the coefficients (N, count, 3) [m] that a solution stands for."""
         coefficients = self._around.coefficients.copy()
         steps = np.clip(x[: int(np.prod(self._shape))], -1.0, 1.0).reshape(self._shape)
         inner = coefficients[:, HELD:-HELD]
         inner += self._around.trust * steps
-        if self._arena is not None:  # to the last digit, which OSQP does not know
+        if self._arena is not None:  # exactly, where OSQP has a tolerance
             inner[...] = inside(self._arena, inner)
         return coefficients
 
@@ -104,9 +103,9 @@ def build_program(setting: Setting, around: Around) -> Built:
     rows.add_bounds(slacks + np.arange(planes + walls), 0.0, np.inf)
     hessian, gradient = _objective(setting, around)
     weights = np.concatenate([np.full(n, EXCEEDED / n), np.full(cables + planes + walls, BROKEN)])
-    P = sp.block_diag([hessian, sp.diags_array(weights)], format="csc")
+    P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     q = np.concatenate([gradient, np.zeros(len(weights))])
-    program = QuadraticProgram(sp.csc_array(sp.triu(P)), q, *rows.compressed())
+    program = QuadraticProgram(P, q, *rows.compressed())
     return Built(program, kept, (n, free, 3), around, setting.task.requirements.arena)
 
 
@@ -139,7 +138,7 @@ def _add_boxes(rows: Rows, setting: Setting, around: Around) -> None:
 
 
 def _add_tethers(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
-    """Keep every coefficient's distance along its current direction: the hull's is no larger."""
+    """Bound every coefficient's distance along its current direction: the hull's is no larger."""
     tethers = setting.task.tethers
     if not tethers:
         return
@@ -212,7 +211,7 @@ def _add_sided(
     if m == 0:
         return
     local = np.broadcast_to(np.arange(m * k).reshape(m, k, 1, 1), live.shape)[live]
-    # What the ends hold cannot move: no row may ask for it.
+    # Held coefficients cannot move: their rows have no bound.
     movable = np.any(live, axis=(2, 3))
     lower = np.where(movable, lower, -np.inf)
     top = rows.add(

@@ -1,4 +1,4 @@
-"""What a task looks like to the planner: a grid of time, splines, limits and scales."""
+"""A separation task on its time grid, with nominal splines, limits and scales."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from hitchopt.requirements import Arena
 Array = NDArray[np.float64]
 
 RAMP_PIECES = 3
-"""Pieces in which a drone gets up to speed: what the fastest flight needs to within 2 %."""
+"""Number of pieces of a ramp: the fastest flight is resolved to within 2 %."""
 
 MOST_PIECES = 20
-"""Of the time between the ramps; otherwise each is as long as one of them."""
+"""Maximum number of pieces between the ramps; with fewer, each is as long as a ramp."""
 
 WALL = 1e-9
-"""Relative to an arena's coordinates: curves stay off its walls by so much."""
+"""Distance of curves to an arena's walls, relative to its coordinates."""
 
 SHORTEST_RAMP = 1e-5
-"""Of the duration: splines do not resolve ramps of microseconds in flights of a month."""
+"""Shortest ramp, as a share of the duration: splines do not resolve shorter ones."""
 
 SHORTEST = 0.2
-"""Share of the longest flight's time that even the shortest flight is given."""
+"""Shortest flight, as a share of the longest one."""
 
 SAMPLES = 3
-"""Of every piece, where curves are looked at between their ends."""
+"""Number of samples of every piece at which guesses are pushed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +42,12 @@ class Setting:
 
     Attributes
     ----------
-    task: what is asked.
+    task: starts, goals and requirements.
     grid: the pieces of time.
     nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
     caps: (3, N): largest norms of the first three derivatives of each drone, by time.
     bound: no flight of all drones takes less [s].
-    alone: what the drones would take about on their routes around prisms, if each were alone [s].
+    alone: estimate of the longest flight on routes around prisms, without other drones [s].
     size: the longest route [m], by which deviations are measured.
     """
 
@@ -66,13 +66,13 @@ class Setting:
 
 
 def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
-    """Return the task's setting: its grid suits the drone that takes longest.
+    """Return the task on a grid that suits the drone with the longest flight.
 
     Parameters
     ----------
-    task: what is asked.
-    patience: how many times what the slowest takes there is for all, who then leave one after the
-        other where they would meet; 1: all leave at once.
+    task: starts, goals and requirements.
+    patience: duration over that of the slowest flight; above 1, drones that would meet leave one
+        after the other, and at 1 all leave at once.
 
     Raises
     ------
@@ -120,13 +120,13 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
 
 
 def inside(arena: Arena, points: Array) -> Array:
-    """Return points (…, 3) [m], those outside moved in, off the walls by what rounding may err."""
+    """Return points (…, 3) [m], clipped to the arena with a margin for rounding."""
     room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
     return np.clip(points, arena.lower + room, arena.upper - room)
 
 
 def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
-    """(N, count, 3): coefficients held at both ends, zero between."""
+    """Return coefficients (N, count, 3) that hold both ends and are zero in between."""
     coefficients = np.zeros((len(start), grid.count, 3))
     coefficients[:, :HELD] = start[:, None]
     coefficients[:, -HELD:] = goal[:, None]
