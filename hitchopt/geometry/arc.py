@@ -1,4 +1,4 @@
-"""Convex arcs: the outlines of open chains. They know no cable."""
+"""Convex arcs: the outlines of open chains. They have no cables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convex polygons, numbered clockwise as in the paper. They know no cable."""
+"""Convex polygons, numbered clockwise as in the paper. They have no cables."""
 
 from __future__ import annotations
 

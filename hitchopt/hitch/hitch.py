@@ -1,4 +1,4 @@
-"""A hitch at rest: outline, legs and tensions give every drone its place and its pull."""
+"""A hitch at rest: outline, legs and tensions determine every drone's place and force."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Hitch:
 
     Parameters
     ----------
-    team: whose cables it is tied of.
+    team: its cables tie the hitch.
     polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
         points (n, 2) or (n + 1, 2) [m].
     altitude: height of its plane [m].
@@ -86,11 +86,11 @@ class Hitch:
         limits: Limits | None = None,
         separation: Separation | None = None,
     ) -> Hitch:
-        """Return the hitch whose legs are shared so that drones keep well apart.
+        """Return the hitch whose leg lengths keep drones well apart.
 
-        The sharing nearest to balanced (least squares in ``d``) whose separation over all pairs
-        and whose distances to cables are at least 1.5 times their limits and whose legs keep
-        theirs, else the one with the best such margin.
+        They are nearest to balanced (least squares in ``d``) among those with separations and
+        distances to cables of at least 1.5 times their limits and legs within theirs; where there
+        are none, they have the largest such margin.
 
         Raises
         ------
@@ -118,9 +118,9 @@ class Hitch:
         separation: Separation,
         arena: Arena | None = None,
     ) -> Hitch:
-        """Return the hitch shared nearest to ``fractions`` (n,) that keeps every limit.
+        """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
 
-        Where none does, the one that comes nearest to it.
+        Where there is none, the one with the largest margin.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Hitch:
 
     @property
     def slack(self) -> Array:
-        """(n,) [m]: what cable k has left for its two legs, ``L_k - l_k``."""
+        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``."""
         return self.team.cable_length - self.polygon.edge_lengths
 
     @property
@@ -147,7 +147,7 @@ class Hitch:
 
     @property
     def fractions(self) -> Array:
-        """(n,): the sharing, ``d_k / (d_k + e_k)``."""
+        """(n,): slack split ``d_k / (d_k + e_k)``."""
         return self.q_legs / self.slack
 
     @property

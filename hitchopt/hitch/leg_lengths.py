@@ -1,10 +1,10 @@
-"""Leg sharing: how a cable's slack is split between its two legs so that distances are kept.
+"""Leg lengths: the split of every cable's slack between its two legs that keeps distances.
 
 On a given polygon every drone slides along a fixed line, so positions are affine in ``d``. For a
 pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
-lower bound of their distance and linear in ``d``. With ν from the present sharing the bounds are
-tight there: a convex QP whose every solution keeps the true distances at least as well as the
-QP says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
+lower bound of their distance and linear in ``d``. With ν from the present leg lengths the
+bounds are tight there: they make a convex QP whose every solution keeps the true distances at least
+as well as the QP says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
 Wright 1978).
 """
 
@@ -22,19 +22,21 @@ from hitchopt.time_limit import check_time
 Array = NDArray[np.float64]
 
 ROUNDS = 60
+"""Maximum number of convex programs from one start."""
+
 GAIN = 1e-6
-"""Share of the merit: a sharing that gains less, such as a mirror image, is no better."""
+"""Smallest relative gain of merit that counts: a mirror image gains less."""
 
 SETTLED = 1e-9
-"""[m] A round that moves no drone by more ends the iteration."""
+"""[m] Largest change of a leg in the last round."""
 
 
 def split_slack(task: LegTask) -> LegLengths:
-    """Return the sharing nearest to the reference that keeps the margin, else the best found.
+    """Return the leg lengths nearest to the reference that keep the margin, else the best found.
 
-    A local search: it starts from the reference and, where that fails on a single polygon, from
-    a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
-    linear in J·n.
+    The search is local: it starts from the reference and, where that fails on a single polygon,
+    from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
+    is linear in J·n.
     """
     slack, bodies = task.slack, LegBodies(task, *leg_bounds(task))
     start = np.clip(task.reference, *leg_bounds(task))
@@ -56,9 +58,9 @@ def split_slack(task: LegTask) -> LegLengths:
 
 
 def _uneven_fractions(task: LegTask) -> Array:
-    """Return (4 or 6, n) fractions: all alike, or in turns from the sharpest clasp either way.
+    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
 
-    Counted from there, a hitch that is renumbered or mirrored finds the same ones.
+    Counted from there, they are the same for a hitch that is renumbered or mirrored.
     """
     layout = task.team.layout
     edges = layout.edges(task.polygons[0])
@@ -76,19 +78,19 @@ def _uneven_fractions(task: LegTask) -> Array:
 def reference_margin(task: LegTask) -> float:
     """Return the margin of the reference itself: the smallest distance over its limit.
 
-    Pairs that keep the wanted margin and more need not be among those that are looked at.
+    Pairs beyond the wanted margin may be left out.
     """
     bodies = LegBodies(task, task.reference, task.reference)
     return bodies.margin(task, task.reference)
 
 
-def _merit(task: LegTask, sharing: LegLengths) -> float:
-    short = max(0.0, task.wanted - sharing.margin)
-    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * sharing.deviation
+def _merit(task: LegTask, found: LegLengths) -> float:
+    short = max(0.0, task.wanted - found.margin)
+    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
 
 
 def _refined(task: LegTask, bodies: LegBodies, start: Array) -> LegLengths:
-    """Return the sharing that repeated convex approximation reaches from ``start``."""
+    """Return the leg lengths that repeated convex approximation reaches from ``start``."""
     d = start
     for _ in range(ROUNDS):
         check_time()

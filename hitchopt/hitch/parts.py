@@ -1,4 +1,4 @@
-"""A hitch as nodes and parts: which parts of cables and which drones must keep apart.
+"""A hitch as nodes and bodies, and the kinds of pairs of bodies that keep distances.
 
 Nodes are the points, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the 2n
 drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p_k q_k``, its edge
@@ -26,7 +26,7 @@ class Parts:
 
     Attributes
     ----------
-    layout: which points, cables and drones hang together.
+    layout: indices of points, cables and drones.
     nodes: (bodies, 2), the two nodes of each body.
     cable: (bodies,), the cable that each belongs to.
     """

@@ -58,7 +58,7 @@ def leg_directions(
 
 
 def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
-    """Return how hard the two cables of each clasp press on each other.
+    """Return the forces with which the two cables of each clasp press on each other.
 
     ``2 T_k T_{k-1} sin φ_k / |V|``, φ the exterior angle; positive where the clasp bears.
 

@@ -17,7 +17,7 @@ from hitchopt.model.slipping import slipping_clasp_function
 Array = NDArray[np.float64]
 
 BATCH = 512
-"""Columns evaluated in one go: more take longer to map than they save."""
+"""Number of columns that one call evaluates: a larger map takes longer to make than it saves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class FlatJets:
 
 @dataclass(frozen=True, eq=False)
 class DroneJets:
-    """What follows from flat outputs, at the same J values of the parameter.
+    """Drones, forces and legs of flat outputs at the same J values of the parameter.
 
     Attributes
     ----------
@@ -92,11 +92,11 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
 def slipping_drones(
     layout: Layout, vertices: Array, legs: Array, tensions: Array, pulls: Array
 ) -> Array:
-    """Return the jets of the drones on legs that pull otherwise than their edges; linear in J·n.
+    """Return the jets of drones on legs whose pulls differ from their edges' tensions.
 
     Parameters
     ----------
-    layout: of the hitch.
+    layout: the hitch's.
     vertices: (J, points, 3, 4) [m], of a level hitch.
     legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``.
     tensions: (J, n, 4) [N], of the edges.
@@ -123,9 +123,9 @@ def slipping_drones(
 def _mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
     """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
 
-    Through casadi's buffers, which read and write numpy's memory: converting large arrays to its
-    own matrices takes four times as long as the evaluation. In batches, as casadi takes longer to
-    make a map than to run it; the few sizes of a batch are kept.
+    Casadi's buffers read and write numpy's memory: converting large arrays to its own matrices
+    takes four times as long as the evaluation. Casadi takes longer to make a map than to run it,
+    so columns come in batches of few sizes, whose maps are reused.
     """
     columns = len(inputs[0])
     size = min(BATCH, 1 << (columns - 1).bit_length())

@@ -15,15 +15,16 @@ from __future__ import annotations
 import casadi as ca
 
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.cache import kept
+from hitchopt.model.cache import stored
 
 ORDER = 3
-"""Jets go up to the jerk."""
+"""Order of the highest derivative in jets, the jerk."""
 
 JET = ORDER + 1
+"""Number of columns of a jet."""
 
 
-@kept
+@stored
 def robot_function(equal_tensions: bool) -> ca.Function:
     """Return robot k's drones as a function of the flat outputs' jets.
 
@@ -83,7 +84,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     )
 
 
-@kept
+@stored
 def planar_function(equal_tensions: bool) -> ca.Function:
     """Return robot k at rest in a level hitch, seen from above, and the turn at ``p_k``.
 

@@ -1,4 +1,4 @@
-"""What acceleration thrust and tilt leave to drones that carry hanging cables."""
+"""The acceleration that thrust and tilt leave to drones that carry hanging cables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hitchopt.requirements import Limits
 Array = NDArray[np.float64]
 
 SHARE = 0.999
-"""Of every limit, which is planned with."""
+"""Share of every limit that plans use."""
 
 
 def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
@@ -23,7 +23,7 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
 
     Parameters
     ----------
-    drones: (J, 2n, 3) [m], places on the way.
+    drones: (J, 2n, 3) [m], places along the flight.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
 def _check_reach(team: Team, drones: Array) -> None:
     """Raise InfeasibleError where a cable with weight is shorter than its drones are apart.
 
-    Its pull would be beyond all bounds, and say nothing of why.
+    Its pull has no bound there, and would hide the reason.
     """
     spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
     cable = int(np.argmax(np.max(spans, axis=0)))

@@ -203,9 +203,7 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
-    grain = 10.0 ** (
-        math.floor(math.log10(needed)) - 3
-    )  # rounded up
+    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # rounded up
     enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
     return Violation(
         "duration",
