@@ -14,6 +14,10 @@ GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: sums of a few multiples and powers do not tie again."""
 
 
+EAST = np.array([1.0, 0.0, 0.0])
+"""Direction that stands for that of vectors that have none."""
+
+
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar products (…) of vectors (…, d); leading axes broadcast."""
     products: Array = np.einsum("...i,...i->...", a, b)
@@ -26,14 +30,14 @@ def length(a: Array) -> Array:
     return lengths
 
 
-def unit(a: Array, fallback: ArrayLike = 0.0, least: float = 0.0) -> Array:
+def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
     """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
 
     Parameters
     ----------
     a: (…, d)
     fallback: what stands for the direction of vectors no longer than ``least``.
-    least: the length up to which a vector has no direction.
+    least: length up to which a vector has no direction, one or (…, 1).
     """
     size = np.linalg.norm(a, axis=-1, keepdims=True)
     long = size > least

@@ -4,8 +4,8 @@ On a given polygon every drone slides along a fixed line, so positions are affin
 pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
 lower bound of their distance and linear in ``d``. With ν from the present leg lengths the
 bounds are tight there: they make a convex QP whose every solution keeps the true distances at least
-as well as the QP says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
-Wright 1978).
+as well as the QP says. Repeated, the penalised deviation never grows (a convex inner approximation,
+Marks and Wright 1978).
 """
 
 from __future__ import annotations

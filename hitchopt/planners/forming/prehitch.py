@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
 from hitchopt.planners.forming.swap_measures import Measures, measured
 from hitchopt.planners.forming.swap_settings import SwapSettings
@@ -152,8 +153,7 @@ def _turns(
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
     chord = q - r
-    lengths = np.linalg.norm(chord, axis=1)
-    along = chord / lengths[:, None]
+    lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)
     alone = drones[~layout.has_leg.ravel()]

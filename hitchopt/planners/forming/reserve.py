@@ -45,23 +45,13 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     ):
         j, i = np.unravel_index(int(np.argmin(left)), left.shape)
         if left[j, i] <= 0.0:
-            raise InfeasibleError(
-                [
-                    Violation(
-                        name,
-                        float(used[j, i]),
-                        float(limit[i]),
-                        "max",
-                        unit,
-                        (team.drone_names[i],),
-                        "hovering with a hanging cable",
-                        "use lighter cables, or stronger drones that may tilt more",
-                    )
-                ]
-            )
+            where, when = (team.drone_names[i],), "hovering with a hanging cable"
+            remedy = "use lighter cables, or stronger drones that may tilt more"
+            value, most = float(used[j, i]), float(limit[i])
+            raise InfeasibleError([Violation(name, value, most, "max", unit, where, when, remedy)])
     free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
-    most: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
-    return most
+    reserve: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
+    return reserve
 
 
 def _check_reach(team: Team, drones: Array) -> None:
@@ -73,17 +63,6 @@ def _check_reach(team: Team, drones: Array) -> None:
     cable = int(np.argmax(np.max(spans, axis=0)))
     worst = float(np.max(spans))
     if team.cable_density > 0.0 and worst >= 1.0:
-        raise InfeasibleError(
-            [
-                Violation(
-                    "span",
-                    worst,
-                    1.0,
-                    "max",
-                    "1",
-                    (f"cable {cable}",),
-                    "between its drones' places",
-                    "use a longer cable, a smaller polygon, or place the drones closer together",
-                )
-            ]
-        )
+        where, when = (f"cable {cable}",), "between its drones' places"
+        remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+        raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])

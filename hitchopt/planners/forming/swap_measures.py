@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.turns import Turns
 from hitchopt.requirements import Separation
@@ -58,8 +59,7 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     ):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
         clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
-    edges = layout.edges(turns.vertices)
-    along = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    along = unit(layout.edges(turns.vertices))
     return Measures(
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)),
         float(np.min(np.sum((r[0] - q[0]) * along, axis=-1))),

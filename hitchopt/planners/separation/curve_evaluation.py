@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,9 @@ STRETCH = 1.0 / LIMIT_SHARE
 
 IDLE = 0.01
 """[s] Duration where no drone moves."""
+
+UNITS = {"separation": "ratio", "arena": "m", "keep_out": "m", "span": "ratio"}
+"""Units of the checked quantities."""
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 
@@ -58,8 +62,8 @@ def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
     unit = setting.grid.curves(coefficients, 1.0)
     duration = needed_duration(setting, unit)
     closest, broken = _separation(setting, unit, duration)
-    found = [broken, *_surroundings(setting, unit, duration), *_cables(setting, unit, duration)]
-    return Evaluation(coefficients, duration, closest, tuple(v for v in found if v is not None))
+    broken += _surroundings(setting, unit, duration) + _tethers(setting, unit, duration)
+    return Evaluation(coefficients, duration, closest, tuple(broken))
 
 
 def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
@@ -73,70 +77,58 @@ def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
 
 def _separation(
     setting: Setting, unit: PiecewisePolynomial, duration: float
-) -> tuple[float, Violation | None]:
+) -> tuple[float, list[Violation]]:
     n = setting.task.drones
     if n < 2:
-        return math.inf, None
+        return math.inf, []
     scaled = unit.coefficients * setting.scale[:, None]
-    bodies = Bodies(scaled[:, :, None])
     size = float(np.max(np.abs(scaled)))
     found = smallest_distance(
         unit.breaks,
-        bodies,
+        Bodies(scaled[:, :, None]),
         None,
         lambda i, _: np.ones(len(i), dtype=np.bool_),
         ROUNDING * size,
         within(1.0, "min", size, 0.5),
     )
     if found.worst >= within(1.0, "min", size):
-        return found.worst, None
-    i, j = sorted(divmod(found.item, n))
-    names = (setting.task.names[i], setting.task.names[j])
-    when = _when(found.time, duration)
-    return found.worst, Violation(
-        "separation", found.worst, 1.0, "min", "ratio", names, when, REMEDY
-    )
+        return found.worst, []
+    pair = sorted(divmod(found.item, n))
+    when = found.time * duration, duration
+    return found.worst, [_violation(setting, "separation", found.worst, 1.0, "min", pair, when)]
 
 
-def _surroundings(
-    setting: Setting, unit: PiecewisePolynomial, duration: float
-) -> list[Violation | None]:
-    task = setting.task
-    found: list[Violation | None] = []
-    if task.requirements.arena is not None:
-        x = unit.coefficients  # an arena is convex: what holds the coefficients holds the curves
-        room = np.minimum(
-            x - task.requirements.arena.lower[:, None], task.requirements.arena.upper[:, None] - x
-        )
-        corners = np.abs([task.requirements.arena.lower, task.requirements.arena.upper])
-        size = float(np.max(np.abs(x)))
-        worst = float(np.min(room)) - ROUNDING * (size + float(np.max(corners)))
-        if float(np.min(room)) >= -LAST_PLACE * float(np.max(corners)):
+def _surroundings(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation]:
+    requirements, x = setting.task.requirements, unit.coefficients
+    size = float(np.max(np.abs(x)))
+    broken = []
+    if requirements.arena is not None:
+        # An arena is convex: if it holds the coefficients, it holds the curves.
+        lower, upper = requirements.arena.lower, requirements.arena.upper
+        room = np.minimum(x - lower[:, None], upper[:, None] - x)
+        corner = float(np.max(np.abs([lower, upper])))
+        worst = float(np.min(room)) - ROUNDING * (size + corner)
+        if float(np.min(room)) >= -LAST_PLACE * corner:
             worst = 0.0  # a drone that rests on the floor is not below it, as in the certificate
         if worst < within(0.0, "min", size):
             piece, drone = np.unravel_index(int(np.argmin(room)), room.shape)[:2]
-            when = _when(float(unit.breaks[piece]), duration)
-            name = (task.names[int(drone)],)
-            found.append(Violation("arena", worst, 0.0, "min", "m", name, when, REMEDY))
-    if task.requirements.keep_out:
-        limit = task.requirements.separation.radius
-        nearest = smallest_clearance(unit, task.requirements.keep_out, limit)
-        if nearest.worst < within(limit, "min", float(np.max(np.abs(unit.coefficients)))):
-            name = (task.names[nearest.item],)
-            when = _when(nearest.time, duration)
-            found.append(
-                Violation("keep_out", nearest.worst, limit, "min", "m", name, when, REMEDY)
+            when = float(unit.breaks[piece]) * duration, duration
+            broken.append(_violation(setting, "arena", worst, 0.0, "min", [int(drone)], when))
+    if requirements.keep_out:
+        limit = requirements.separation.radius
+        found = smallest_clearance(unit, requirements.keep_out, limit)
+        if found.worst < within(limit, "min", size):
+            when = found.time * duration, duration
+            broken.append(
+                _violation(setting, "keep_out", found.worst, limit, "min", [found.item], when)
             )
-    return found
+    return broken
 
 
-def _cables(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation | None]:
-    tethers = setting.task.tethers
-    if not tethers:
+def _tethers(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation]:
+    if not setting.task.tethers:
         return []
-    first = [tether.first for tether in tethers]
-    second = [tether.second for tether in tethers]
-    longest = np.array([tether.longest for tether in tethers])
+    first, second, longest = setting.task.tether_arrays
     x = unit.coefficients
     offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
     size = float(np.max(np.abs(x))) / float(np.min(longest))
@@ -144,11 +136,21 @@ def _cables(setting: Setting, unit: PiecewisePolynomial, duration: float) -> lis
     found = largest(cells, norm_bound, within(1.0, "max", size, 0.5))
     if found.worst <= within(1.0, "max", size):
         return []
-    tether = tethers[found.item]
-    names = (setting.task.names[tether.first], setting.task.names[tether.second])
-    when = _when(found.time, duration)
-    return [Violation("span", found.worst, 1.0, "max", "ratio", names, when, REMEDY)]
+    pair = [int(first[found.item]), int(second[found.item])]
+    when = found.time * duration, duration
+    return [_violation(setting, "span", found.worst, 1.0, "max", pair, when)]
 
 
-def _when(share: float, duration: float) -> str:
-    return f"at t = {share * duration:.4g} s of {duration:.4g} s"
+def _violation(
+    setting: Setting,
+    name: str,
+    value: float,
+    limit: float,
+    sense: str,
+    drones: Sequence[int],
+    when: tuple[float, float],
+) -> Violation:
+    """Return the violation of drones at a time of the whole duration, ``when`` [s]."""
+    names = tuple(setting.task.names[i] for i in drones)
+    words = f"at t = {when[0]:.4g} s of {when[1]:.4g} s"
+    return Violation(name, value, limit, sense, UNITS[name], names, words, REMEDY)

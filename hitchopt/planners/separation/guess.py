@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.geometry.vectors import TIE
+from hitchopt.geometry.vectors import EAST, TIE, unit
 from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
 from hitchopt.time_limit import check_time
 
@@ -113,9 +113,7 @@ def _pushes(
     apart = layer[first % drones] - layer[second % drones]
     upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
     aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * rightward)
-    direction = offset + fading * abs(rule.side) * aside
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), aside)
+    direction = unit(offset + fading * abs(rule.side) * aside, aside, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
     share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
@@ -134,11 +132,8 @@ def _rightward(velocity: Array, still: float) -> Array:
     East where it is upright, or slower than ``still``: rounding has no direction.
     """
     right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
-    length = np.linalg.norm(right, axis=1, keepdims=True)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    sideways = length > np.maximum(1e-3 * speed, still)
-    east = np.array([1.0, 0.0, 0.0])
-    return np.where(sideways, right / np.where(sideways, length, 1.0), east)
+    return unit(right, EAST, np.maximum(1e-3 * speed, still))
 
 
 def _other_pushes(setting: Setting, points: Array) -> Array:
@@ -151,9 +146,7 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
         missing = np.maximum(wanted - clearance.distance, 0.0)
         pushes += missing[..., None] * clearance.normals
     if task.tethers:
-        first = np.array([tether.first for tether in task.tethers])
-        second = np.array([tether.second for tether in task.tethers])
-        longest = np.array([tether.longest for tether in task.tethers])
+        first, second, longest = task.tether_arrays
         offset = points[:, first] - points[:, second]
         length = np.linalg.norm(offset, axis=-1)
         excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)

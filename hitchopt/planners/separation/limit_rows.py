@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.geometry.vectors import first_smallest
+from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.hitch.convex_qp import Rows
 from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.separation.spline import HELD
@@ -60,9 +60,6 @@ def add_limits(
 
 def _frames(vectors: Array) -> tuple[Array, Array, Array]:
     """Return three orthogonal unit vectors for each of (…, 3), the first one along it."""
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    along = np.where(size > 1e-9, vectors / np.maximum(size, 1e-9), np.array([1.0, 0.0, 0.0]))
-    other = np.eye(3)[first_smallest(np.abs(along), 1.0)]
-    across = np.cross(along, other)
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    along = unit(vectors, EAST, 1e-9)
+    across = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
     return along, across, np.cross(along, across)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.geometry.vectors import first_smallest
+from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
@@ -107,13 +107,11 @@ def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
     inside = np.linalg.norm(nearest, axis=-1) < 1e-6
     nearest[inside] = _nearest_of_curves(differences[inside])
-    length = np.linalg.norm(nearest, axis=-1, keepdims=True)
-    east = np.array([1.0, 0.0, 0.0])
-    normals = np.where(length > 1e-9, nearest / np.maximum(length, 1e-9), east)
+    normals = unit(nearest, EAST, 1e-9)
     # Level pairs could pass above each other as well as below. The first one goes up: else
     # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(normals)
     return Planes(pairs, normals, np.einsum("md,mdk->mk", normals, differences))
 
 

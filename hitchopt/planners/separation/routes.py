@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import GOLDEN, TIE
+from hitchopt.geometry.vectors import GOLDEN, TIE, unit
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena, Prism
 from hitchopt.time_limit import check_time
@@ -178,8 +178,7 @@ class _Solid:
     @classmethod
     def around(cls, prism: Prism, distance: float) -> _Solid:
         edges = prism.polygon.edge_vectors
-        sides = np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))])
-        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
         reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
         normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
         return cls(normals, np.concatenate([reach, [-prism.lower, prism.upper]]) + distance)
@@ -212,8 +211,7 @@ class _Solid:
 def _widened(outline: Array, distance: float) -> Array:
     """Return the corners of a clockwise outline whose sides are moved out by a distance [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
-    outward = np.column_stack([-edges[:, 1], edges[:, 0]])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward = unit(np.column_stack([-edges[:, 1], edges[:, 0]]))
     middle = np.roll(outward, 1, axis=0) + outward
     widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
     return widened

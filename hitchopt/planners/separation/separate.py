@@ -188,7 +188,7 @@ def _separated(setting: Setting, found: Evaluation, remark: str) -> Separated:
 def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
     """Return the fastest flight slowed to the given duration, or refuse with the time it takes."""
     nearest = max(tried, key=lambda evaluation: evaluation.closest)
-    note = f"no route was found from {len(tried)} guesses, which proves nothing"
+    note = f"no route was found from {len(tried)} guesses; the search is local: others may exist"
     if task.duration is None:
         raise InfeasibleError(nearest.broken, note)
     say("looking for a duration that would do")
@@ -205,16 +205,9 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
     grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # rounded up
     enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
-    return Violation(
-        "duration",
-        needed,
-        task.duration or math.nan,
-        "max",
-        "s",
-        (),
-        "",
-        f"{which}; allow {enough:.4g} s, or raise the limits",
-    )
+    remedy = f"{which}; allow {enough:.4g} s, or raise the limits"
+    limit = task.duration or math.nan
+    return Violation("duration", needed, limit, "max", "s", (), "", remedy)
 
 
 def _silent(_: str) -> None:

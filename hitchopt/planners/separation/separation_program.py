@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
@@ -139,19 +140,14 @@ def _add_boxes(rows: Rows, setting: Setting, around: Around) -> None:
 
 def _add_tethers(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
     """Bound every coefficient's distance along its current direction: the hull's is no larger."""
-    tethers = setting.task.tethers
-    if not tethers:
-        return
-    first = np.array([tether.first for tether in tethers])
-    second = np.array([tether.second for tether in tethers])
-    longest = np.array([tether.longest for tether in tethers])
+    first, second, longest = setting.task.tether_arrays
     inner = around.coefficients[:, HELD:-HELD]
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
     size = np.linalg.norm(offset, axis=-1)
-    along = offset / np.maximum(size, 1e-9)[..., None]
+    along = unit(offset, least=1e-9)
     f = np.arange(free)
-    local = (np.arange(len(tethers))[:, None] * free + f).ravel()
+    local = (np.arange(len(longest))[:, None] * free + f).ravel()
     entries = (along * around.trust / longest[:, None, None]).ravel()
     columns = [
         ((end[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel() for end in (first, second)
@@ -170,8 +166,7 @@ def _add_tethers(rows: Rows, setting: Setting, around: Around, slack: int) -> No
 def _add_planes(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
     between = around.planes.between
     steepest = around.planes.normals * setting.scale * around.trust
-    wanted = np.full(around.planes.gaps.shape, 1.0 + MARGIN)
-    lower = wanted - around.planes.gaps
+    lower = (1.0 + MARGIN) - around.planes.gaps
     first, there, live = _piece_entries(setting, between.piece, between.first, steepest)
     second, back, _ = _piece_entries(setting, between.piece, between.second, -steepest)
     _add_sided(rows, [first, second], [there, back], live, lower, slack)

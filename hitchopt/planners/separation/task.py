@@ -100,6 +100,12 @@ class SeparationTask:
         """Number N of drones."""
         return len(self.start)
 
+    @property
+    def tether_arrays(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """First drones, second drones and largest distances [m] of all tethers, (tethers,) each."""
+        ends = np.array([[t.first, t.second] for t in self.tethers], np.intp).reshape(-1, 2)
+        return ends[:, 0], ends[:, 1], np.array([t.longest for t in self.tethers])
+
 
 @dataclass(frozen=True, eq=False)
 class Separated:
