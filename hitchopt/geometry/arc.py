@@ -27,11 +27,6 @@ class ConvexArc(Outline):
     closed: ClassVar[bool] = False
 
     @property
-    def edge_vectors(self) -> NDArray[np.float64]:
-        """(n, 2) [m]: ``p_{k+1} - p_k``."""
-        return np.diff(self.vertices, axis=0)
-
-    @property
     def centroid(self) -> NDArray[np.float64]:
         """(2,) [m]: centre of the arc's length."""
         middles = 0.5 * (self.vertices[1:] + self.vertices[:-1])

@@ -53,9 +53,10 @@ class Outline(ABC):
         return iter(self.vertices)
 
     @property
-    @abstractmethod
     def edge_vectors(self) -> Array:
         """(edges, 2) [m]: ``p_{k+1} - p_k``."""
+        onward = np.roll(self.vertices, -1, axis=0) - self.vertices
+        return onward if self.closed else onward[:-1]
 
     @property
     @abstractmethod

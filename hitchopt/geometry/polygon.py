@@ -27,11 +27,6 @@ class ConvexPolygon(Outline):
     closed: ClassVar[bool] = True
 
     @property
-    def edge_vectors(self) -> NDArray[np.float64]:
-        """(n, 2) [m]: ``p_{k+1} - p_k``."""
-        return np.roll(self.vertices, -1, axis=0) - self.vertices
-
-    @property
     def centroid(self) -> NDArray[np.float64]:
         """(2,) [m]: centre of the polygon's area."""
         origin = self.vertices[0]

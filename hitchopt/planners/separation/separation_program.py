@@ -46,7 +46,7 @@ class Around:
     Attributes
     ----------
     coefficients: (N, count, 3) [m], the current curves.
-    duration: [s] in which the limits are to be kept.
+    duration: [s] for which the limits hold.
     trust: how far any coefficient may move along any axis [m].
     planes, walls: what pieces must stay on their side of.
     """
@@ -97,7 +97,7 @@ def build_program(setting: Setting, around: Around) -> Built:
     add_limits(rows, setting, around.coefficients, around.duration, around.trust, unknowns)
     _add_tethers(rows, setting, around, unknowns + n)
     rows.add_bounds(unknowns + np.arange(n + cables), 0.0, np.inf)
-    kept = rows.count
+    common = rows.count
     slacks = unknowns + n + cables
     _add_planes(rows, setting, around, slacks)
     _add_walls(rows, setting, around, slacks + planes)
@@ -107,7 +107,7 @@ def build_program(setting: Setting, around: Around) -> Built:
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     q = np.concatenate([gradient, np.zeros(len(weights))])
     program = QuadraticProgram(P, q, *rows.compressed())
-    return Built(program, kept, (n, free, 3), around, setting.task.requirements.arena)
+    return Built(program, common, (n, free, 3), around, setting.task.requirements.arena)
 
 
 def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
