@@ -1,1 +1,1 @@
-"""Problem files, and scripts that write some."""
+"""Problem files, and scripts that write some of them."""

@@ -1,6 +1,6 @@
-"""Random convex polygons and random convex morphs for any n: for tests, benchmarks and trying out.
+"""Random convex morphs for any n, as problem files: for tests, benchmarks and trying things out.
 
-Usage: python problems/random_morph.py ROBOTS SEED > problem.yaml
+Usage: python -m problems.random_morph ROBOTS SEED > problem.yaml
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from ruamel.yaml import YAML
 from hitchopt.geometry import ConvexPolygon
 
 EDGE = 1.3
-"""[m] About."""
+"""Mean length of an edge [m]."""
 
 JITTER = 0.18
-"""Keeps edges long enough for two legs and two drones beside each other."""
+"""Jitter of the vertices: edges stay long enough for two legs and two drones."""
 
 SLACK = (0.32, 0.7)
-"""[m] Of a cable where its edge is longest, for both legs."""
+"""Slack of a cable for both legs where its edge is longest, least and most [m]."""
 
 BETWEEN = 0.45
-"""[m] Along a nearly straight outline the two drones of a cable stand ``l - d - e`` apart."""
+"""Least distance ``l - d - e`` [m] of a cable's two drones along a nearly straight outline."""
 
 STRETCH = 0.12
 """Largest relative stretch of a polygon along either axis."""

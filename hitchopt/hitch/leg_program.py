@@ -182,12 +182,12 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
     rows.extend(first + row, np.full(count, slack), 1.0)
 
 
-def _roughness(task: LegTask) -> sparse.csc_array[np.float64]:
+def _roughness(task: LegTask) -> sparse.csc_matrix:
     """Return the Hessian of the fractions' squared second differences along the knots."""
     J, n = task.reference.shape
     if task.roughness == 0.0 or J < 3:
-        return sparse.csc_array((J * n, J * n))
+        return sparse.csc_matrix((J * n, J * n))
     second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
     fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
     bend = sparse.kron(second, sparse.eye_array(n)) @ fractions
-    return sparse.csc_array(task.roughness * (bend.T @ bend))
+    return sparse.csc_matrix(task.roughness * (bend.T @ bend))
