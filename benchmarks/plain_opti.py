@@ -119,7 +119,7 @@ def keep_limits(opti: Constrained, task: Task, jets: list[ca.MX]) -> None:
     constants = [
         ca.DM(np.full((1, n * count), value)) for value in (team.cable_length[0], team.mass[0], 0.0)
     ]
-    q, r, _, _, q_thrust, r_thrust, r_leg, _ = robot_function(True).map(n * count)(
+    q, r, _, _, q_thrust, r_thrust, r_leg = robot_function(True).map(n * count)(
         vertices, q_leg, tension, *constants
     )
     opti.subject_to(ca.vec(q_leg[0, ::JET]) >= limits.leg)

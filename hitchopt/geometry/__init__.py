@@ -1,9 +1,8 @@
-"""Floor 1: convex polygons and arcs, segments, boxes. Knows no cable."""
+"""Convex polygons and arcs, segments and boxes, without any cable."""
 
 from hitchopt.geometry.arc import ConvexArc
 from hitchopt.geometry.outline import Outline
 from hitchopt.geometry.polygon import ConvexPolygon, regular_polygon
-from hitchopt.geometry.random_polygon import random_convex_polygon
 from hitchopt.geometry.segments import differences, shortest_offset
 
 __all__ = [
@@ -11,7 +10,6 @@ __all__ = [
     "ConvexPolygon",
     "Outline",
     "differences",
-    "random_convex_polygon",
     "regular_polygon",
     "shortest_offset",
 ]

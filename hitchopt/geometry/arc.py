@@ -1,4 +1,4 @@
-"""Convex arcs: the outlines of open chains. They know no cable."""
+"""Convex arcs: the outlines of open chains. They have no cables."""
 
 from __future__ import annotations
 
@@ -25,11 +25,6 @@ class ConvexArc(Outline):
     """
 
     closed: ClassVar[bool] = False
-
-    @property
-    def edge_vectors(self) -> NDArray[np.float64]:
-        """(n, 2) [m]: ``p_{k+1} - p_k``."""
-        return np.diff(self.vertices, axis=0)
 
     @property
     def centroid(self) -> NDArray[np.float64]:

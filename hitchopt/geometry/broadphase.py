@@ -1,4 +1,4 @@
-"""Which pairs of many boxes come close: a spatial index, for spans of time and for space alike."""
+"""Pairs of many boxes that come close, by a spatial index; one axis may be time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Boxes:
 
     @property
     def centres(self) -> Array:
-        """(boxes, d) [m]: where their middles are."""
+        """(boxes, d) [m]: middles of the boxes."""
         return 0.5 * (self.lower + self.upper)
 
     @property

@@ -1,4 +1,4 @@
-"""What convex polygons and convex arcs share: points that turn right, in the plane."""
+"""Outlines, the base of convex polygons and arcs: planar points that turn right."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from hitchopt.values import MAX_COORDINATE
 Array = NDArray[np.float64]
 
 MIN_EXTERIOR_ANGLE = 1e-6
-"""[rad] A flatter vertex is no vertex: the clasp there would hold nothing."""
+"""[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""
 
 MIN_EDGE = 1e-6
-"""[m] Points closer than this are taken to be the same."""
+"""[m] Smallest edge: closer points count as coincident."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +53,15 @@ class Outline(ABC):
         return iter(self.vertices)
 
     @property
-    @abstractmethod
     def edge_vectors(self) -> Array:
         """(edges, 2) [m]: ``p_{k+1} - p_k``."""
+        onward = np.roll(self.vertices, -1, axis=0) - self.vertices
+        return onward if self.closed else onward[:-1]
 
     @property
     @abstractmethod
     def centroid(self) -> Array:
-        """(2,) [m]: the middle, which scaling leaves where it is."""
+        """(2,) [m]: centre, the fixed point of scaling."""
 
     @property
     def corners(self) -> NDArray[np.intp]:
@@ -81,7 +82,7 @@ class Outline(ABC):
 
     @property
     def exterior_angles(self) -> Array:
-        """(corners,) [rad]: by how much the outline turns right at each corner."""
+        """(corners,) [rad]: angle by which the outline turns right at each corner."""
         edges = self.edge_vectors
         ahead, behind = edges[self.corners], edges[self.corners - 1]
         right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]

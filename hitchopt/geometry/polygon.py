@@ -1,4 +1,4 @@
-"""Convex polygons, numbered clockwise as in the paper. They know no cable."""
+"""Convex polygons, numbered clockwise as in the paper. They have no cables."""
 
 from __future__ import annotations
 
@@ -25,11 +25,6 @@ class ConvexPolygon(Outline):
     """
 
     closed: ClassVar[bool] = True
-
-    @property
-    def edge_vectors(self) -> NDArray[np.float64]:
-        """(n, 2) [m]: ``p_{k+1} - p_k``."""
-        return np.roll(self.vertices, -1, axis=0) - self.vertices
 
     @property
     def centroid(self) -> NDArray[np.float64]:

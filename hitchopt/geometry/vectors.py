@@ -1,9 +1,9 @@
-"""Products, lengths and directions of many vectors."""
+"""Products, lengths and directions of many vectors, and choices among values that tie."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -11,7 +11,11 @@ TIE = 1e-9
 """Relative difference of values that tie: far above rounding, far below what matters."""
 
 GOLDEN = 0.6180339887498949
-"""The golden ratio's fraction: sums of a few of its multiples and powers do not tie again."""
+"""Fractional part of the golden ratio: sums of a few multiples and powers do not tie again."""
+
+
+EAST = np.array([1.0, 0.0, 0.0])
+"""Direction that stands for that of vectors that have none."""
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -24,6 +28,21 @@ def length(a: Array) -> Array:
     """Return the lengths (…) of vectors (…, d)."""
     lengths: Array = np.sqrt(dot(a, a))
     return lengths
+
+
+def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
+    """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
+
+    Parameters
+    ----------
+    a: (…, d)
+    fallback: what stands for the direction of vectors no longer than ``least``.
+    least: length up to which a vector has no direction, one or (…, 1).
+    """
+    size = np.linalg.norm(a, axis=-1, keepdims=True)
+    long = size > least
+    directions: Array = np.where(long, a / np.where(long, size, 1.0), fallback)
+    return directions
 
 
 def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
@@ -55,10 +74,3 @@ def tied_order(values: Array, scale: float) -> NDArray[np.intp]:
     groups = np.empty(len(values), dtype=np.intp)
     groups[order] = np.append(0, np.cumsum(steps))
     return np.argsort(groups, kind="stable")
-
-
-def unit(a: Array) -> Array:
-    """Return the directions (…, d) of vectors (…, d); zero for a vector without length."""
-    sizes = np.linalg.norm(a, axis=-1, keepdims=True)
-    directions: Array = np.divide(a, sizes, out=np.zeros_like(a), where=sizes > 0.0)
-    return directions

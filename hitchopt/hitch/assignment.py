@@ -1,4 +1,4 @@
-"""Which robot flies which role: role k holds edge k."""
+"""Assignment of robots to roles, of which role k holds edge k."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Assignment:
-    """Robots to roles.
+    """An assignment of robots to roles.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class Assignment:
 
     @classmethod
     def fixed(cls, robots: int) -> Assignment:
-        """Return the one under which robot k flies role k as it is."""
+        """Return the assignment under which robot k flies role k as it is."""
         return cls(tuple(range(robots)), (False,) * robots)
 
     def to_dict(self) -> dict[str, object]:
-        """Return what files hold of it."""
+        """Return the assignment as files store it."""
         return {"robots": list(self.robots), "flipped": list(self.flipped)}
 
     def team(self, team: Team) -> Team:

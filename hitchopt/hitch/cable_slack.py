@@ -1,4 +1,4 @@
-"""Whether outlines and legs fit a team: counts, topology, and what edges leave of the cables."""
+"""Checks of outlines and legs against a team: counts, topology, and the cables' slack."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hitchopt.hitch.team import Team
 Array = NDArray[np.float64]
 
 FIXED_LEG = 1e-4
-"""How far off a leg that leaves no choice may be given, relative to its cable's length: as much as
-a plan's cable lengths may be off."""
+"""Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
+plans."""
 
 
 def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
@@ -44,26 +44,16 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
     slack: Array = team.cable_length - lengths
     if np.min(slack) <= 0.0:
         worst = int(np.argmin(slack))
-        raise InfeasibleError(
-            [
-                Violation(
-                    "legs",
-                    float(slack[worst]),
-                    0.0,
-                    "min",
-                    "m",
-                    (f"cable {worst}",),
-                    "",
-                    f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
-                    f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable",
-                )
-            ]
+        remedy = (
+            f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
+            f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable"
         )
+        raise _refusal(slack[worst], 0.0, "min", f"cable {worst}", remedy)
     return slack
 
 
 def balanced_legs(team: Team, polygon: Outline) -> Array:
-    """Return (n,) [m] ``d_k`` of half the slack, at a chain's ends the only ones there are."""
+    """Return ``d_k`` (n,) [m]: half of the slack, or the only possible leg at a chain's ends."""
     slack = cable_slack(team, polygon)
     return team.layout.q_legs_of(0.5 * slack, slack)
 
@@ -74,29 +64,20 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
     k = int(np.argmax(np.abs(given - d) / team.cable_length))
     if abs(given[k] - d[k]) > FIXED_LEG * team.cable_length[k]:
         end = int(team.layout.has_leg[k, 0])
-        violation = Violation(
-            "legs",
-            float(given[k]),
-            float(d[k]),
-            "max" if given[k] > d[k] else "min",
-            "m",
-            (f"q{k}",),
-            "",
-            f"{'qr'[end]}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}",
+        remedy = (
+            f"{'qr'[end]}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
         )
-        raise InfeasibleError([violation])
+        sense = "max" if given[k] > d[k] else "min"
+        raise _refusal(given[k], d[k], sense, f"q{k}", remedy)
     legs = np.where(team.layout.has_leg, np.column_stack([d, slack - d]), np.inf)
     k, end = (int(i) for i in np.unravel_index(int(np.argmin(legs)), legs.shape))
     if legs[k, end] <= 0.0:
-        violation = Violation(
-            "legs",
-            float(legs[k, end]),
-            0.0,
-            "min",
-            "m",
-            (f"{'qr'[end]}{k}",),
-            "",
-            f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it",
-        )
-        raise InfeasibleError([violation])
+        remedy = f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it"
+        raise _refusal(legs[k, end], 0.0, "min", f"{'qr'[end]}{k}", remedy)
     return d
+
+
+def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) -> InfeasibleError:
+    """Return the error of a leg [m] beyond its limit."""
+    violation = Violation("legs", float(value), float(limit), sense, "m", (where,), "", remedy)
+    return InfeasibleError([violation])

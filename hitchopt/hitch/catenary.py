@@ -1,8 +1,8 @@
 """A cable that hangs between its two ends: the catenary of a given length, in closed form.
 
 The cable hangs in the vertical plane through its ends, s apart across, the second one h higher than
-the first. With ``Λ² = L² - h²`` its steepness σ solves ``sinh σ / σ = Λ / s``; a place on it is
-named by μ, from -1 at the first end to 1 at the second one, evenly as seen from above. Below the
+the first. With ``Λ² = L² - h²`` its steepness σ solves ``sinh σ / σ = Λ / s``; places on it have
+a parameter μ, from -1 at the first end to 1 at the second one, evenly as seen from above. Below the
 chord it hangs by
 
     depth = L P + h Q,   P = (cosh σ - cosh μσ) / 2 sinh σ,   Q = (μ - sinh μσ / sinh σ) / 2.
@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 NEWTON = 12
-"""Iterations from the first guess; 6 reach the last place for all ratios up to 1e9."""
+"""Number of Newton iterations; 6 reach the last place for all ratios up to 1e9."""
 
 NARROWEST = 1e-6
-"""Relative to L: ends closer than this across are taken to be that far apart."""
+"""Least horizontal distance of the ends, relative to L."""
 
 SERIES = 1e-3
-"""Below this σ the power series are exact to the last place, and differences are not."""
+"""σ below which power series are exact to the last place and differences are not."""
 
 
 def steepness(ratio: ArrayLike) -> Array:
@@ -89,13 +89,13 @@ class Catenary:
         return cls(s, h, L, steepness(level / s), h / level)
 
     def depth(self, mu: ArrayLike) -> Array:
-        """Return how far below the chord the cables are at μ (…) [m]."""
+        """Return the depth of the cables below the chord at μ (…) [m]."""
         level, skew = depth_terms(self.sigma, mu)
         below: Array = self.length * level + self.rise * skew
         return below
 
     def place(self, share: ArrayLike) -> Array:
-        """Return μ (…) where the share (…) of the cable's length, from its first end, is used."""
+        """Return μ (…) at shares (…) of the cable's length from its first end."""
         sigma = np.maximum(self.sigma, SERIES)
         start = -np.sinh(sigma + np.arcsinh(-self.tilt))
         along = start + 2.0 * sigma * np.asarray(share) * self.length / self.across
@@ -140,7 +140,7 @@ def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
 
 
 def pull_terms(sigma: ArrayLike) -> tuple[Array, Array]:
-    """Return 1/σ and coth σ: what the pull takes of the way across and of the height.
+    """Return 1/σ and coth σ: the factors of the horizontal distance and of the rise in the pull.
 
     Both fall as σ grows. A taut cable (σ = 0) pulls infinitely for its weight: σ counts from 1e-3.
     """
@@ -149,6 +149,6 @@ def pull_terms(sigma: ArrayLike) -> tuple[Array, Array]:
 
 
 def level_length(rise: Array, length: Array) -> Array:
-    """Return Λ (…) [m], never quite zero: ends as far apart in height as the cable is long."""
-    room: Array = np.maximum((length - rise) * (length + rise), (NARROWEST * length) ** 2)
-    return np.sqrt(room)
+    """Return Λ (…) [m], bounded away from zero where the cable hangs straight down."""
+    squared: Array = np.maximum((length - rise) * (length + rise), (NARROWEST * length) ** 2)
+    return np.sqrt(squared)

@@ -1,4 +1,4 @@
-"""A hitch at rest: outline, legs and tensions give every drone its place and its pull."""
+"""A hitch at rest: outline, legs and tensions determine every drone's place and force."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, fitting_polygon
-from hitchopt.hitch.leg_lengths import share
-from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, SharingTask
-from hitchopt.hitch.statics import leg_directions
+from hitchopt.hitch.leg_lengths import split_slack
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.values import coordinate
@@ -26,7 +26,7 @@ class Hitch:
 
     Parameters
     ----------
-    team: whose cables it is tied of.
+    team: its cables tie the hitch.
     polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
         points (n, 2) or (n + 1, 2) [m].
     altitude: height of its plane [m].
@@ -86,11 +86,11 @@ class Hitch:
         limits: Limits | None = None,
         separation: Separation | None = None,
     ) -> Hitch:
-        """Return the hitch whose legs are shared so that drones keep well apart.
+        """Return the hitch whose leg lengths keep drones well apart.
 
-        The sharing nearest to balanced (least squares in ``d``) whose separation over all pairs
-        and whose distances to cables are at least 1.5 times their limits and whose legs keep
-        theirs, else the one with the best such margin.
+        They are nearest to balanced (least squares in ``d``) among those with separations and
+        distances to cables of at least 1.5 times their limits and legs within theirs; where there
+        are none, they have the largest such margin.
 
         Raises
         ------
@@ -118,9 +118,9 @@ class Hitch:
         separation: Separation,
         arena: Arena | None = None,
     ) -> Hitch:
-        """Return the hitch shared nearest to ``fractions`` (n,) that keeps every limit.
+        """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
 
-        Where none does, the one that comes nearest to it.
+        Where there is none, the one with the largest margin.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Hitch:
 
     @property
     def slack(self) -> Array:
-        """(n,) [m]: what cable k has left for its two legs, ``L_k - l_k``."""
+        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``."""
         return self.team.cable_length - self.polygon.edge_lengths
 
     @property
@@ -147,7 +147,7 @@ class Hitch:
 
     @property
     def fractions(self) -> Array:
-        """(n,): the sharing, ``d_k / (d_k + e_k)``."""
+        """(n,): slack split ``d_k / (d_k + e_k)``."""
         return self.q_legs / self.slack
 
     @property
@@ -175,13 +175,9 @@ class Hitch:
 
     @property
     def cable_forces(self) -> Array:
-        """(2n, 3) [N]: the force that the cable puts on each drone.
-
-        ``-T_k`` along the leg, and down by half of the cable's weight.
-        """
-        forces = -np.repeat(self.team.tension, 2)[:, None] * self.leg_directions
-        forces[:, 2] -= self.team.cable_weight
-        return forces
+        """(2n, 3) [N]: the force that the taut cable puts on each drone."""
+        pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
+        return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
 def _nearest_legs(
@@ -191,7 +187,7 @@ def _nearest_legs(
     margin: float,
     requirements: Requirements,
 ) -> Array:
-    task = SharingTask(
+    task = LegTask(
         team,
         requirements,
         polygon.vertices[None],
@@ -199,5 +195,5 @@ def _nearest_legs(
         requirements.limits.leg * LIMIT_MARGIN,
         margin,
     )
-    q_legs: Array = share(task).q_legs[0]
+    q_legs: Array = split_slack(task).q_legs[0]
     return q_legs

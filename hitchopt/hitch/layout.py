@@ -1,4 +1,4 @@
-"""Which points, edges, cables and drones hang together, in a closed hitch or an open chain.
+"""Indices of the points, edges, cables and drones of a closed hitch or an open chain.
 
 Cable k spans edge k, from point ``starts[k]`` to point ``ends[k]``. In a closed hitch of n cables
 edge n-1 leads back to point 0, and every point is a clasp with two legs. An open chain has n+1
@@ -27,7 +27,7 @@ class Layout:
     Attributes
     ----------
     robots: number n of cables.
-    points: how many, n or n + 1.
+    points: number of points, n or n + 1.
     starts, ends: (n,), the points between which each edge runs.
     clasps: (c,), the points at which two cables bend around each other: all, or all inner ones.
     ahead, behind: (c,), the cables that meet there: that of the edge which starts there, and that
@@ -80,7 +80,7 @@ class Layout:
         return legs
 
     def q_legs_of(self, wanted: Array, slack: Array) -> Array:
-        """Return the q-legs (…, n) [m] wanted, at the ends of a chain the only ones there are."""
+        """Return the wanted q-legs (…, n) [m], or the only possible ones at a chain's ends."""
         with_r = np.where(self.has_leg[:, 0], wanted, 0.0)
         q_legs: Array = np.where(self.has_leg[:, 1], with_r, slack)
         return q_legs

@@ -1,11 +1,11 @@
-"""Leg sharing: how a cable's slack is split between its two legs so that distances are kept.
+"""Leg lengths: the split of every cable's slack between its two legs that keeps distances.
 
 On a given polygon every drone slides along a fixed line, so positions are affine in ``d``. For a
 pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
-lower bound of their distance and linear in ``d``. With ν from the present sharing the bounds are
-tight there: a convex QP whose every solution keeps the true distances at least as well as the
-QP says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
-Wright 1978).
+lower bound of their distance and linear in ``d``. With ν from the present leg lengths the
+bounds are tight there: they make a convex QP whose every solution keeps the true distances at least
+as well as the QP says. Repeated, the penalised deviation never grows (a convex inner approximation,
+Marks and Wright 1978).
 """
 
 from __future__ import annotations
@@ -15,50 +15,52 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
-from hitchopt.hitch.leg_program import PENALTY, SharingBodies, sharing_bounds, sharing_program
-from hitchopt.hitch.leg_task import Sharing, SharingTask
+from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_task import LegLengths, LegTask
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
 ROUNDS = 60
+"""Maximum number of convex programs from one start."""
+
 GAIN = 1e-6
-"""Share of the merit: a sharing that gains less, such as a mirror image, is no better."""
+"""Smallest relative gain of merit that counts: a mirror image gains less."""
 
 SETTLED = 1e-9
-"""[m] A round that moves no drone by more ends the iteration."""
+"""[m] Largest change of a leg in the last round."""
 
 
-def share(task: SharingTask) -> Sharing:
-    """Return the sharing nearest to the reference that keeps the margin, else the best found.
+def split_slack(task: LegTask) -> LegLengths:
+    """Return the leg lengths nearest to the reference that keep the margin, else the best found.
 
-    A local search: it starts from the reference and, where that fails on a single polygon, from
-    a few uneven sharings as well (along a path the fixed ends leave them little to find); cost
-    linear in J·n.
+    The search is local: it starts from the reference and, where that fails on a single polygon,
+    from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
+    is linear in J·n.
     """
-    slack, bodies = task.slack, SharingBodies(task, *sharing_bounds(task))
-    start = np.clip(task.reference, *sharing_bounds(task))
+    slack, bodies = task.slack, LegBodies(task, *leg_bounds(task))
+    start = np.clip(task.reference, *leg_bounds(task))
     if task.roughness == 0.0 and np.array_equal(start, task.reference):
         # To the last bit, where a solver would come within its tolerance.
         margin = bodies.margin(task, start)
         if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
-            return Sharing(start, margin, 0.0)
+            return LegLengths(start, margin, 0.0)
     best = _refined(task, bodies, start)
     single = len(task.reference) == 1
     if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
         return best
     for pattern in _uneven_fractions(task):
-        start = np.clip(pattern * slack, *sharing_bounds(task))
+        start = np.clip(pattern * slack, *leg_bounds(task))
         found = _refined(task, bodies, start)
         if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
             best = found
     return best
 
 
-def _uneven_fractions(task: SharingTask) -> Array:
-    """Return (4 or 6, n) fractions: all alike, or in turns from the sharpest clasp either way.
+def _uneven_fractions(task: LegTask) -> Array:
+    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
 
-    Counted from there, a hitch that is renumbered or mirrored finds the same ones.
+    Counted from there, they are the same for a hitch that is renumbered or mirrored.
     """
     layout = task.team.layout
     edges = layout.edges(task.polygons[0])
@@ -73,26 +75,26 @@ def _uneven_fractions(task: SharingTask) -> Array:
     return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
 
 
-def measured(task: SharingTask) -> float:
+def reference_margin(task: LegTask) -> float:
     """Return the margin of the reference itself: the smallest distance over its limit.
 
-    Pairs that keep the wanted margin and more need not be among those that are looked at.
+    Pairs beyond the wanted margin may be left out.
     """
-    bodies = SharingBodies(task, task.reference, task.reference)
+    bodies = LegBodies(task, task.reference, task.reference)
     return bodies.margin(task, task.reference)
 
 
-def _merit(task: SharingTask, sharing: Sharing) -> float:
-    short = max(0.0, task.wanted - sharing.margin)
-    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * sharing.deviation
+def _merit(task: LegTask, found: LegLengths) -> float:
+    short = max(0.0, task.wanted - found.margin)
+    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
 
 
-def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
-    """Return the sharing that repeated convex approximation reaches from ``start``."""
+def _refined(task: LegTask, bodies: LegBodies, start: Array) -> LegLengths:
+    """Return the leg lengths that repeated convex approximation reaches from ``start``."""
     d = start
     for _ in range(ROUNDS):
         check_time()
-        x = solve_qp(sharing_program(task, bodies, d))
+        x = solve_qp(leg_program(task, bodies, d))
         if x is None:
             break
         moved = x[: d.size].reshape(d.shape)
@@ -100,4 +102,4 @@ def _refined(task: SharingTask, bodies: SharingBodies, start: Array) -> Sharing:
         d = moved
         if step < SETTLED:
             break
-    return Sharing(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))
+    return LegLengths(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))

@@ -1,7 +1,7 @@
-"""The convex QP around a sharing: bodies, their near pairs, and rows that keep them apart.
+"""The convex QP around given leg lengths: bodies, near pairs, and rows that keep them apart.
 
 For a pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
-lower bound of their distance and linear in ``d``; with ν from the present sharing it is tight
+lower bound of their distance and linear in ``d``; with ν from the present leg lengths it is tight
 there.
 """
 
@@ -13,9 +13,10 @@ from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.hitch.convex_qp import QuadraticProgram
-from hitchopt.hitch.leg_task import SharingTask
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
+from hitchopt.hitch.leg_task import LegTask
+from hitchopt.hitch.parts import CROSSING, Parts, end_combinations
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.requirements import Arena
 
@@ -23,25 +24,24 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 PENALTY = 1e3
-"""[m²] per robot and unit of margin: so dear that distances come first, deviation second."""
+"""[m²] Penalty weight per robot and unit of margin: distances come first, deviation second."""
 
 
-class SharingBodies:
+class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
 
     Parameters
     ----------
     task: whose bodies.
-    lowest, highest: sharings (J, n) [m] between which pairs have to come near to be kept.
+    lowest, highest: (J, n) [m], leg lengths between which pairs that never come near are dropped.
     """
 
-    def __init__(self, task: SharingTask, lowest: Array, highest: Array) -> None:
+    def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         p = task.polygons
         layout = task.team.layout
         edges = layout.edges(p)
-        u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-        q, r = leg_directions(u, task.team.tension, task.team.topology)
+        q, r = leg_directions(unit(edges), task.team.tension, task.team.topology)
         following = p[:, layout.ends] + task.slack[..., None] * r
         ends = np.stack([p[:, layout.starts], following], axis=2)
         slopes = np.stack([q, -r], axis=2).reshape(J, 2 * n, 2)
@@ -65,7 +65,7 @@ class SharingBodies:
         """Return the shortest vector of each pair, second body to first, (pairs, 2) [m]."""
         return shortest_offset(differences(nodes[self.first], nodes[self.second]))
 
-    def margin(self, task: SharingTask, d: Array) -> float:
+    def margin(self, task: LegTask, d: Array) -> float:
         """Return the smallest distance over its limit; crossings count up to their margin only."""
         distance = np.linalg.norm(self.offsets(self.nodes(d)), axis=1)
         ratios = distance / self.limits[self.kind]
@@ -81,8 +81,8 @@ class SharingBodies:
         drones = self.nodes(d)[self.drones]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
-    def _find_pairs(self, task: SharingTask, parts: Parts, lower: Array, upper: Array) -> None:
-        """Keep the pairs whose sweeps between two sharings come within reach of their limits."""
+    def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
+        """Find the pairs whose sweeps between two splits come within reach of their limits."""
         J = len(task.reference)
         swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, -1, 2)
@@ -97,7 +97,7 @@ class SharingBodies:
         j = pairs.second % len(parts.nodes)
         kind = parts.kind(i, j)
         wanted = (kind >= 0) & (self.limits[kind] > 0.0)
-        if task.fixed is not None:  # what cannot change is no matter of the sharing
+        if task.fixed is not None:  # fixed knots cannot change
             wanted &= ~task.fixed[frame]
         offset = (self.count * frame[wanted])[:, None]
         self.frame: Index = frame[wanted]
@@ -106,7 +106,7 @@ class SharingBodies:
         self.second: Index = parts.nodes[j[wanted]] + offset
 
 
-def sharing_bounds(task: SharingTask) -> tuple[Array, Array]:
+def leg_bounds(task: LegTask) -> tuple[Array, Array]:
     """Return the smallest and largest ``d`` (J, n) that leave both legs long enough.
 
     The same one at the ends of a chain, where a cable has one leg only.
@@ -120,19 +120,16 @@ def sharing_bounds(task: SharingTask) -> tuple[Array, Array]:
     return lower, upper
 
 
-def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> QuadraticProgram:
+def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
     J, n = d.shape
     size = J * n + 2
     nodes = bodies.nodes(d)
     offsets = bodies.offsets(nodes)
-    distance = np.linalg.norm(offsets, axis=1, keepdims=True)
-    middle = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    direction = np.where(distance > 1e-9, offsets, middle)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    normal = np.where(length > 0.0, direction / np.where(length > 0.0, length, 1.0), [1.0, 0.0])
+    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
+    normal = unit(offsets, unit(middles, [1.0, 0.0]), 1e-9)
 
-    pair, a, b = _end_combinations(bodies)
+    pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
     kind, nu = bodies.kind[pair], normal[pair]
     limit = bodies.limits[kind]
     crossing = kind == CROSSING
@@ -147,61 +144,45 @@ def sharing_program(task: SharingTask, bodies: SharingBodies, d: Array) -> Quadr
     columns = np.concatenate(
         [bodies.variable[a], bodies.variable[b], np.where(crossing, size - 1, size - 2)]
     )
-    # A hair more than asked for, so that rounding does not leave it a hair short.
+    # Slightly more than required, so that rounding does not leave it short.
     frame = bodies.frame[pair]
     margins = np.where(crossing, task.crossing_margins[frame], task.margins[frame])
     wanted = margins * (1.0 + 1e-7) * limit
     least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
-    rows = sparse.csc_matrix((entries, (np.tile(row, 3), columns)), shape=(len(row), size))
-
+    rows = Rows(size)
+    rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
     if task.requirements.arena is not None:
-        walls, wall_least = _wall_rows(bodies, task.requirements.arena, size)
-        rows, least = sparse.vstack([rows, walls], format="csc"), np.append(least, wall_least)
-    hessian = sparse.eye(J * n, format="csc") + _roughness(task)
-    full = sparse.csc_matrix(sparse.block_diag([hessian, sparse.csc_matrix((2, 2))]))
+        _add_walls(rows, bodies, task.requirements.arena, size - 1)
+    deviation = sparse.eye_array(J * n) + _roughness(task)
+    hessian = sparse.csc_array(sparse.block_diag([deviation, sparse.csc_array((2, 2))]))
     gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = sharing_bounds(task)
+    lower, upper = leg_bounds(task)
     return QuadraticProgram(
-        full,
+        hessian,
         gradient,
-        rows,
-        least,
+        *rows.compressed(),
         np.append(lower.reshape(-1), [0.0, 0.0]),
         np.append(upper.reshape(-1), [np.inf, np.inf]),
     )
 
 
-def _end_combinations(bodies: SharingBodies) -> tuple[Index, Index, Index]:
-    """Return (pair, node of the first, node of the second): one row of the QP each."""
-    found: list[tuple[Index, Index, Index]] = []
-    for kind, firsts, seconds in (
-        (SEPARATION, (0,), (0,)),
-        (CABLE, (0,), (0, 1)),
-        (CROSSING, (0, 1), (0, 1)),
-    ):
-        pair = np.flatnonzero(bodies.kind == kind)
-        for i in firsts:
-            found += [(pair, bodies.first[pair, i], bodies.second[pair, j]) for j in seconds]
-    pairs, a, b = zip(*found, strict=True)
-    return np.concatenate(pairs), np.concatenate(a), np.concatenate(b)
+def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
+    """Add rows that keep every drone between the arena's upright walls, with a common slack.
 
-
-def _wall_rows(bodies: SharingBodies, arena: Arena, size: int) -> tuple[sparse.csc_matrix, Array]:
-    """Return rows and bounds that keep every drone between the arena's upright walls."""
+    Walls and crossings share the slack: out of reach, they must not leave the rest undecided.
+    """
     base, slope = bodies.base[bodies.drones], bodies.slope[bodies.drones]
-    entries = np.concatenate([slope[:, 0], slope[:, 1], -slope[:, 0], -slope[:, 1]])
-    least = np.concatenate([*(arena.lower[:2] - base).T, *(base - arena.upper[:2]).T])
-    # A wall parallel to the leg is no matter of the sharing: such a row could only be infeasible.
+    entries = np.concatenate([slope, -slope], axis=1).T.ravel()
+    least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
+    # No leg length moves a drone along a parallel wall: such a row could only be infeasible.
     free = np.abs(entries) > 1e-9
     columns = np.tile(bodies.variable[bodies.drones], 4)[free]
-    row = np.arange(len(columns))
-    # Walls share the crossings' slack: out of reach, they must not leave the rest undecided.
-    values = np.append(entries[free], np.ones(len(row)))
-    places = (np.tile(row, 2), np.append(columns, np.full(len(row), size - 1)))
-    return sparse.csc_matrix((values, places), shape=(len(row), size)), least[free]
+    row, count = np.arange(len(columns)), len(columns)
+    first = rows.add(row, columns, entries[free], least[free], np.full(count, np.inf))
+    rows.extend(first + row, np.full(count, slack), 1.0)
 
 
-def _roughness(task: SharingTask) -> sparse.csc_matrix:
+def _roughness(task: LegTask) -> sparse.csc_matrix:
     """Return the Hessian of the fractions' squared second differences along the knots."""
     J, n = task.reference.shape
     if task.roughness == 0.0 or J < 3:

@@ -1,4 +1,4 @@
-"""What is asked of a leg sharing, and what one is."""
+"""The task of finding leg lengths, and its result."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from hitchopt.requirements import Requirements
 Array = NDArray[np.float64]
 
 SPREAD_MARGIN = 1.5
-"""How many times its limit each distance is kept at by the sharing called ``spread``."""
+"""Distance over its limit that the leg lengths called ``spread`` keep."""
 
 LIMIT_MARGIN = 1.001
-"""How far inside its limits a sharing is put, so that a plan's small errors do not break them."""
+"""Distance over its limit of all other leg lengths: a plan's small errors stay within limits."""
 
 CROSSING_MARGIN = 1.005
-"""At most that for cables that cross no clasp: ``spread`` is about drones."""
+"""Largest margin of cables without a common clasp: ``spread`` concerns drones."""
 
 
 @dataclass(frozen=True, eq=False)
-class SharingTask:
-    """Sharings of one team on J polygons (one, or the knots of a path) at once.
+class LegTask:
+    """Leg lengths of one team to be found on J polygons (one, or the knots of a path) at once.
 
     Attributes
     ----------
-    team: whose cables.
-    requirements: distances that are kept, and the arena.
+    team: its cables are split.
+    requirements: distances, and the arena.
     polygons: (J, points, 2) [m]
-    reference: (J, n) [m], the ``d`` to stay near to.
+    reference: (J, n) [m], ``d`` to deviate least from.
     shortest_leg: [m], for both legs of every cable.
     margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
@@ -54,30 +54,30 @@ class SharingTask:
 
     @property
     def crossing_margins(self) -> Array:
-        """(J,): how many times its limit the distance of two cables is kept at."""
+        """(J,): margin of the distances of two cables."""
         return np.minimum(self.margins, CROSSING_MARGIN)
 
     @property
     def wanted(self) -> float:
-        """The largest of the margins, which a sharing that keeps them all is said to have."""
+        """The largest of the margins: the margin of leg lengths that keep them all."""
         return float(np.max(self.margins))
 
     @property
     def slack(self) -> Array:
-        """(J, n) [m]: what each cable has left for its two legs."""
+        """(J, n) [m]: slack of each cable for its two legs."""
         edges = self.team.layout.edges(self.polygons)
         slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
         return slack
 
 
 @dataclass(frozen=True, eq=False)
-class Sharing:
-    """A sharing that was found.
+class LegLengths:
+    """Leg lengths that were found.
 
     Attributes
     ----------
     q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on the sharing itself; where margins
+    margin: the smallest distance over its limit, measured on these lengths; where margins
         differ from knot to knot, in proportion to the largest of them.
     deviation: sum of ``(d - reference)²`` [m²].
     """

@@ -1,4 +1,4 @@
-"""A hitch as nodes and parts: which parts of cables and which drones must keep apart.
+"""A hitch as nodes and bodies, and the kinds of pairs of bodies that keep distances.
 
 Nodes are the points, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the 2n
 drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p_k q_k``, its edge
@@ -26,7 +26,7 @@ class Parts:
 
     Attributes
     ----------
-    layout: which points, cables and drones hang together.
+    layout: indices of points, cables and drones.
     nodes: (bodies, 2), the two nodes of each body.
     cable: (bodies,), the cable that each belongs to.
     """
@@ -59,16 +59,38 @@ class Parts:
         on_leg = self.layout.has_leg.ravel()[np.minimum(i, drones - 1)]
         j_edge = edges[j] & on_leg
         drone_cable = i_drone & ~j_drone & (~same | j_edge)
-        apart = ~i_drone & ~j_drone & ~self._share_clasp(i, j)
+        apart = ~i_drone & ~j_drone & ~self._have_common_clasp(i, j)
         kind = np.full(i.shape, -1)
         kind[i_drone & j_drone] = SEPARATION
         kind[drone_cable] = CABLE
         kind[apart] = CROSSING
         return kind
 
-    def _share_clasp(self, i: Index, j: Index) -> NDArray[np.bool_]:
+    def _have_common_clasp(self, i: Index, j: Index) -> NDArray[np.bool_]:
         a, b = self.nodes[i], self.nodes[j]
         a = np.where(a < self.layout.points, a, -1)  # only vertices are clasps
         b = np.where(b < self.layout.points, b, -2)
-        shared: NDArray[np.bool_] = np.any(a[:, :, None] == b[:, None, :], axis=(1, 2))
-        return shared
+        common: NDArray[np.bool_] = np.any(a[:, :, None] == b[:, None, :], axis=(1, 2))
+        return common
+
+
+def end_combinations(kind: Index, first: Index, second: Index) -> tuple[Index, Index, Index]:
+    """Return (pair, node of the first, node of the second) of all ends of pairs against all.
+
+    Bodies whose ends all lie on their sides of a normal are apart by as much.
+
+    Parameters
+    ----------
+    kind: (m,), kinds of pairs.
+    first, second: (m, 2), the nodes at the ends of their bodies; a drone's are the same.
+    """
+    found: list[tuple[Index, Index, Index]] = []
+    for which, ends, other_ends in (
+        (SEPARATION, (0,), (0,)),
+        (CABLE, (0,), (0, 1)),
+        (CROSSING, (0, 1), (0, 1)),
+    ):
+        pair = np.flatnonzero(kind == which)
+        found += [(pair, first[pair, a], second[pair, b]) for a in ends for b in other_ends]
+    pairs, a, b = (np.concatenate(column) for column in zip(*found, strict=True))
+    return pairs, a, b

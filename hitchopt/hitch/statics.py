@@ -1,6 +1,7 @@
-"""Force balance at the clasps (eq. (2) of the paper, in its general form).
+"""Static forces: the balance at the clasps, and what cables do to drones.
 
-At ``p_k`` cables k-1 and k bend around each other without friction:
+At ``p_k`` cables k-1 and k bend around each other without friction (eq. (2)
+of the paper, in its general form):
 ``T_k q̂_k + T_k u_k + T_{k-1} r̂_{k-1} - T_{k-1} u_{k-1} + w_k = 0``. Arrays carry any leading
 axes (times, for instance); the cable index is the last axis but the coordinates. Results at clasps
 are in the order of ``Layout.clasps``: all n points of a closed hitch, the n - 1 inner ones of a
@@ -12,7 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.layout import CLOSED, layout_of
+from hitchopt.hitch.team import GRAVITY, Team
 
 Array = NDArray[np.float64]
 
@@ -53,39 +57,8 @@ def leg_directions(
     return q, r
 
 
-def clasp_residuals(
-    vertices: Array,
-    q: Array,
-    r: Array,
-    tensions: ArrayLike,
-    loads: ArrayLike = 0.0,
-    topology: str = CLOSED,
-) -> Array:
-    """Return the unbalanced force at every clasp of a hitch.
-
-    Parameters
-    ----------
-    vertices: (…, points, 3) [m]
-    q, r: (…, n, 3) [m], positions of the drones.
-    tensions: (…, n) or scalar [N].
-    loads: (…, clasps, 3) or scalar [N], outside forces ``w_k`` on the clasps.
-
-    Returns
-    -------
-    (…, clasps, 3) [N]; zero in equilibrium.
-    """
-    T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), q.shape[:-1])[..., None]
-    layout = layout_of(q.shape[-2], topology)
-    here, cable, before = vertices[..., layout.clasps, :], layout.ahead, layout.behind
-    u = _unit(layout.edges(vertices))
-    ahead = T[..., cable, :] * (_unit(q[..., cable, :] - here) + u[..., cable, :])
-    behind = T[..., before, :] * (_unit(r[..., before, :] - here) - u[..., before, :])
-    residuals: Array = ahead + behind + np.asarray(loads, dtype=np.float64)
-    return residuals
-
-
 def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
-    """Return how hard the two cables of each clasp press on each other.
+    """Return the forces with which the two cables of each clasp press on each other.
 
     ``2 T_k T_{k-1} sin φ_k / |V|``, φ the exterior angle; positive where the clasp bears.
 
@@ -105,6 +78,41 @@ def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = 
     return bend[..., layout_of(u.shape[-2], topology).ahead]
 
 
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit
+def hanging_forces(team: Team, drones: Array) -> Array:
+    """Return the force of hanging cables on drones that are at (…, 2n, 3) [m], in [N] likewise.
+
+    Zero where cables weigh nothing.
+    """
+    if team.cable_density == 0.0:
+        return np.zeros(drones.shape)
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    pull = Catenary.between(q, r, team.cable_length).pull(q, r)
+    forces: Array = GRAVITY * team.cable_density * pull.reshape(drones.shape)
+    return forces
+
+
+def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
+    """Return the force of cables on drones (…, 2n, 3) [N], between hanging free and taut.
+
+    A leg pulls toward its vertex (at a chain's end along the edge), and a taut cable puts half of
+    its weight on each of its drones. To the share that a cable is not yet taut, what a hanging one
+    pulls with takes the place of that weight.
+
+    Parameters
+    ----------
+    drones: (…, 2n, 3) [m]
+    vertices: (…, points, 3) [m]
+    pulls: (…, 2n) [N], of the legs; 0 while there is no hitch.
+    taut: (…, n), from 0 to 1.
+    """
+    if not team.has_cables:
+        return np.zeros(drones.shape)
+    # A leg without length has no direction: no force rather than nan (certified plans have none).
+    directions = unit(drones - vertices[..., team.layout.pulled_to, :])
+    forces: Array = 0.0 - pulls[..., None] * directions  # no negative zeros
+    if team.cable_density > 0.0:
+        share = np.repeat(taut, 2, axis=-1)
+        forces[..., 2] -= share * team.cable_weight
+        if np.any(share < 1.0):
+            forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
+    return forces

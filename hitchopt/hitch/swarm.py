@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.layout import CLOSED
-from hitchopt.hitch.team import MAX_ROBOTS, Quadrotor, Team
+from hitchopt.hitch.team import MAX_ROBOTS, Quadrotor, Team, kinds_of
 
 MAX_DRONES = 2 * MAX_ROBOTS
-"""More are refused before any memory is spent on them."""
+"""Largest number of drones, checked before any memory is allocated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +37,6 @@ class Swarm(Team):
             raise InputError("drones", drones, "a whole number", "count the drones")
         if not 1 <= drones <= MAX_DRONES:
             raise InputError("drones", drones, f"from 1 to {MAX_DRONES}", "split the swarm")
-        n = int(drones)
-        kind = Quadrotor() if quadrotor is None else quadrotor
-        kinds = (kind,) * n if isinstance(kind, Quadrotor) else tuple(kind)
-        if len(kinds) != n:
-            raise InputError(
-                "quadrotor", len(kinds), f"one kind, or a list of {n}", "give one per drone"
-            )
         none = np.zeros(0)
         none.setflags(write=False)
         values: dict[str, object] = {
@@ -53,7 +46,7 @@ class Swarm(Team):
             "cable_density": 0.0,
             "cable_friction": 0.0,
             "tension": none,
-            "quadrotor": kinds,
+            "quadrotor": kinds_of(quadrotor, int(drones), "drone"),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

@@ -1,4 +1,4 @@
-"""The team: who flies, on which cables, pulling how hard."""
+"""The team: quadrotors, cables, and the tensions of the cables."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hitchopt.hitch.layout import CLOSED, OPEN, Layout, layout_of
 from hitchopt.values import not_negative, per_robot, positive
 
 GRAVITY = 9.81
-"""[m/s²] Downward."""
+"""[m/s²] Acceleration of gravity, downward."""
 
 MAX_ROBOTS = 10_000
-"""More are refused before any memory is spent on them."""
+"""Largest number of robots, checked before any memory is allocated."""
 
 TOPOLOGIES = (CLOSED, OPEN)
 
@@ -37,6 +37,19 @@ class Quadrotor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass))
         object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
+
+
+def kinds_of(
+    given: Quadrotor | Sequence[Quadrotor] | None, count: int, owner: str
+) -> tuple[Quadrotor, ...]:
+    """Return one kind per owner; one kind is meant for all, and None for the default kind."""
+    kind = Quadrotor() if given is None else given
+    kinds = (kind,) * count if isinstance(kind, Quadrotor) else tuple(kind)
+    if len(kinds) != count:
+        raise InputError(
+            "quadrotor", len(kinds), f"one kind, or a list of {count}", f"give one per {owner}"
+        )
+    return kinds
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +101,6 @@ class Team:
                 "robots", robots, f"from {least} to {MAX_ROBOTS}", f"{topology} hitches need these"
             )
         n = int(robots)
-        kinds = (
-            (quadrotor,) * n
-            if isinstance(quadrotor, Quadrotor)
-            else tuple(quadrotor)
-            if quadrotor is not None
-            else (Quadrotor(),) * n
-        )
-        if len(kinds) != n:
-            raise InputError(
-                "quadrotor", len(kinds), f"one kind, or a list of {n}", "give one per robot"
-            )
         values: dict[str, object] = {
             "robots": n,
             "cable_length": per_robot("cable_length", cable_length, n),
@@ -106,7 +108,7 @@ class Team:
             "cable_density": not_negative("cable_density", cable_density),
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
-            "quadrotor": kinds,
+            "quadrotor": kinds_of(quadrotor, n, "robot"),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -118,27 +120,27 @@ class Team:
 
     @property
     def has_cables(self) -> bool:
-        """Whether there are cables, which a team of single drones has none of."""
+        """Whether the team has cables, as all teams but single drones."""
         return self.robots > 0
 
     @property
     def layout(self) -> Layout:
-        """Which points, cables and drones hang together."""
+        """Indices of the points, cables and drones that belong together."""
         return layout_of(self.robots, self.topology)
 
     @property
     def mass(self) -> NDArray[np.float64]:
-        """(2n,) [kg]: of each drone, in the order q0, r0, q1, r1, …."""
+        """(2n,) [kg]: mass of each drone, in the order q0, r0, q1, r1, …."""
         return np.repeat([kind.mass for kind in self.quadrotor], 2)
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
-        """(2n,) [N]: of each drone, in the order q0, r0, q1, r1, …."""
+        """(2n,) [N]: largest thrust of each drone, in the order q0, r0, q1, r1, …."""
         return np.repeat([kind.max_thrust for kind in self.quadrotor], 2)
 
     @property
     def point_names(self) -> tuple[str, ...]:
-        """(points,): p0, p1, …, those of the vertices or of a chain's points."""
+        """(points,): p0, p1, …, names of the vertices or of a chain's points."""
         return tuple(f"p{k}" for k in range(self.layout.points))
 
     @property
@@ -148,5 +150,5 @@ class Team:
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
-        """(2n,) [N]: what each drone carries of its cable's weight, one half of it."""
+        """(2n,) [N]: the half of its cable's weight that each drone carries."""
         return np.repeat(0.5 * GRAVITY * self.cable_density * self.cable_length, 2)

@@ -16,7 +16,7 @@ from hitchopt.mission.free_flight import LEVEL, check_part, lasting, staged
 from hitchopt.mission.motions import certificate_at_rest, check_at_rest, flying
 from hitchopt.mission.situation import Situation, Tied
 from hitchopt.motion.motion import Motion, Phase, joined_motions
-from hitchopt.planners.forming.approach import CLEARANCE, ApproachTask, hover_altitude, ways
+from hitchopt.planners.forming.approach import CLEARANCE, ApproachTask, approaches, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied, undone
@@ -169,7 +169,7 @@ def _approach(
         requirements,
     )
     refusals: list[HitchoptError] = []
-    for plan in ways(task):
+    for plan in approaches(task):
         try:
             motion = staged(plan(), hitch, i, requirements)
             check_part(motion, requirements)

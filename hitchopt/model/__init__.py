@@ -1,1 +1,1 @@
-"""Floor 4: the model: flat outputs (vertices, legs, tensions) to drones, thrusts, residuals."""
+"""The casadi model: from flat outputs (vertices, legs, tensions) to drones and thrusts."""

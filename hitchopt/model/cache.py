@@ -1,11 +1,11 @@
-"""Models kept on disk from one process to the next.
+"""Models stored on disk from one process to the next.
 
 A file is named by all that made it: the versions of hitchopt and casadi, the source that builds
-the model, and what was asked for. It is written beside and then renamed, and starts with a digest
-of the rest: one that was cut short, altered, or is not ours is built anew and replaced. Nothing
-depends on the directory: where it cannot be read or written, models are built.
+the model, and the choice. It is written under a temporary name and then renamed, and starts with a
+digest of the rest: models of damaged and foreign files are built anew, and the files replaced.
+Nothing depends on the directory: where it cannot be read or written, models are built.
 
-``HITCHOPT_CACHE`` moves it, or with the value ``off`` does without.
+``HITCHOPT_CACHE`` moves it, or with the value ``off`` disables it.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ VARIABLE = "HITCHOPT_CACHE"
 OFF = "off"
 
 Builder = Callable[[bool], ca.Function]
-"""Builds a model of one choice."""
+"""Function that builds the model of one choice."""
 
 
 def cache_directory() -> Path | None:
-    """Return where models are kept; None where they are not to be."""
-    asked = os.environ.get(VARIABLE, "")
-    if asked.lower() == OFF:
+    """Return where models are stored; None if they are not stored."""
+    given = os.environ.get(VARIABLE, "")
+    if given.lower() == OFF:
         return None
-    if asked:
-        return Path(asked)
+    if given:
+        return Path(given)
     try:
         home = Path.home()
-    except RuntimeError:  # nobody's process
+    except RuntimeError:  # a process without a user
         return None
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local")) / "hitchopt"
     if sys.platform == "darwin":
         return home / "Library" / "Caches" / "hitchopt"
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (given if given.is_absolute() else home / ".cache") / "hitchopt"
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (base if base.is_absolute() else home / ".cache") / "hitchopt"
 
 
-def kept(build: Builder) -> Builder:
-    """Return a builder that keeps its models in memory, and on disk for other processes."""
+def stored(build: Builder) -> Builder:
+    """Return a builder that stores its models in memory, and on disk for other processes."""
 
     @lru_cache
     @wraps(build)
@@ -70,14 +70,10 @@ def kept(build: Builder) -> Builder:
 
 def _key(build: Builder, choice: bool) -> str:
     """Return what a model depends on, in 32 hexadecimal digits."""
-    source = Path(build.__code__.co_filename)
-    with contextlib.suppress(OSError):  # as from an archive: then the version has to do
-        digest = hashlib.sha256(source.read_bytes())
-        digest.update(repr((_version(), ca.CasadiMeta.version(), sys.platform, choice)).encode())
-        return digest.hexdigest()[:32]
-    return hashlib.sha256(repr((_version(), ca.CasadiMeta.version(), choice)).encode()).hexdigest()[
-        :32
-    ]
+    made_of = repr((_version(), ca.CasadiMeta.version(), sys.platform, choice)).encode()
+    with contextlib.suppress(OSError):  # in an archive, the version identifies the source
+        made_of = Path(build.__code__.co_filename).read_bytes() + made_of
+    return hashlib.sha256(made_of).hexdigest()[:32]
 
 
 @lru_cache
@@ -89,7 +85,7 @@ def _version() -> str:
 
 
 def _read(file: Path) -> ca.Function | None:
-    """Return the model in a file, or None where it is none of ours, or no longer whole."""
+    """Return the model in a file, or None where the file is foreign or damaged."""
     try:
         digest, _, text = file.read_text(encoding="ascii").partition("\n")
     except (OSError, UnicodeDecodeError):
@@ -98,22 +94,22 @@ def _read(file: Path) -> ca.Function | None:
         return None
     try:
         return ca.Function.deserialize(text)
-    except RuntimeError:  # casadi's word for what it cannot read
+    except RuntimeError:  # casadi cannot read it
         return None
 
 
 def _write(file: Path, model: ca.Function) -> None:
-    """Write a model beside and rename it; where that cannot be done, it is not."""
+    """Write a model to a temporary file and rename it, if the directory permits."""
     text = model.serialize()
     with contextlib.suppress(OSError):
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle, beside = tempfile.mkstemp(prefix=".", suffix=".new", dir=file.parent)
+        handle, temporary = tempfile.mkstemp(prefix=".", suffix=".new", dir=file.parent)
         try:
             with os.fdopen(handle, "w", encoding="ascii", newline="\n") as stream:
                 stream.write(f"{_digest(text)}\n{text}")
-            Path(beside).replace(file)
+            Path(temporary).replace(file)
         except OSError:
-            Path(beside).unlink(missing_ok=True)
+            Path(temporary).unlink(missing_ok=True)
 
 
 def _digest(text: str) -> str:

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.hitch.layout import CLOSED, Layout, layout_of
-from hitchopt.model.robot import JET, clasp_function, robot_function
+from hitchopt.hitch.layout import Layout
+from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
 
 Array = NDArray[np.float64]
 
 BATCH = 512
-"""Columns evaluated in one go: more take longer to map than they save."""
+"""Number of columns that one call evaluates: a larger map takes longer to make than it saves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class FlatJets:
 
 @dataclass(frozen=True, eq=False)
 class DroneJets:
-    """What follows from flat outputs, at the same J values of the parameter.
+    """Drones, forces and legs of flat outputs at the same J values of the parameter.
 
     Attributes
     ----------
@@ -46,18 +46,16 @@ class DroneJets:
     cable_forces: (J, 2n, 3) [N], of the cable on the drone.
     thrusts: (J, 2n, 3) [N], with the parameter taken as time.
     r_legs: (J, n, 4) [m], ``e_k`` and derivatives.
-    cable_residuals: (J, n) [m]
     """
 
     positions: Array
     cable_forces: Array
     thrusts: Array
     r_legs: Array
-    cable_residuals: Array
 
 
 def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
-    """Return drones, forces, thrusts and residuals for flat outputs; linear in J·n.
+    """Return drones, forces and thrusts for flat outputs; linear in J·n.
 
     The paper's class is used where all tensions are equal, the general clasp elsewhere.
     """
@@ -69,7 +67,7 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     )
     columns = count * n
     per_robot = (team.cable_length, team.mass[::2], team.cable_weight[::2])
-    q, r, q_force, r_force, q_thrust, r_thrust, r_leg, residual = _mapped(
+    q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
         robot_function(equal),
         [
             stencil.reshape(columns, 12, JET),
@@ -88,18 +86,17 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
         paired(q_force, r_force)[..., 0],
         paired(q_thrust, r_thrust)[..., 0],
         r_leg.reshape(count, n, JET),
-        residual.reshape(count, n),
     )
 
 
 def slipping_drones(
     layout: Layout, vertices: Array, legs: Array, tensions: Array, pulls: Array
 ) -> Array:
-    """Return the jets of the drones on legs that pull otherwise than their edges; linear in J·n.
+    """Return the jets of drones on legs whose pulls differ from their edges' tensions.
 
     Parameters
     ----------
-    layout: of the hitch.
+    layout: the hitch's.
     vertices: (J, points, 3, 4) [m], of a level hitch.
     legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``.
     tensions: (J, n, 4) [N], of the edges.
@@ -123,48 +120,12 @@ def slipping_drones(
     return both.reshape(count, len(layout.clasps), 2, 3, JET)
 
 
-def clasp_residuals(
-    vertices: Array,
-    drones: Array,
-    tensions: Array,
-    loads: Array | float = 0.0,
-    topology: str = CLOSED,
-) -> Array:
-    """Return the unbalanced force at every clasp for any positions, as (J, clasps, 3) [N].
-
-    Parameters
-    ----------
-    vertices: (J, points, 3) [m]
-    drones: (J, 2n, 3) [m]
-    tensions: (J, n) [N]
-    loads: (J, clasps, 3) or scalar [N]
-    """
-    layout = layout_of(tensions.shape[1], topology)
-    around = [layout.starts[layout.behind], layout.clasps, layout.ends[layout.ahead]]
-    count, n = len(vertices), len(layout.clasps)
-    columns = count * n
-    stencil = vertices[:, np.column_stack(around)]
-    pulls = tensions[:, np.column_stack([layout.behind, layout.ahead])]
-    outside = np.broadcast_to(np.asarray(loads, dtype=np.float64), (count, n, 3))
-    (residual,) = _mapped(
-        clasp_function(),
-        [
-            stencil.reshape(columns, 9, 1),
-            drones[:, 2 * layout.ahead].reshape(columns, 3, 1),
-            drones[:, 2 * layout.behind + 1].reshape(columns, 3, 1),
-            pulls.reshape(columns, 2, 1),
-            outside.reshape(columns, 3, 1),
-        ],
-    )
-    return residual.reshape(count, n, 3)
-
-
 def _mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
     """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
 
-    Through casadi's buffers, which read and write numpy's memory: converting large arrays to its
-    own matrices takes four times as long as the evaluation. In batches, as casadi takes longer to
-    make a map than to run it; the few sizes of a batch are kept.
+    Casadi's buffers read and write numpy's memory: converting large arrays to its own matrices
+    takes four times as long as the evaluation. Casadi takes longer to make a map than to run it,
+    so columns come in batches of few sizes, whose maps are reused.
     """
     columns = len(inputs[0])
     size = min(BATCH, 1 << (columns - 1).bit_length())

@@ -1,4 +1,4 @@
-"""The casadi model of one catenary robot in a hitch, and of one clasp.
+"""The casadi model of one catenary robot in a hitch.
 
 Flat outputs are the vertices ``p_k``, the q-legs ``d_k`` and the tensions ``T_k``, each with its
 derivatives up to the third by a common parameter (time, or a path's): a *jet*. Robot k depends on
@@ -12,20 +12,19 @@ at p_k and its cable pulls it along the edge.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 
 from hitchopt.hitch import GRAVITY
-from hitchopt.model.cache import kept
+from hitchopt.model.cache import stored
 
 ORDER = 3
-"""Jets go up to the jerk."""
+"""Order of the highest derivative in jets, the jerk."""
 
 JET = ORDER + 1
+"""Number of columns of a jet."""
 
 
-@kept
+@stored
 def robot_function(equal_tensions: bool) -> ca.Function:
     """Return robot k's drones as a function of the flat outputs' jets.
 
@@ -47,8 +46,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         ``q_force``, ``r_force`` (3, 1): the cable's force on them [N],
         ``q_thrust``, ``r_thrust`` (3, 1): ``m (a + g ẑ) - cable force`` [N], with the parameter
         taken as time,
-        ``r_leg`` (1, 4): jet of ``e_k`` [m],
-        ``cable_residual``: ``|q - p_k| + |p_{k+1} - p_k| + |r - p_{k+1}| - L`` [m].
+        ``r_leg`` (1, 4): jet of ``e_k`` [m].
     """
     vertices, q_leg, tensions = (
         ca.SX.sym("p", 12, JET),
@@ -58,21 +56,15 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     length, mass, weight = ca.SX.sym("L"), ca.SX.sym("m"), ca.SX.sym("w")
     flat = ca.vertcat(vertices, q_leg, tensions)
     before, here, there, after = ca.vertsplit(vertices[:, 0], 3)
-    u_before, u, u_after = unit(here - before), unit(there - here), unit(after - there)
-    T_before, T, T_after = ca.vertsplit(tensions[:, 0])
-    if equal_tensions:
-        q_direction, r_direction = u_before, -u_after
-    else:
-        q_direction = _reflected(u, T_before * u_before - T * u)
-        r_direction = -_reflected(u, T * u - T_after * u_after)
-    edge = ca.norm_2(there - here)
-    r_leg = length - edge - q_leg[0]
+    u = unit(here - before), unit(there - here), unit(after - there)
+    q_direction, r_direction = _leg_directions(u, tensions[:, 0], equal_tensions)
+    T = tensions[1, 0]
+    r_leg = length - ca.norm_2(there - here) - q_leg[0]
     q = jet_of(here + q_leg[0] * q_direction, flat)
     r = jet_of(there + r_leg * r_direction, flat)
     lift = ca.DM([0.0, 0.0, GRAVITY])
     down = ca.vertcat(0.0, 0.0, -weight)
     q_force, r_force = down - T * q_direction, down - T * r_direction
-    residual = ca.norm_2(q[:, 0] - here) + edge + ca.norm_2(r[:, 0] - there) - length
     outputs = {
         "q": q,
         "r": r,
@@ -81,7 +73,6 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         "q_thrust": mass * (q[:, 2] + lift) - q_force,
         "r_thrust": mass * (r[:, 2] + lift) - r_force,
         "r_leg": jet_of(r_leg, flat),
-        "cable_residual": residual,
     }
     return ca.Function(
         "robot",
@@ -93,28 +84,53 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     )
 
 
-@lru_cache
-def clasp_function() -> ca.Function:
-    """Return the unbalanced force at clasp k, eq. (2) of the paper, for any positions.
+@stored
+def planar_function(equal_tensions: bool) -> ca.Function:
+    """Return robot k at rest in a level hitch, seen from above, and the turn at ``p_k``.
+
+    Parameters
+    ----------
+    equal_tensions: see ``robot_function``.
 
     Returns
     -------
-    Function with inputs ``vertices`` (9, 1): ``p_{k-1}, p_k, p_{k+1}`` [m], ``q`` (3, 1): ``q_k``,
-    ``r`` (3, 1): ``r_{k-1}`` [m], ``tensions`` (2, 1): ``T_{k-1}, T_k`` [N], ``load`` (3, 1):
-    ``w_k`` [N], and output ``residual`` (3, 1) [N].
+    Function with inputs ``vertices`` (8, 1): ``p_{k-1}, p_k, p_{k+1}, p_{k+2}`` [m], ``q_leg``:
+    ``d_k`` [m], ``tensions`` (3, 1) [N], ``cable_length`` [m], and outputs ``place`` (5, 1):
+    ``q_k``, ``r_k``, ``e_k`` [m], and ``turn``: the sine of the exterior angle at ``p_k``.
     """
-    vertices, q, r = ca.SX.sym("p", 9), ca.SX.sym("q", 3), ca.SX.sym("r", 3)
-    tensions, load = ca.SX.sym("T", 2), ca.SX.sym("w", 3)
-    before, here, there = ca.vertsplit(vertices, 3)
-    ahead = tensions[1] * (unit(q - here) + unit(there - here))
-    behind = tensions[0] * (unit(r - here) - unit(here - before))
+    vertices, q_leg = ca.SX.sym("p", 8), ca.SX.sym("d")
+    tensions, length = ca.SX.sym("T", 3), ca.SX.sym("L")
+    before, here, there, after = ca.vertsplit(vertices, 2)
+    u = unit(here - before), unit(there - here), unit(after - there)
+    q_direction, r_direction = _leg_directions(u, tensions, equal_tensions)
+    r_leg = length - ca.norm_2(there - here) - q_leg
+    place = ca.vertcat(here + q_leg * q_direction, there + r_leg * r_direction, r_leg)
+    turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
     return ca.Function(
-        "clasp",
-        [vertices, q, r, tensions, load],
-        [ahead + behind + load],
-        ["vertices", "q", "r", "tensions", "load"],
-        ["residual"],
+        "planar",
+        [vertices, q_leg, tensions, length],
+        [place, turn],
+        ["vertices", "q_leg", "tensions", "cable_length"],
+        ["place", "turn"],
+        {"cse": True},
     )
+
+
+def _leg_directions(
+    u: tuple[ca.SX, ca.SX, ca.SX], tensions: ca.SX, equal_tensions: bool
+) -> tuple[ca.SX, ca.SX]:
+    """Return the directions of robot k's q-leg and r-leg, by ``statics.leg_directions``.
+
+    Parameters
+    ----------
+    u: unit vectors along edges k - 1, k and k + 1.
+    tensions: (3, 1) [N], those of the same edges.
+    """
+    if equal_tensions:
+        return u[0], -u[2]
+    T_before, T, T_after = ca.vertsplit(tensions)
+    q_direction = _reflected(u[1], T_before * u[0] - T * u[1])
+    return q_direction, -_reflected(u[1], T * u[1] - T_after * u[2])
 
 
 def unit(vector: ca.SX) -> ca.SX:
@@ -128,7 +144,7 @@ def _reflected(u: ca.SX, V: ca.SX) -> ca.SX:
 
 
 def jet_of(value: ca.SX, flat: ca.SX) -> ca.SX:
-    """Return the value and its derivatives by the parameter, given the flat outputs' jets."""
+    """Return a value and its derivatives by the parameter, given the flat outputs' jets."""
     columns = [value]
     known = ca.vec(flat[:, :ORDER])
     following = ca.vec(flat[:, 1:])

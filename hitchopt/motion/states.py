@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.hanging_forces import cable_forces
+from hitchopt.hitch.statics import cable_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import tautness
 from hitchopt.trajectory import bernstein

@@ -1,4 +1,4 @@
-"""Floor 3: piecewise polynomials of time in Bernstein form. Knows no hitch."""
+"""Piecewise polynomials of time in Bernstein form, for any quantity."""
 
 from hitchopt.trajectory.piecewise import PiecewisePolynomial, joined
 

@@ -44,7 +44,7 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
 
 
 def _product(differences: Array, directions: Array) -> Array:
-    """(cells, d, degree + 1) from (cells, d, 3, degree + 1) and (cells, 3)."""
+    """Return products (cells, d, degree + 1) of (cells, d, 3, degree + 1) and (cells, 3)."""
     product: Array = np.matmul(directions[:, None, None, :], differences)[..., 0, :]
     return product
 

@@ -108,7 +108,7 @@ def _scaled(vectors: Array) -> tuple[Array, Array]:
 
 
 def _lengths(y: Array, order: int) -> Array:
-    """(…, order + 1): |y| at the nodes that ``bernstein.interpolate`` takes values at."""
+    """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
     weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(y))
     values = y.reshape(-1, y.shape[-1]) @ weights.T
     lengths: Array = np.linalg.norm(values.reshape(*y.shape[:-1], order + 1), axis=-2)

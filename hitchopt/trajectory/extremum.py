@@ -1,6 +1,6 @@
 """The smallest or largest value of a quantity over continuous time, by branch and bound.
 
-Whoever asks gives *cells* (polynomials on a span of time) and a *bound*: on every cell a number
+The caller gives *cells* (polynomials on a span of time) and a *bound*: on every cell a number
 that the quantity does not pass, and a value that it takes. Cells whose bound may still change the
 answer are halved until none does. The answer holds for all t; it is not read off samples.
 """
@@ -20,17 +20,17 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 RELATIVE = 1e-4
-"""How far the answer may lie beyond a value that is attained, relative to that value."""
+"""Largest gap between the answer and an attained value, relative to that value."""
 
 ABSOLUTE = 2e-7
 """The same in the quantity's own unit; the larger of the two counts."""
 
 MAX_HALVINGS = 40
-"""A cell halved so often is 1e-12 of its piece: its bound is taken as it is."""
+"""Maximum number of halvings: the bound of a cell of 1e-12 of its piece is taken as it is."""
 
 MAX_CELLS = 100_000
-"""More halves (or ten per given cell) are not looked at: the bounds are then taken as they are,
-valid but less tight."""
+"""Maximum number of halves (or ten per given cell): beyond it bounds are taken as they are, valid
+but less tight."""
 
 BATCH = 4096
 """Cells bounded in one go, so that what a bound allocates stays within the caches."""
@@ -105,7 +105,7 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a bound says of cells.
+    """A bound and an attained value of every cell.
 
     Attributes
     ----------
@@ -124,12 +124,12 @@ class Estimate:
 
 
 Bound = Callable[[tuple[Array, ...]], Estimate]
-"""From the blocks of some cells to their estimate."""
+"""Function from the blocks of cells to their estimate."""
 
 
 @dataclass(frozen=True)
 class Extremum:
-    """The answer.
+    """The smallest or largest value of a quantity.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ class PiecewisePolynomial:
 
         Returns
         -------
-        Of degree 2m - 1.
+        Piecewise polynomials of degree 2m - 1.
         """
         times = np.asarray(breaks, dtype=np.float64)
         m = len(left)
@@ -112,7 +112,7 @@ class PiecewisePolynomial:
 
     @property
     def duration(self) -> float:
-        """From the first break to the last [s]."""
+        """Time from the first break to the last [s]."""
         return float(self.breaks[-1] - self.breaks[0])
 
     def at(self, t: ArrayLike, derivative: int = 0) -> Array:

@@ -13,7 +13,7 @@ from hitchopt.trajectory.piecewise import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 SAME_BREAK = 1e-7
-"""[s] Breaks closer than this are taken for one. Beyond its break by so little, a piece that joins
+"""[s] Breaks closer than this count as one. Beyond its break by so little, a piece that joins
 smoothly is off by its jump in jerk times 1e-21 s³, far below rounding."""
 
 
@@ -22,15 +22,15 @@ def merged_breaks(each: Sequence[Array]) -> Array:
 
     Parameters
     ----------
-    each: (pieces + 1,) [s]; the first of them are kept whatever the others are.
+    each: (pieces + 1,) [s]; the first of them remain whatever the others are.
     """
-    kept = np.asarray(each[0], dtype=np.float64)
+    merged = np.asarray(each[0], dtype=np.float64)
     for breaks in each[1:]:
-        at = np.searchsorted(kept, breaks)
-        before = np.abs(breaks - kept[np.maximum(at - 1, 0)])
-        after = np.abs(breaks - kept[np.minimum(at, len(kept) - 1)])
-        kept = np.union1d(kept, breaks[np.minimum(before, after) > SAME_BREAK])
-    return kept
+        at = np.searchsorted(merged, breaks)
+        before = np.abs(breaks - merged[np.maximum(at - 1, 0)])
+        after = np.abs(breaks - merged[np.minimum(at, len(merged) - 1)])
+        merged = np.union1d(merged, breaks[np.minimum(before, after) > SAME_BREAK])
+    return merged
 
 
 def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import InputError
-from hitchopt.geometry import ConvexArc, random_convex_polygon
+from hitchopt.geometry import ConvexArc
+from problems.random_morph import random_convex_polygon
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -14,7 +14,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.catenary import Catenary, depth_terms, pull_terms, steepness
-from hitchopt.hitch.hanging_forces import hanging_forces
+from hitchopt.hitch.statics import hanging_forces
 
 SPANS = st.tuples(
     st.floats(0.02, 0.98), st.floats(-0.9, 0.9), st.floats(0.3, 3.0)

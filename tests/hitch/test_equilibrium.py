@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.geometry import random_convex_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.statics import clasp_residuals, contact_forces, leg_directions
+from hitchopt.hitch.statics import contact_forces, leg_directions
+from problems.random_morph import random_convex_polygon
 
 
 def hitch(seed: int, n: int, *, equal: bool) -> Hitch:

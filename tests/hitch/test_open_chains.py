@@ -4,13 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import ConvexArc, Hitch, InfeasibleError, InputError, Separation, Team
-from hitchopt.geometry import ConvexPolygon, random_convex_polygon
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
-from hitchopt.hitch.statics import clasp_residuals, contact_forces
+from hitchopt.hitch.statics import contact_forces
+from problems.random_morph import random_convex_polygon
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(2, 8)

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
-from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+from problems.random_morph import random_convex_polygon
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
 

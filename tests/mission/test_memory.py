@@ -18,7 +18,7 @@ import hitchopt as ho
 from hitchopt.mission import solving
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.memory import VARIABLE, Memory, Progress, remembered
-from hitchopt.mission.random_morph import random_morph
+from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]

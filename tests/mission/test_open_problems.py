@@ -10,8 +10,9 @@ import pytest
 from problem_cases import ROOT, hitch_start
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexArc, Outline, random_convex_polygon
+from hitchopt.geometry import ConvexArc, Outline
 from hitchopt.mission.loading import load_problem, problem_from_dict
+from problems.random_morph import random_convex_polygon
 
 
 def random_data(n: int, seed: int, tension: bool = True) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import casadi as ca
 import pytest
 
 from hitchopt.model import cache
-from hitchopt.model.cache import kept
+from hitchopt.model.cache import stored
 
 BUILT: list[bool] = []
 
@@ -30,10 +30,10 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_model_is_built_once_for_all_processes(directory: Path) -> None:
-    one = kept(doubled)
+    one = stored(doubled)
     assert float(one(True)(4.0)) == 8.0
     assert one(True) is one(True)
-    another = kept(doubled)  # as in a process that starts later: it has nothing in memory
+    another = stored(doubled)  # as in a process that starts later: it has nothing in memory
     assert float(another(True)(4.0)) == 8.0
     assert BUILT == [True]
     assert float(another(False)(4.0)) == 12.0
@@ -66,11 +66,11 @@ def signed_nonsense(_: bytes) -> bytes:
 def test_a_damaged_file_is_built_anew_and_replaced(
     directory: Path, damage: Callable[[bytes], bytes]
 ) -> None:
-    kept(doubled)(True)
+    stored(doubled)(True)
     (file,) = directory.iterdir()
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
-    assert float(kept(doubled)(True)(4.0)) == 8.0
+    assert float(stored(doubled)(True)(4.0)) == 8.0
     assert len(BUILT) == 2
     assert file.read_bytes() == whole
     assert [entry.name for entry in directory.iterdir()] == [file.name]
@@ -79,15 +79,15 @@ def test_a_damaged_file_is_built_anew_and_replaced(
 def test_the_versions_and_the_source_are_part_of_the_name(
     directory: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    kept(doubled)(True)
+    stored(doubled)(True)
     monkeypatch.setattr(cache, "_version", lambda: "0.0.0")
-    kept(doubled)(True)
+    stored(doubled)(True)
     assert len(list(directory.iterdir())) == 2
     source = tmp_path / "changed.py"
     source.write_text(Path(__file__).read_text(encoding="utf-8") + "\n# changed\n")
     names: dict[str, Callable[[bool], ca.Function]] = {}
     exec(compile(source.read_text(), str(source), "exec"), names)  # the same function, elsewhere
-    kept(names["doubled"])(True)
+    stored(names["doubled"])(True)
     assert len(list(directory.iterdir())) == 3
 
 
@@ -97,9 +97,9 @@ def test_a_place_that_cannot_be_written_does_no_harm(
     file = tmp_path / "file"
     file.write_text("here first")
     monkeypatch.setenv("HITCHOPT_CACHE", str(file))
-    assert float(kept(doubled)(True)(4.0)) == 8.0
+    assert float(stored(doubled)(True)(4.0)) == 8.0
     monkeypatch.setenv("HITCHOPT_CACHE", str(file / "below"))
-    assert float(kept(doubled)(True)(4.0)) == 8.0
+    assert float(stored(doubled)(True)(4.0)) == 8.0
     assert file.read_text() == "here first"
 
 
@@ -107,7 +107,7 @@ def test_off_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("HITCHOPT_CACHE", "off")
     assert cache.cache_directory() is None
-    assert float(kept(doubled)(True)(4.0)) == 8.0
+    assert float(stored(doubled)(True)(4.0)) == 8.0
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import slipping_drones
+from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
 

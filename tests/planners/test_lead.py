@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.geometry import regular_polygon
 from hitchopt.planners.path.leading_legs import leading
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.trajectory import PiecewisePolynomial
+from problems.random_morph import random_convex_polygon
 
 ENDS = np.array([0.0, 1.0])
 CLOSE = ho.Separation(cable=0.07, crossing=0.05)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from optimise_cases import FREE, OCTAGON, PENTAGON, SQUARE, ends
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon, random_convex_polygon, regular_polygon
+from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise import settling
@@ -20,6 +20,7 @@ from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.path.straight_morph import straight_morph
 from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
+from problems.random_morph import random_convex_polygon
 
 
 def certified(

@@ -162,7 +162,7 @@ def test_larger_drones_farther_apart_are_the_same_problem() -> None:
 
 
 def through_a_door() -> SeparationTask:
-    """Mirror images that trade places through a door: who gives way is left to a rule."""
+    """Mirror images that trade places through a door: who gives route is left to a rule."""
     y = np.array([-0.5, 0.0, 0.5])
     one = np.column_stack([np.full(3, -1.6), y, np.full(3, 1.2)])
     other = one * [-1.0, 1.0, 1.0]
@@ -202,8 +202,8 @@ def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
 
     def astray(found: Separated) -> float:
         t = np.linspace(0.0, found.drones.duration, 300)
-        points, way = found.drones.at(t), task.goal - task.start
-        along = way / np.linalg.norm(way, axis=1, keepdims=True)
+        points, route = found.drones.at(t), task.goal - task.start
+        along = route / np.linalg.norm(route, axis=1, keepdims=True)
         offset = points - task.start
         aside = offset - np.sum(offset * along, axis=-1, keepdims=True) * along
         return float(np.mean(np.linalg.norm(aside, axis=-1)))

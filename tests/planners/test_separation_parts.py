@@ -1,8 +1,9 @@
-"""The separation planner's parts, each against another way to compute the same."""
+"""The separation planner's parts, each against another route to compute the same."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,20 +15,21 @@ from scipy.interpolate import BSpline
 from scipy.optimize import LinearConstraint, minimize
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.planners.separation import SeparationTask, Tether
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
-from hitchopt.planners.separation.guess import Manners, pushed_apart
+from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import (
     ClosePieces,
     close_pieces,
     hull_points,
     planes_between,
 )
-from hitchopt.planners.separation.qp import QuadraticProgram, Solver
-from hitchopt.planners.separation.routes import ways_around
-from hitchopt.planners.separation.separation_program import Around, build_program
-from hitchopt.planners.separation.setting import course_of
+from hitchopt.planners.separation.qp import Solver
+from hitchopt.planners.separation.routes import routes_around
+from hitchopt.planners.separation.separation_program import Around, Built, build_program
+from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
 from hitchopt.planners.separation.walls import walls_before
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
@@ -198,14 +200,14 @@ def crossing_task(*tethers: Tether, arena: Arena | None = None) -> SeparationTas
 
 
 def around_of(task: SeparationTask, seed: int) -> Around:
-    course = course_of(task)
+    setting = setting_of(task)
     rng = np.random.default_rng(seed)
-    coefficients = course.nominal.copy()
-    coefficients[:, course.grid.free] += rng.normal(
-        scale=0.05, size=coefficients[:, course.grid.free].shape
+    coefficients = setting.nominal.copy()
+    coefficients[:, setting.grid.free] += rng.normal(
+        scale=0.05, size=coefficients[:, setting.grid.free].shape
     )
-    pieces = course.grid.pieces_of(coefficients)
-    scaled = pieces * course.scale[:, None]
+    pieces = setting.grid.pieces_of(coefficients)
+    scaled = pieces * setting.scale[:, None]
     planes = planes_between(scaled, close_pieces(scaled, 2.0))
     walls = walls_before(
         pieces, task.requirements.keep_out, task.requirements.separation.radius, 0.8
@@ -213,11 +215,12 @@ def around_of(task: SeparationTask, seed: int) -> Around:
     return Around(coefficients, 4.2, 0.3, planes, walls)
 
 
-def test_a_program_can_always_be_met_by_staying() -> None:
-    task = crossing_task(arena=Arena([-3, -3, 0], [3, 3, 2]))
-    course, around = course_of(task), around_of(task, 1)
-    program = build_program(course, around).program
-    unknowns = around.coefficients[:, course.grid.free].size
+@pytest.mark.parametrize("longest", [0.1, 9.0])
+def test_a_program_can_always_be_met_by_staying(longest: float) -> None:
+    task = crossing_task(Tether(1, 2, longest), arena=Arena([-3, -3, 0], [3, 3, 2]))
+    setting, around = setting_of(task), around_of(task, 1)
+    program = build_program(setting, around).program
+    unknowns = around.coefficients[:, setting.grid.free].size
     x = np.zeros(len(program.q))
     x[unknowns:] = 1e3  # slacks as large as wanted
     values = np.asarray(program.A @ x)
@@ -227,15 +230,15 @@ def test_a_program_can_always_be_met_by_staying() -> None:
 
 def test_rows_are_what_the_moved_curves_do() -> None:
     task = crossing_task(Tether(0, 2, 3.0))
-    course, around = course_of(task), around_of(task, 2)
-    built = build_program(course, around)
-    unknowns = around.coefficients[:, course.grid.free].size
+    setting, around = setting_of(task), around_of(task, 2)
+    built = build_program(setting, around)
+    unknowns = around.coefficients[:, setting.grid.free].size
     x = np.zeros(len(built.program.q))
     x[:unknowns] = np.random.default_rng(3).uniform(-1.0, 1.0, unknowns)
-    pieces = course.grid.pieces_of(built.moved(x))
+    pieces = setting.grid.pieces_of(built.moved(x))
     between, normals = around.planes.between, around.planes.normals
     offset = (pieces[between.piece, between.first] - pieces[between.piece, between.second]) * (
-        course.scale[:, None]
+        setting.scale[:, None]
     )
     walls = around.walls
     reach = np.max(walls.normals @ PILLAR.corners.T, axis=1)[:, None]
@@ -246,7 +249,7 @@ def test_rows_are_what_the_moved_curves_do() -> None:
             before.ravel() / task.requirements.separation.radius,
         ]
     )
-    first = built.kept_rows
+    first = built.common_rows
     rows = slice(first, first + len(expected))
     assert len(walls) > 0
     live = np.isfinite(built.program.lower[rows])
@@ -255,26 +258,157 @@ def test_rows_are_what_the_moved_curves_do() -> None:
     np.testing.assert_allclose((1.01 - expected)[live], wanted[live], atol=1e-9)
 
 
+def changes(built: Built, unknowns: int, seed: int) -> np.ndarray:
+    """Random changes of the free coefficients, in trust radii; every slack zero."""
+    x = np.zeros(len(built.program.q))
+    x[:unknowns] = np.random.default_rng(seed).uniform(-1.0, 1.0, unknowns)
+    return x
+
+
+def rows_of_limits(setting: Setting) -> list[list[slice]]:
+    """For every order of derivative the rows along it and the two across it, (drones * rates)."""
+    n = setting.task.drones
+    first = 3 * n * (setting.grid.count - 2 * HELD)
+    found = []
+    for rate in setting.grid.rates:
+        size = n * len(rate)
+        found.append([slice(first + k * size, first + (k + 1) * size) for k in range(3)])
+        first += 3 * size
+    return found
+
+
+def test_rows_of_limits_are_the_slopes_of_the_derivatives() -> None:
+    """Along a derivative by finite differences of its norm, and all three by its whole change."""
+    task = replace(crossing_task(), acceleration=[1.0, 2.0, 1.5])
+    setting, around = setting_of(task), around_of(task, 5)
+    built = build_program(setting, around)
+    unknowns = around.coefficients[:, setting.grid.free].size
+    x = changes(built, unknowns, 8)
+    h = 1e-5
+    for order, rows in enumerate(rows_of_limits(setting), start=1):
+
+        def shares(step: float, order: int = order) -> np.ndarray:
+            matrix = setting.grid.rates[order - 1] / around.duration**order
+            derivative = np.einsum("rc,ncd->nrd", matrix, built.moved(step * x))
+            return np.asarray(derivative / setting.caps[order - 1][:, None, None])
+
+        here = np.linalg.norm(shares(0.0), axis=-1)
+        moving = here > 1e-3  # ends are at rest, where a norm has no slope
+        assert np.mean(moving) > 0.6
+        slope = np.linalg.norm(shares(h), axis=-1) - np.linalg.norm(shares(-h), axis=-1)
+        slope /= 2.0 * h
+        values = np.asarray(built.program.A @ x)
+        along, *across = (values[part].reshape(here.shape) for part in rows)
+        atol = 1e-6 * float(np.max(np.abs(slope)))
+        np.testing.assert_allclose(along[moving], slope[moving], atol=atol)
+        whole = np.linalg.norm(shares(1.0) - shares(0.0), axis=-1)
+        np.testing.assert_allclose(np.sqrt(along**2 + sum(a**2 for a in across)), whole, atol=1e-9)
+        np.testing.assert_allclose(built.program.upper[rows[0]], (1.0 - here).ravel(), atol=1e-9)
+        assert np.all(np.isneginf(built.program.lower[rows[0]]))
+        bound = (0.3 + 0.4 * np.clip(1.0 - here, 0.0, 1.0)).ravel()
+        for part in rows[1:]:  # the derivative has no component across itself
+            np.testing.assert_allclose(built.program.upper[part], bound, atol=1e-9)
+            np.testing.assert_allclose(built.program.lower[part], -bound, atol=1e-9)
+        for drone in range(task.drones):  # its slack slows this drone down, and no other
+            x_slack = np.zeros_like(x)
+            x_slack[unknowns + drone] = 1.0
+            relief = np.asarray(built.program.A @ x_slack)[rows[0]].reshape(here.shape)
+            expected = np.zeros_like(relief)
+            expected[drone] = -order
+            np.testing.assert_array_equal(relief, expected)
+
+
+def test_tether_rows_are_the_slopes_of_the_distances() -> None:
+    """The distance of every pair of coefficients over the cable's length, by finite differences."""
+    tethers = (Tether(0, 2, 3.0), Tether(2, 1, 0.4))  # the second one is broken as it is
+    task = crossing_task(*tethers)
+    setting, around = setting_of(task), around_of(task, 6)
+    built = build_program(setting, around)
+    program = built.program
+    unknowns = around.coefficients[:, setting.grid.free].size
+    x, h = changes(built, unknowns, 9), 1e-5
+    free = setting.grid.count - 2 * HELD
+    first = rows_of_limits(setting)[-1][-1].stop
+    rows = slice(first, first + len(tethers) * free)
+
+    def shares(step: float) -> np.ndarray:
+        inner = built.moved(step * x)[:, setting.grid.free]
+        ratios = [
+            np.linalg.norm(inner[t.first] - inner[t.second], axis=-1) / t.longest for t in tethers
+        ]
+        return np.concatenate(ratios)
+
+    slope = (shares(h) - shares(-h)) / (2.0 * h)
+    np.testing.assert_allclose(np.asarray(program.A @ x)[rows], slope, atol=1e-7)
+    np.testing.assert_allclose(program.upper[rows], 0.995 - shares(0.0), atol=1e-12)
+    assert np.all(np.isneginf(program.lower[rows]))
+    assert np.min(program.upper[rows]) < 0.0 < np.max(program.upper[rows])
+    for k in range(len(tethers)):  # its slack lengthens this cable, and no other
+        x_slack = np.zeros_like(x)
+        x_slack[unknowns + task.drones + k] = 1.0
+        expected = np.repeat(-np.eye(len(tethers))[k], free)
+        np.testing.assert_array_equal(np.asarray(program.A @ x_slack)[rows], expected)
+
+
+def test_changes_and_slacks_have_their_bounds() -> None:
+    arena = Arena([-1.5, -1.5, 1.15], [1.5, 2.5, 2.0])
+    task = crossing_task(Tether(0, 2, 3.0), arena=arena)
+    setting, around = setting_of(task), around_of(task, 7)
+    built = build_program(setting, around)
+    program = built.program
+    inner = around.coefficients[:, setting.grid.free]
+    A = sp.csr_array(program.A)
+    boxes = slice(0, inner.size)
+    np.testing.assert_array_equal(A[boxes].toarray(), np.eye(inner.size, len(program.q)))
+    lowest = inner + around.trust * program.lower[boxes].reshape(inner.shape)
+    highest = inner + around.trust * program.upper[boxes].reshape(inner.shape)
+    within = (inner >= arena.lower) & (inner <= arena.upper)
+    assert not np.all(within)
+    expected = np.maximum(inner - around.trust, arena.lower), inner + around.trust
+    np.testing.assert_allclose(lowest[within], expected[0][within], atol=1e-12)
+    expected = expected[0], np.minimum(expected[1], arena.upper)
+    np.testing.assert_allclose(highest[within], expected[1][within], atol=1e-12)
+    assert np.all(program.lower[boxes] <= 0.0)
+    assert np.all(program.upper[boxes] >= 0.0)
+    for slack in range(inner.size, len(program.q)):
+        rows = [row for row in A[:, [slack]].nonzero()[0].tolist() if A[[row]].nnz == 1]
+        least = [program.lower[row] for row in rows if np.isposinf(program.upper[row])]
+        assert [value for value in least if np.isfinite(value)] == [0.0]
+
+
+def test_slacks_of_planes_and_prisms_add_to_their_gaps() -> None:
+    task = crossing_task()
+    setting, around = setting_of(task), around_of(task, 2)
+    built = build_program(setting, around)
+    sides = len(around.planes.between) + len(around.walls)
+    x = np.zeros(len(built.program.q))
+    slacks = np.arange(1.0, sides + 1.0)
+    x[-sides:] = slacks
+    rows = slice(built.common_rows, built.common_rows + sides * (DEGREE + 1))
+    relief = np.asarray(built.program.A @ x)[rows]
+    np.testing.assert_array_equal(relief, np.repeat(slacks, DEGREE + 1))
+
+
 def test_the_objective_is_the_integral_and_its_slope_the_gradient() -> None:
     task = crossing_task()
-    course, around = course_of(task), around_of(task, 4)
-    built = build_program(course, around)
+    setting, around = setting_of(task), around_of(task, 4)
+    built = build_program(setting, around)
     program = built.program
-    unknowns = around.coefficients[:, course.grid.free].size
-    full = program.P + sp.triu(program.P, 1).T
+    unknowns = around.coefficients[:, setting.grid.free].size
+    full = program.P
 
     def value(x: np.ndarray) -> float:
         return float(0.5 * x @ (full @ x) + program.q @ x)
 
     s = np.linspace(0.0, 1.0, 60_001)
-    basis, bends = course.grid.sampled(s), course.grid.sampled(s, 3)
+    basis, bends = setting.grid.sampled(s), setting.grid.sampled(s, 3)
 
     def integral(x: np.ndarray) -> float:
         moved = built.moved(x)
-        offset = np.einsum("sc,ncd->snd", basis, moved - course.nominal)
+        offset = np.einsum("sc,ncd->snd", basis, moved - setting.nominal)
         bend = np.einsum("sc,ncd->snd", bends, moved)
         density = np.sum(offset**2, axis=(1, 2)) + 3e-7 * np.sum(bend**2, axis=(1, 2))
-        return float(np.trapezoid(density, s)) / (course.size**2 * task.drones)
+        return float(np.trapezoid(density, s)) / (setting.size**2 * task.drones)
 
     x = np.zeros(len(program.q))
     x[:unknowns] = np.random.default_rng(6).uniform(-1.0, 1.0, unknowns)
@@ -328,25 +462,40 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
     start, goal = np.array([[-2.0, 0.1, 1.0]]), np.array([[2.0, 0.0, 1.0]])
     task = SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(PILLAR,)))
-    ways = ways_around(task)
+    routes = routes_around(task)
     off = 1.25 * task.requirements.separation.radius
     corners = [[-0.3 - off, 0.4 + off], [0.5 + off, 0.4 + off]]
     by_hand = np.vstack([start[0, :2], corners, goal[0, :2]])
     length = float(np.sum(np.linalg.norm(np.diff(by_hand, axis=0), axis=1)))
-    assert ways.lengths[0] == pytest.approx(length, rel=1e-6)
-    points = ways.of(0, np.linspace(0.0, 1.0, 500))
+    assert routes.lengths[0] == pytest.approx(length, rel=1e-6)
+    points = routes.of(0, np.linspace(0.0, 1.0, 500))
     assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
     np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("end", ["start", "goal"])
+def test_an_end_near_a_prism_does_not_narrow_the_rest_of_the_route(end: str) -> None:
+    """Edges to either end keep the radius alone; corners in between still stand off further."""
+    radius = Separation().radius
+    near, far = np.array([[0.0, 0.4 + 1.1 * radius, 1.0]]), np.array([[-1.0, -1.5, 1.0]])
+    ends = (near, far) if end == "start" else (far, near)
+    task = SeparationTask(*ends, Requirements(keep_out=(PILLAR,)))
+    route = routes_around(task).corners[0]
+    assert len(route) > 2
+    inner = PILLAR.clearance(route[1:-1]).distance
+    np.testing.assert_allclose(inner, 1.25 * np.sqrt(2.0) * radius, rtol=1e-5)  # mitred corners
+    points = routes_around(task).of(0, np.linspace(0.0, 1.0, 500))
+    assert np.min(PILLAR.clearance(points).distance) >= radius
 
 
 def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
     low = Prism(PILLAR.polygon, 0.0, 0.9)
     start, goal = np.array([[-2.0, 0.1, 0.8]]), np.array([[2.0, 0.0, 0.8]])
-    ways = ways_around(
+    routes = routes_around(
         SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(low,)))
     )
-    assert np.max(ways.of(0, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
-    assert ways.lengths[0] < 4.2
+    assert np.max(routes.of(0, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
+    assert routes.lengths[0] < 4.2
 
 
 def test_a_slit_is_told_with_its_width() -> None:
@@ -360,7 +509,7 @@ def test_a_slit_is_told_with_its_width() -> None:
         start, goal, Requirements(Limits(), Separation(), arena=room, keep_out=walls)
     )
     with pytest.raises(InfeasibleError, match="keep_out") as caught:
-        ways_around(task)
+        routes_around(task)
     assert caught.value.violations[0].value == pytest.approx(0.08, rel=2e-3)
     assert caught.value.violations[0].where == ("d0",)
 
@@ -371,13 +520,13 @@ def test_departures_leave_nobody_to_meet() -> None:
     start = np.column_stack([np.full(n, -3.0), line, np.full(n, 1.0)])
     goal = start * [-1.0, -1.0, 1.0]
     task = SeparationTask(start, goal, Requirements(Limits(), Separation()))
-    ways = ways_around(task)
+    routes = routes_around(task)
     shares, ramps = np.full(n, 0.4), np.full(n, 0.2)
-    leaving = departures(ways, shares, ramps, task.requirements.separation.scale)
+    leaving = departures(routes, shares, ramps, task.requirements.separation.scale)
     assert np.all(leaving + shares <= 1.0 + 1e-12)
     time = np.linspace(0.0, 1.0, 400)
     points = np.stack(
-        [ways.of(i, progress_along((time - leaving[i]) / 0.4, 0.2)) for i in range(n)]
+        [routes.of(i, progress_along((time - leaving[i]) / 0.4, 0.2)) for i in range(n)]
     )
     scaled = points * task.requirements.separation.scale
     i, j = np.triu_indices(n, 1)
@@ -385,18 +534,18 @@ def test_departures_leave_nobody_to_meet() -> None:
 
 
 def test_guesses_push_samples_apart_and_keep_the_ends() -> None:
-    course = course_of(crossing_task())
-    guess = pushed_apart(course, Manners(0.5))
-    np.testing.assert_array_equal(guess[:, :HELD], course.nominal[:, :HELD])
-    np.testing.assert_array_equal(guess[:, -HELD:], course.nominal[:, -HELD:])
+    setting = setting_of(crossing_task())
+    guess = pushed_apart(setting, PriorityRule(0.5))
+    np.testing.assert_array_equal(guess[:, :HELD], setting.nominal[:, :HELD])
+    np.testing.assert_array_equal(guess[:, -HELD:], setting.nominal[:, -HELD:])
 
     def smallest(coefficients: np.ndarray) -> float:
         s = np.linspace(0.0, 1.0, 300)
-        points = course.grid.curves(coefficients, 1.0).at(s) * course.scale
+        points = setting.grid.curves(coefficients, 1.0).at(s) * setting.scale
         i, j = np.triu_indices(3, 1)
         return float(np.min(np.linalg.norm(points[:, i] - points[:, j], axis=-1)))
 
-    assert smallest(course.nominal) < 0.5
+    assert smallest(setting.nominal) < 0.5
     assert smallest(guess) > 1.0
 
 

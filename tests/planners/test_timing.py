@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
-from hitchopt.geometry import random_convex_polygon, regular_polygon
+from hitchopt.geometry import regular_polygon
 from hitchopt.planners.path import jets
 from hitchopt.planners.path.shape_path import ShapePath, drones_along
 from hitchopt.planners.timing import speed_profile
@@ -17,6 +17,7 @@ from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.planners.timing.mesh import time_mesh
 from hitchopt.planners.timing.speed_profile import acceleration_rows, fastest_profile, path_grid
+from problems.random_morph import random_convex_polygon
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 

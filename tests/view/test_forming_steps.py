@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forming_steps import save_forming_steps
 from matplotlib.image import imread
 
 import hitchopt as ho
+from problems.forming_steps import save_forming_steps
 
 HITCH = ho.Hitch.spread(ho.Team(3, 2.4), [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], 1.5)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.hitch.leg_lengths import measured, share
+from hitchopt.hitch.leg_lengths import reference_margin, split_slack
 from hitchopt.planners.path.leg_law import CLEAR, PROBES, RAMP, legs_clear, sharing_task
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along
 from hitchopt.requirements import Requirements
@@ -64,7 +64,7 @@ def cleared(path: ShapePath, requirements: Requirements, at_rest: bool) -> Clear
             sharing_task(path, requirements, s, margins),
             shortest_leg=LEG_MARGIN * requirements.limits.leg,
         )
-        found = share(task)
+        found = split_slack(task)
         if found.margin < 1.0:
             break
         law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack, at_rest))
@@ -127,5 +127,8 @@ def _worst_place(path: ShapePath, requirements: Requirements) -> float:
     s = np.linspace(0.0, 1.0, PROBES)[1:-1]
     legs = legs_along(path, s)[:, path.team.layout.has_leg]
     shortest = np.min(legs, axis=1) / requirements.limits.leg
-    apart = [measured(sharing_task(path, requirements, s[j : j + 1], CLEAR)) for j in range(len(s))]
+    apart = [
+        reference_margin(sharing_task(path, requirements, s[j : j + 1], CLEAR))
+        for j in range(len(s))
+    ]
     return float(s[int(np.argmin(np.minimum(shortest, apart)))])

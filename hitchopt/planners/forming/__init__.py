@@ -1,1 +1,1 @@
-"""How a hitch is formed in midair, and taken apart again: the paper's Action 1."""
+"""Planners that form a hitch in midair and take it apart again: the paper's Action 1."""

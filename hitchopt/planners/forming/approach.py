@@ -1,10 +1,10 @@
-"""From anywhere to the pre-hitch: up from the ground, then all at once, cables hanging.
+"""Approaches to the pre-hitch: up from the ground, then all drones at once, cables hanging.
 
-Two ways are offered, the plainer one first; the certificate judges them. *Direct*: all drones fly
+Two are planned, the simpler one first; the certificate judges them. *Direct*: all drones fly
 at once through the separation planner, the two of a cable tethered. *Gathered*: every robot first
-draws its two drones together, so that its cable hangs within a disc seen from above; discs keep out
-of each other's way and turn meanwhile, and open at the other end. Chords within discs that never
-meet cannot tangle.
+draws its two drones together, so that its cable hangs within a disc seen from above; discs avoid
+each other and turn meanwhile, and open at the other end. Chords within discs that never meet cannot
+tangle.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 DRAWN = 1.6
-"""How many times touching a robot's two drones are apart when it is gathered."""
+"""Separation [1] of a gathered robot's two drones."""
 
 CLEARANCE = 1.1
-"""How many times ``Separation.cable`` hanging cables keep off the ground."""
+"""Clearance of hanging cables over the ground, over ``Separation.cable``."""
 
 PROBES = 101
-"""Of a way, where the cables' heights are looked at."""
+"""Number of times at which the cables' heights are computed."""
 
 ROOM = 1.15
-"""How many times touching discs are apart at both ends of their way."""
+"""Separation [1] of the discs at both ends of their routes."""
 
 
 @dataclass(frozen=True, eq=False)
 class ApproachTask:
-    """What is asked.
+    """A flight of drones that carry free cables.
 
     Attributes
     ----------
     team: whose drones, on free cables.
     start, goal: (2n, 3) [m]
-    requirements: what is satisfied on the way.
+    requirements: satisfied all along.
     """
 
     team: Team
@@ -64,8 +64,8 @@ class ApproachTask:
         return self.requirements.limits
 
 
-def ways(task: ApproachTask) -> Iterator[Callable[[], list[Stage]]]:
-    """Yield the ways to go, planned when they are called; they may raise HitchoptError."""
+def approaches(task: ApproachTask) -> Iterator[Callable[[], list[Stage]]]:
+    """Yield approaches as functions that plan them, which may raise HitchoptError."""
     yield lambda: _direct(task)
     yield lambda: _gathered(task)
 
@@ -75,8 +75,8 @@ def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -
 
     Parameters
     ----------
-    places: of which the heights do not matter.
-    clearance: of the cables to the ground [m].
+    places: their heights are not used.
+    clearance: smallest distance of the cables to the ground [m].
     """
     level = places * np.array([1.0, 1.0, 0.0])
     return ground + clearance - float(np.min(_lowest(team, level)))
@@ -112,9 +112,9 @@ def _direct(task: ApproachTask) -> list[Stage]:
 
 
 def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> list[Stage]:
-    """Return the way over curves, all of it higher where cables would come too near the ground.
+    """Return the stages of a flight, all of it raised where cables come too near the ground.
 
-    Drones that come closer together on their way let their cable hang lower than at its ends.
+    Drones that come closer together let their cable hang lower than at both ends.
     """
     ends = task.requirements.floor + CLEARANCE * task.requirements.separation.cable
     at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
@@ -145,15 +145,15 @@ def _reserved(requirements: Requirements) -> Requirements:
 def _gathered(task: ApproachTask) -> list[Stage]:
     team, n = task.team, task.team.robots
     span = DRAWN * 2.0 * task.requirements.separation.radius
-    ways_there = Wheels.between(task.start, task.goal, 0.5 * span)
+    pairs = Wheels.between(task.start, task.goal, 0.5 * span)
     disc = 0.5 * span + task.requirements.separation.radius
-    start, goal = ways_there.centres, _spaced(ways_there.goals, 2.0 * ROOM * disc)
-    gathered = ways_there.drones(start, np.zeros(n))
+    start, goal = pairs.centres, _spaced(pairs.goals, 2.0 * ROOM * disc)
+    gathered = pairs.drones(start, np.zeros(n))
     stages, here = _risen(task, task.start, gathered, task.goal)
     altitude = float(np.max(here[:, 2]))
     start[:, 2] = goal[:, 2] = altitude
     gathered[:, 2] = altitude
-    # No robot may pass over another one, whose cable or its own would be in the way.
+    # No robot may pass over another one: their cables hang below them.
     discs = replace(
         task.requirements.separation, radius=disc, height=float(np.max(team.cable_length))
     )
@@ -168,7 +168,7 @@ def _gathered(task: ApproachTask) -> list[Stage]:
             names=tuple(f"cable {k}" for k in range(n)),
         )
     )
-    wheels = replace(ways_there, centres=start)
+    wheels = replace(pairs, centres=start)
     rolled = wheels.drones(goal, wheels.angles)
     opened = task.goal.copy()
     opened[:, 2] = np.maximum(opened[:, 2], altitude)
@@ -183,7 +183,7 @@ def _gathered(task: ApproachTask) -> list[Stage]:
 
 
 def _descended(task: ApproachTask, here: Array) -> list[Stage]:
-    """Return the stage straight down to the goal, where there is any way to go."""
+    """Return the stage straight down to the goal, or none for drones that are there."""
     if np.max(np.abs(task.goal - here)) < STILL:
         return []
     return [Stage("descend", straight(task.team, task.limits, here, task.goal))]
@@ -192,7 +192,7 @@ def _descended(task: ApproachTask, here: Array) -> list[Stage]:
 def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:
     """Return the take-off, if one is needed, and where the drones are after it.
 
-    So high that cables hang free there, and at all ``others`` (2n, 3) as well.
+    Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
     """
     clearance = CLEARANCE * task.requirements.separation.cable
     needed = [
@@ -218,7 +218,7 @@ def _spaced(points: Array, least: float) -> Array:
 
 
 def _lowest(team: Team, drones: Array) -> Array:
-    """(n,) [m]: the height of every hanging cable's lowest point."""
+    """Return the height of every hanging cable's lowest point (n,) [m]."""
     q, r = drones[0::2], drones[1::2]
     lowest: Array = q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
     return lowest

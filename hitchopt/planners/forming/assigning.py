@@ -1,4 +1,4 @@
-"""Which robot takes which edge: the assignment with the shortest ways, squared and summed."""
+"""The assignment of robots to edges with the smallest sum of squared distances."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
     """Return the assignment of robots to edges, and of their drones to the edges' ends.
 
-    A cable that leaves less than two legs on an edge does not take it while others do. Ways are
-    measured to the edges' ends, squared: straight ways that are the shortest so do not cross.
+    A cable that leaves less than two legs on an edge does not take it while others do. The
+    costs are squared distances to the edges' ends: straight lines of the least sum do not cross.
     Quadratic in n in memory, cubic at worst in time (seconds for a thousand robots).
 
     Parameters
     ----------
     team: as the robots are given.
-    drones: (2n, 3) [m], where they are.
-    outline: whose edges are to be held.
+    drones: (2n, 3) [m], their places.
+    outline: its edges are assigned.
     leg: shortest leg [m].
     """
     from scipy.optimize import linear_sum_assignment
@@ -51,7 +51,7 @@ def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignm
 
 
 def _preference(robots: int) -> Array:
-    """Return (robots, edges), up to 2: what an edge costs a robot where assignments tie.
+    """Return the costs (robots, edges), up to 2, that decide between assignments that tie.
 
     Robots prefer edges of their own number. Multiples of the golden ratio, modulo 1, tell apart
     assignments that would tie again.

@@ -1,4 +1,4 @@
-"""One clock for all drones: from rest to rest in the least time, jerk-limited, by ruckig."""
+"""One clock for all drones: the fastest jerk-limited profile from rest to rest, by ruckig."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 SHORTEST = 1e-9
-"""[s] Phases of a profile that are shorter are none."""
+"""[s] Phases of a profile that are shorter are dropped."""
 
 
 class ClockError(HitchoptError):
-    """No profile was found; a bug, since every distance can be gone."""
+    """No profile was found: a defect, as every distance has one."""
 
 
 def fastest_clock(
     goal: float, speed: float, acceleration: float, jerk: float
 ) -> PiecewisePolynomial:
-    """Return the fastest way from 0 to ``goal``, at rest at both ends, as a cubic a phase.
+    """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
     The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used.
 
@@ -51,27 +51,18 @@ def fastest_clock(
 
 def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomial:
     """Return the cubics of phases of constant jerk; the end is met exactly."""
-    x = np.zeros((3, len(seconds) + 1))  # position, velocity, acceleration
-    for i, (h, j) in enumerate(zip(seconds, jerks, strict=True)):
-        p, v, a = x[:, i]
-        x[:, i + 1] = (
-            p + h * (v + h * (a / 2.0 + h * j / 6.0)),
-            v + h * (a + h * j / 2.0),
-            a + h * j,
-        )
+    jets = [np.zeros(4)]
+    for duration, jerk in zip(seconds, jerks, strict=True):
+        jets[-1][3] = jerk
+        jets.append(advanced(jets[-1], duration))
+    x = np.stack(jets, axis=1)[:3]
     x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
     breaks = np.concatenate([[0.0], np.cumsum(seconds)])
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
 
 
-def timed(clock: PiecewisePolynomial, most: float) -> Array:
-    """Return times (pieces + 1,) [s]: the clock's breaks, and others in between.
-
-    Between two of them the clock advances by at most about ``most``.
-    """
-    times = [clock.breaks[:1]]
-    ways = np.diff(clock.at(clock.breaks))
-    for first, last, way in zip(clock.breaks[:-1], clock.breaks[1:], ways, strict=True):
-        count = max(1, int(np.ceil(way / most)))
-        times.append(np.linspace(first, last, count + 1)[1:])
-    return np.concatenate(times)
+def advanced(jets: Array, dt: Array | float) -> Array:
+    """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
+    p, v, a, j = np.moveaxis(jets, -1, 0)
+    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+    return np.stack([*moved, j], axis=-1)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
 from hitchopt.planners.forming.swap_measures import Measures, measured
 from hitchopt.planners.forming.swap_settings import SwapSettings
@@ -24,23 +25,24 @@ from hitchopt.time_limit import check_time
 Array = NDArray[np.float64]
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-"""Of the hitch's legs, tried in turn."""
+"""Shares of the hitch's legs, in the order in which they are tried."""
 
 SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
-"""Of the hitch's polygon, tried in turn where no share of the legs will do."""
+"""Scales of the hitch's polygon, in the order in which they are tried if no share suffices."""
 
 TILTS = (45.0, 60.0, 30.0, 0.0)
-"""[deg] Of the axis of turning, tried in turn where none is given. The first one keeps drones out
-of hanging cables for any number of robots; level axes do so up to about seven."""
+"""[deg] Tilts of the axis of turning, in the order in which they are tried where none is given.
+The first one keeps drones out of hanging cables for any number of robots; level axes do so up to
+about seven."""
 
 SPAN = 0.97
 """Largest share of a cable that its drones may be apart while it hangs."""
 
 CLEARANCE = 1.05
-"""How many times ``Separation.cable`` drones are to keep."""
+"""Clearance of drones to cables, over ``Separation.cable``."""
 
 EVEN = 1e-3
-"""[m] A clearance better by less is no better: mirror images are not to differ by rounding."""
+"""[m] Smallest gain in clearance that counts: rounding does not decide between mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +55,8 @@ class PreHitch:
     share: of the hitch's legs.
     scale: of the hitch's polygon.
     measures: spans and distances of the swaps, angle by angle.
-    shortfall: by how much that misses what is asked, relative; none if at most zero.
-    separation: distances that were asked for.
+    shortfall: relative violation of the requirements; none if at most zero.
+    separation: required distances.
     """
 
     turns: Turns
@@ -73,7 +75,7 @@ class PreHitch:
 def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
 
-    At the hitch's own altitude. Whether it holds for all t is for the certificate to say.
+    At the hitch's own altitude. The certificate bounds it at every time.
     """
     best: PreHitch | None = None
     for found in _candidates(hitch, separation, settings):
@@ -102,9 +104,9 @@ def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) ->
 def _turning(
     turns: Turns, separation: Separation, settings: SwapSettings, share: float, scale: float
 ) -> PreHitch:
-    """Return the pre-hitch with the senses asked for; else q goes up first unless down is needed.
+    """Return the pre-hitch with the given senses; where none is given, q goes up first if possible.
 
-    Down at those clasps where the drones would come too close to their partners' cables otherwise.
+    It goes down first at clasps where drones would come too close to their partners' cables.
     """
     senses = np.full(len(turns.half), float(settings.sense or 1))
     turns = turns.with_senses(senses)
@@ -120,12 +122,12 @@ def _turning(
 
 
 def _opening(separation: Separation) -> float:
-    """Return how far q and r of a cable are to be apart, along its edge, before the swaps [m]."""
+    """Return the least distance of q and r of a cable along its edge before the swaps [m]."""
     return 2.0 * APART * separation.radius
 
 
 def _shortfall(measures: Measures, separation: Separation) -> float:
-    """Return by how much the worst quantity misses what is asked, relative."""
+    """Return the relative violation of the worst quantity."""
     needed = [
         (measures.span, SPAN),
         (_opening(separation) - measures.opening + separation.radius, separation.radius),
@@ -151,8 +153,7 @@ def _turns(
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
     chord = q - r
-    lengths = np.linalg.norm(chord, axis=1)
-    along = chord / lengths[:, None]
+    lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)
     alone = drones[~layout.has_leg.ravel()]

@@ -1,4 +1,4 @@
-"""What acceleration thrust and tilt leave to drones that carry hanging cables."""
+"""The acceleration that thrust and tilt leave to drones that carry hanging cables."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.hanging_forces import hanging_forces
+from hitchopt.hitch.statics import hanging_forces
 from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 
 SHARE = 0.999
-"""Of every limit, which is planned with."""
+"""Share of every limit that plans use."""
 
 
 def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
@@ -23,7 +23,7 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
 
     Parameters
     ----------
-    drones: (J, 2n, 3) [m], places on the way.
+    drones: (J, 2n, 3) [m], places along the flight.
 
     Raises
     ------
@@ -45,45 +45,24 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     ):
         j, i = np.unravel_index(int(np.argmin(left)), left.shape)
         if left[j, i] <= 0.0:
-            raise InfeasibleError(
-                [
-                    Violation(
-                        name,
-                        float(used[j, i]),
-                        float(limit[i]),
-                        "max",
-                        unit,
-                        (team.drone_names[i],),
-                        "hovering with a hanging cable",
-                        "use lighter cables, or stronger drones that may tilt more",
-                    )
-                ]
-            )
+            where, when = (team.drone_names[i],), "hovering with a hanging cable"
+            remedy = "use lighter cables, or stronger drones that may tilt more"
+            value, most = float(used[j, i]), float(limit[i])
+            raise InfeasibleError([Violation(name, value, most, "max", unit, where, when, remedy)])
     free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
-    most: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
-    return most
+    reserve: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
+    return reserve
 
 
 def _check_reach(team: Team, drones: Array) -> None:
     """Raise InfeasibleError where a cable with weight is shorter than its drones are apart.
 
-    Its pull would be beyond all bounds, and say nothing of why.
+    Its pull has no bound there, and would hide the reason.
     """
     spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
     cable = int(np.argmax(np.max(spans, axis=0)))
     worst = float(np.max(spans))
     if team.cable_density > 0.0 and worst >= 1.0:
-        raise InfeasibleError(
-            [
-                Violation(
-                    "span",
-                    worst,
-                    1.0,
-                    "max",
-                    "1",
-                    (f"cable {cable}",),
-                    "between its drones' places",
-                    "use a longer cable, a smaller polygon, or place the drones closer together",
-                )
-            ]
-        )
+        where, when = (f"cable {cable}",), "between its drones' places"
+        remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+        raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])

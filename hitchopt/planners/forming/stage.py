@@ -1,4 +1,4 @@
-"""What forming and releasing are made of: stretches of drones' curves that go by one name."""
+"""Stages of forming and releasing: drones' curves under one name."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stretch.
+    """One stage of forming or releasing.
 
     Attributes
     ----------
-    name: of the plan's phase.
+    name: the plan's phase.
     drones: of shape (2n, 3) [m], in the order q0, r0, q1, …, from t = 0, at rest at both ends.
-    pull: (pieces, m + 1): Bernstein coefficients of the factor that the team's tensions are pulled
-        with, over the drones' pieces; None while there is no hitch.
-    remark: of the phase.
+    pull: (pieces, m + 1): Bernstein coefficients of the factor of the team's tensions over the
+        drones' pieces; None while there is no hitch.
+    remark: the phase's remark.
     points: of shape (points, 3) [m]: where the clasps may lie while the drones draw them out; None
         for the hitch's vertices.
     """
@@ -46,13 +46,13 @@ class Stage:
         return CableState.of_label(self.name, formed=self.formed)
 
     def reversed(self, name: str) -> Stage:
-        """Return the stretch backward in time, exactly, under another name."""
+        """Return the stage backward in time, exactly, under another name."""
         pull = None if self.pull is None else self.pull[::-1, ::-1]
         points = None if self.points is None else self.points.reversed()
         return Stage(name, self.drones.reversed(), pull, self.remark, points)
 
     def vertices(self, hitch: Hitch) -> PiecewisePolynomial:
-        """Return the vertices (points, 3) [m]: where they are, or are going to be or have been."""
+        """Return the vertices (points, 3) [m]: present, future or past ones."""
         if self.points is not None:
             return self.points
         return PiecewisePolynomial.constant(self.drones.breaks, hitch.vertices)

@@ -1,26 +1,38 @@
-"""All drones straight from one place to another, on one clock."""
+"""All drones on straight lines: on one clock, or one of every cable after the other.
+
+Where legs are long for their edge, the two drones of a cable pass each other on the line out to the
+hitch, and may come too close at the same pace.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.reserve import SHARE, accelerations
-from hitchopt.requirements import Limits
+from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 STILL = 1e-9
-"""[m] Shorter ways are none."""
+"""[m] Shortest distance that is flown."""
 
 PAUSE = 0.01
-"""[s] What a way takes that moves nothing."""
+"""[s] Duration of a flight in which no drone moves."""
 
 PROBES = 9
-"""Of the way, where the drones' reserves are looked at."""
+"""Number of places at which the drones' reserves are computed."""
+
+CLOSEST_PROBES = 41
+"""Number of places at which distances are measured; the certificate bounds all of the flight."""
+
+APART = 1.01
+"""Smallest separation [1] at these places."""
 
 
 def straight(
@@ -31,15 +43,69 @@ def straight(
     Parameters
     ----------
     start, end: (2n, 3) [m]
-    least: timed as if the farthest drone went at least this far [m].
+    least: smallest distance of the farthest drone that the clock is computed for [m].
     """
-    way = float(np.max(np.linalg.norm(end - start, axis=1)))
-    if way < STILL:
+    distance = float(np.max(np.linalg.norm(end - start, axis=1)))
+    if distance < STILL:
         return PiecewisePolynomial.constant([0.0, PAUSE], end)
     share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
     reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
-    clock = fastest_clock(max(way, least), SHARE * limits.speed, reserve, SHARE * limits.jerk)
+    clock = fastest_clock(max(distance, least), SHARE * limits.speed, reserve, SHARE * limits.jerk)
     s = clock.coefficients[:, None, None, :] / clock.coefficients[-1, -1]
-    s = np.clip(s, 0.0, 1.0)  # the last digit must not lead through the floor
+    s = np.clip(s, 0.0, 1.0)  # rounding must not lead through the floor
     curves = start[..., None] * (1.0 - s) + end[..., None] * s
     return PiecewisePolynomial(clock.breaks, curves)
+
+
+def tightened(
+    team: Team,
+    limits: Limits,
+    separation: Separation,
+    start: Array,
+    end: Array,
+    least: float = 0.0,
+) -> list[PiecewisePolynomial]:
+    """Return the flights (2n, 3) [m] out to the hitch: one if drones keep apart on it, else two.
+
+    Parameters
+    ----------
+    start, end: (2n, 3) [m]
+    least: see ``straight``.
+    """
+    at_once = [straight(team, limits, start, end, least)]
+    closest = _closest(at_once[0], separation)
+    if closest >= APART:
+        return at_once
+    middle = start.copy()
+    first = _first_movers(start, end, separation)
+    middle[first] = end[first]
+    in_two = [
+        straight(team, limits, start, middle, least),
+        straight(team, limits, middle, end, least),
+    ]
+    better = min(_closest(flight, separation) for flight in in_two) > closest
+    return in_two if better else at_once
+
+
+def _first_movers(start: Array, end: Array, separation: Separation) -> Indices:
+    """Return for every cable the drone that goes first while the other waits, (n,)."""
+    share = np.linspace(0.0, 1.0, CLOSEST_PROBES)[:, None, None]
+    paths = (start + share * (end - start)) * separation.scale
+    waiting, there = start * separation.scale, end * separation.scale
+    apart = []
+    for mover in (0, 1):
+        going, other = paths[:, mover::2], paths[:, 1 - mover :: 2]
+        out = np.linalg.norm(going - waiting[1 - mover :: 2], axis=-1)
+        after = np.linalg.norm(other - there[mover::2], axis=-1)
+        apart.append(np.min(np.minimum(out, after), axis=0))
+    second_is_better = apart[1] > apart[0]
+    movers: Indices = 2 * np.arange(len(second_is_better)) + second_is_better
+    return movers
+
+
+def _closest(flight: PiecewisePolynomial, separation: Separation) -> float:
+    """Return the smallest separation of any two drones at the probes."""
+    smallest = np.inf
+    for places in flight.at(np.linspace(0.0, flight.duration, CLOSEST_PROBES)) * separation.scale:
+        smallest = min(smallest, float(np.min(cKDTree(places).query(places, k=[2])[0])))
+    return smallest

@@ -1,4 +1,4 @@
-"""What turning pairs keep, looked at from angle to angle."""
+"""Spans and distances of turning pairs, measured from angle to angle."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.turns import Turns
 from hitchopt.requirements import Separation
@@ -15,24 +16,24 @@ from hitchopt.requirements import Separation
 Array = NDArray[np.float64]
 
 ANGLES = 73
-"""At which the way is looked at; the certificate looks at all of them."""
+"""Number of angles that are measured; the certificate bounds all of them."""
 
 PLACES = np.linspace(0.0, 1.0, 41)
-"""Of the length of a hanging cable, where it is looked at."""
+"""Shares of a hanging cable's length at which it is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """What two swaps keep.
+    """Extremes over two swaps.
 
     Attributes
     ----------
     span: largest share of a cable between its drones.
-    opening: smallest way, along the edge, from q to r before the swaps [m]: pairs further in one
-        another would be on the wrong side of each other's cables.
+    opening: smallest distance, along the edge, from q to r before the swaps [m]: at a smaller one
+        pairs would be on the wrong side of each other's cables.
     clearances: (clasps,) smallest distance of a drone to its partner's cable [m].
     apart: smallest ratio of drones of pairs next to each other.
-    lowest: how far below the drones' plane a cable hangs [m].
+    lowest: largest depth of a cable below the drones' plane [m].
     """
 
     span: float
@@ -43,7 +44,7 @@ class Measures:
 
 
 def measured(turns: Turns, separation: Separation) -> Measures:
-    """Return what two swaps on these ellipses keep; linear in the number of pairs."""
+    """Return the extremes over two swaps on these ellipses; linear in the number of pairs."""
     drones = turns.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
     q, r = drones[:, 0::2], drones[:, 1::2]
     layout, length = turns.team.layout, turns.team.cable_length
@@ -58,8 +59,7 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     ):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
         clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
-    edges = layout.edges(turns.vertices)
-    along = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    along = unit(layout.edges(turns.vertices))
     return Measures(
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)),
         float(np.min(np.sum((r[0] - q[0]) * along, axis=-1))),

@@ -1,4 +1,4 @@
-"""How drones are to swap, as a user may say it."""
+"""User settings of the swaps of drones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hitchopt.values import acute, not_negative, positive
 
 @dataclass(frozen=True)
 class SwapSettings:
-    """How pairs of drones turn about each other.
+    """Settings of pairs of drones that turn about each other.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the pairs of drones turn about each other: an ellipse at every clasp, and its geometry.
+"""The ellipses at the clasps on which pairs of drones turn about each other.
 
 At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their chord, on
 
@@ -22,7 +22,7 @@ from hitchopt.requirements import Separation
 Array = NDArray[np.float64]
 
 APART = 1.05
-"""How many times touching the two ellipsoids of a pair are kept apart while they turn."""
+"""Separation [1] of a pair while it turns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Turns:
     upward: (c, 3), w: unit vectors normal to t, upward and tilted inward.
     half: (c,) [m], a: half of the chord.
     rise: (c,) [m], h: the other semi-axis, positive; negative where q_k goes down first.
-    ends: (k, 3) [m]: drones that turn about none, those at the ends of a chain.
+    ends: (k, 3) [m]: drones that do not turn, those at the ends of a chain.
     vertices: (points, 3) [m]: of the hitch that is to be formed.
     """
 

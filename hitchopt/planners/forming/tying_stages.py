@@ -1,4 +1,4 @@
-"""From the pre-hitch to the tensioned hitch: swap, swap, tighten, pull; and the same backward."""
+"""The stages between pre-hitch and tensioned hitch: swap, swap, tighten, pull, and backward."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from numpy.typing import NDArray
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import PreHitch
 from hitchopt.planners.forming.stage import Stage
+from hitchopt.planners.forming.straight import tightened
 from hitchopt.planners.forming.swap_clock import swap
 from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.tightening import tightened
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 PULL_SECONDS = 1.0
-"""[s] From no pull to the team's tension: drones that hold against it tilt meanwhile."""
+"""[s] Duration of the rise of the tensions, against which drones tilt."""
 
 SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of the rise from 0 to 1 with three derivatives zero at both ends."""
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Of the clasps' way from the pre-hitch to the hitch, tried as their places."""
+"""Shares of the line from pre-hitch to hitch that are tried as places of the clasps."""
 
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
-"""What the stages of forming are called when they are undone."""
+"""Names of the stages of forming when they are undone."""
 
 
 def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) -> list[Stage]:
     """Return the stages from the pre-hitch to the hitch, pulled by the team's tension."""
     team = hitch.team
     legs = float(np.max(hitch.legs))
-    shorter = (1.0 - pre.share) * legs  # at least what any drone goes, whatever the polygon
-    ways = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
+    shorter = (1.0 - pre.share) * legs  # no drone goes farther, whatever the polygon
+    flights = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
     rest = PiecewisePolynomial.constant([0.0, PULL_SECONDS], hitch.drones)
     return [
         Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds)),
         Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds)),
         *(
-            Stage("tighten", way, points=points)
-            for way, points in zip(ways, _clasps(pre, hitch, ways), strict=True)
+            Stage("tighten", flight, points=points)
+            for flight, points in zip(flights, _clasps(pre, hitch, flights), strict=True)
         ),
         Stage("tension", rest, SMOOTH[None]),
     ]
@@ -55,27 +55,28 @@ def undone(stages: Sequence[Stage]) -> list[Stage]:
 
 
 def _clasps(
-    pre: PreHitch, hitch: Hitch, ways: Sequence[PiecewisePolynomial]
+    pre: PreHitch, hitch: Hitch, flights: Sequence[PiecewisePolynomial]
 ) -> list[PiecewisePolynomial]:
-    """Return where the clasps may lie (points, 3) [m] while the drones go out.
+    """Return where the clasps may lie (points, 3) [m] while the drones fly out.
 
-    They go along with the drones, between places that all cables reach around at the ends of every
-    way. Lengths are convex: what reaches at both ends of straight ways reaches in between.
+    They move along with the drones, between places that all cables reach around at the ends of
+    every flight. Lengths are convex: cables that reach at both ends of a straight flight reach in
+    between.
     """
     here, found = _places(pre, hitch, pre.drones), []
-    for i, way in enumerate(ways):
-        start, end = way.coefficients[0, ..., 0], way.coefficients[-1, ..., -1]
-        last = i == len(ways) - 1
+    for i, flight in enumerate(flights):
+        start, end = flight.coefficients[0, ..., 0], flight.coefficients[-1, ..., -1]
+        last = i == len(flights) - 1
         there = hitch.vertices if last else _places(pre, hitch, end)
-        gone = way.coefficients - start[..., None]
+        gone = flight.coefficients - start[..., None]
         farthest = int(np.argmax(np.linalg.norm(end - start, axis=1)))
         whole = (end - start)[farthest]
         size = float(whole @ whole)
         s = np.einsum("d,pdm->pm", whole, gone[:, farthest]) / size if size > 0.0 else np.ones(1)
         s = np.clip(s, 0.0, 1.0)[..., None, None, :]
         points = here[..., None] * (1.0 - s) + there[..., None] * s
-        shape = (way.pieces, *points.shape[-3:])
-        found.append(PiecewisePolynomial(way.breaks, np.broadcast_to(points, shape)))
+        shape = (flight.pieces, *points.shape[-3:])
+        found.append(PiecewisePolynomial(flight.breaks, np.broadcast_to(points, shape)))
         here = there
     return found
 
@@ -83,8 +84,8 @@ def _clasps(
 def _places(pre: PreHitch, hitch: Hitch, drones: Array) -> Array:
     """Return the places (points, 3) [m] of the clasps that cables reach around most easily.
 
-    Of the middles of the pairs, of the pre-hitch's vertices, and of what lies between them and the
-    hitch's; ends of chains are where their drones are.
+    Candidates are the middles of the pairs, the pre-hitch's vertices, and places between them and
+    the hitch's; the ends of chains are where their drones are.
     """
     layout = hitch.team.layout
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
@@ -103,7 +104,7 @@ def _places(pre: PreHitch, hitch: Hitch, drones: Array) -> Array:
 
 
 def _reach(team: Team, drones: Array, points: Array) -> float:
-    """Return the longest way around the points that a cable takes, over its length."""
+    """Return the largest share of a cable that its route around the points takes."""
     layout = team.layout
     legs = np.linalg.norm(drones - points[layout.anchors], axis=1).reshape(-1, 2)
     edges = np.linalg.norm(points[layout.ends] - points[layout.starts], axis=1)

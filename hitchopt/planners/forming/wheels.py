@@ -1,4 +1,4 @@
-"""Robots drawn together: two drones across a small circle, carried and turned as one."""
+"""Robots whose two drones are gathered across a small circle, carried and turned as one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
-from hitchopt.planners.forming.curve_fitting import fitted, needed_stretch
+from hitchopt.planners.forming.curve_fitting import flown
 from hitchopt.planners.forming.reserve import accelerations
 from hitchopt.planners.forming.straight import PAUSE
 from hitchopt.requirements import Limits
@@ -19,10 +19,10 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 LEAST_TURN = 1e-6
-"""[rad] Smaller turns are none."""
+"""[rad] Smallest angle that is turned."""
 
 PIECE = 0.3
-"""[rad] Of the largest turn on one polynomial."""
+"""[rad] Largest angle on one polynomial."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Wheels:
     centres, goals: (n, 3) [m]: the middles of the pairs at the start and at the end.
     radius: of all circles [m].
     headings: (n,) [rad]: from q to r seen from above, at the start.
-    angles: (n,) [rad]: by how much each turns until the end, the shorter way round.
+    angles: (n,) [rad]: angle by which each turns until the end, in the shorter direction.
     """
 
     centres: Array
@@ -54,7 +54,7 @@ class Wheels:
         return cls(middles[0], middles[1], radius, headings, angles)
 
     def arms(self, turned_by: Array, order: int = 0) -> Array:
-        """Return the way from the centre to r (…, n, 3) [m], or its derivative by the angle."""
+        """Return the vector from the centre to r (…, n, 3) [m], or its derivative by the angle."""
         angle = self.headings + turned_by + 0.5 * math.pi * order
         zero = np.zeros_like(angle)
         return self.radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
@@ -90,5 +90,4 @@ def turned(team: Team, wheels: Wheels, limits: Limits) -> PiecewisePolynomial:
 
     speed = min(limits.speed / size, math.sqrt(0.5 * reserve / size))
     clock = fastest_clock(largest, speed, 0.8 * reserve / size, 0.7 * limits.jerk / size)
-    drones = fitted(curve, clock, PIECE)
-    return drones.stretched(needed_stretch(drones, limits, reserve))
+    return flown(curve, clock, PIECE, limits, reserve)

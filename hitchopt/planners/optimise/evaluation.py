@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.hitch.leg_lengths import measured
+from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.variable_bounds import Bounds
@@ -122,7 +122,7 @@ def _distances_kept(path: ShapePath, requirements: Requirements) -> bool:
     shortest = float(np.min(legs_along(path, s)[1:-1]))
     return (
         shortest >= requirements.limits.leg
-        and measured(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
+        and reference_margin(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
     )
 
 

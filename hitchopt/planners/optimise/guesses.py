@@ -134,15 +134,15 @@ def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array
         ),
         shape=(2 * J, J * n),
     )
-    both = sparse.csc_matrix(sparse.vstack([rows, -rows]))
+    both = sparse.csc_array(sparse.vstack([rows, -rows]))
     x = solve_qp(
         QuadraticProgram(
-            sparse.csc_matrix(sparse.eye(J * n)),
+            sparse.csc_array(sparse.eye_array(J * n)),
             -lengths.ravel(),
             both,
             np.zeros(4 * J),
+            np.full(4 * J, np.inf),
             np.tile(shortest, J),
-            np.full(J * n, np.inf),
         )
     )
     return None if x is None else x.reshape(J, n)

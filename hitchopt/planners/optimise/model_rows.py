@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.model.planar import planar_function
+from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.between import between_rows, instants
 from hitchopt.planners.optimise.draft import Draft
 from hitchopt.planners.optimise.knot_path import Way

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
 from hitchopt.planners.optimise.variables import Layout
 from hitchopt.requirements import Separation
 
@@ -54,19 +54,7 @@ class NearPairs:
 
         Bodies whose ends all lie on their sides of a normal are apart by as much.
         """
-        combinations = [
-            (pair, self.first[pair, a], self.second[pair, b])
-            for which, firsts, seconds in (
-                (SEPARATION, (0,), (0,)),
-                (CABLE, (0,), (0, 1)),
-                (CROSSING, (0, 1), (0, 1)),
-            )
-            for pair in [np.flatnonzero(self.kind == which)]
-            for a in firsts
-            for b in seconds
-        ]
-        pair, a, b = (np.concatenate(column) for column in zip(*combinations, strict=True))
-        return pair, a, b
+        return end_combinations(self.kind, self.first, self.second)
 
 
 @dataclass(frozen=True, eq=False)

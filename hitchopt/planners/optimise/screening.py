@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.leg_lengths import measured
-from hitchopt.hitch.leg_task import SharingTask
+from hitchopt.hitch.leg_lengths import reference_margin
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.requirements import Requirements
 
@@ -67,6 +67,6 @@ def same(way: Way, other: Way) -> bool:
 
 
 def _measured(team: Team, polygons: Array, q_legs: Array, requirements: Requirements) -> float:
-    return measured(
-        SharingTask(team, replace(requirements, arena=None), polygons, q_legs, 0.0, WIDEST)
+    return reference_margin(
+        LegTask(team, replace(requirements, arena=None), polygons, q_legs, 0.0, WIDEST)
     )

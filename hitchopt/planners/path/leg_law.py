@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.hitch.leg_lengths import measured, share
-from hitchopt.hitch.leg_task import SharingTask
+from hitchopt.hitch.leg_lengths import reference_margin, split_slack
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -48,7 +48,7 @@ def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
         task = sharing_task(path, requirements, s, margins)
-        found = share(task)
+        found = split_slack(task)
         if found.margin < CLEAR:
             return path
         law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack))
@@ -65,22 +65,22 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
     legs = shapes.legs[:, path.team.layout.has_leg]
     # The ends are what was asked for; whether they hold is told apart from the way.
     long_enough = float(np.min(legs[1:-1])) >= requirements.limits.leg
-    return long_enough and measured(_task(path, requirements, shapes, CLEAR)) >= CLEAR
+    return long_enough and reference_margin(_task(path, requirements, shapes, CLEAR)) >= CLEAR
 
 
 def sharing_task(
     path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
-) -> SharingTask:
+) -> LegTask:
     """Return the task of sharing the legs at the points s (J,) of a path, the ends fixed."""
     return _task(path, requirements, shapes_along(path, s), margin)
 
 
 def _task(
     path: ShapePath, requirements: Requirements, shapes: Shapes, margin: float | Array
-) -> SharingTask:
+) -> LegTask:
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
-    return SharingTask(
+    return LegTask(
         path.team,
         requirements,
         shapes.polygons,

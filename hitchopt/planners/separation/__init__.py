@@ -1,4 +1,4 @@
-"""Ways for teams of single drones that keep out of each other's downwash: convex QPs by OSQP."""
+"""Curves of single drones that stay out of each other's downwash, by convex QPs."""
 
 from hitchopt.planners.separation.separate import separate
 from hitchopt.planners.separation.task import Separated, SeparationTask, Tether

@@ -1,4 +1,4 @@
-"""When to leave: drones that would meet go one after the other, as through a narrow door."""
+"""Departure times: drones that would meet leave one after the other."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import tied_order
-from hitchopt.planners.separation.routes import Ways
+from hitchopt.planners.separation.routes import Routes
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 
 CHOICES = 24
-"""Times of departure that a drone can choose from."""
+"""Number of departure times that a drone can choose from."""
 
 SAMPLES = 96
-"""Of all of the time, at which drones are looked at."""
+"""Number of samples over the whole time at which meetings are counted."""
 
 WANTED = 1.15
-"""Separation that is aimed at: samples are not all of the time."""
+"""Separation that samples aim at, larger than 1 as drones also move between samples."""
 
 
 def progress_along(s: Array, ramp: float) -> Array:
-    """Return the share of a way gone at times ``s`` (from 0 to 1), getting up to speed in ``ramp``.
+    """Return the share of a route flown at times ``s`` (from 0 to 1), with ramps of ``ramp``.
 
     Parameters
     ----------
@@ -36,15 +36,15 @@ def progress_along(s: Array, ramp: float) -> Array:
     return share
 
 
-def departures(ways: Ways, shares: Array, ramps: Array, scale: Array) -> Array:
-    """(N,): when each drone leaves, as a share of the whole time: the earliest without a meeting.
+def departures(routes: Routes, shares: Array, ramps: Array, scale: Array) -> Array:
+    """Return when each drone leaves (N,), as a share of the whole time: the earliest free choice.
 
-    Drones with the longest flights choose first; one that would meet others whenever it left
-    takes the time with the fewest meetings. Quadratic in N, as everyone looks out for everyone.
+    Drones with the longest flights choose first; one that meets others at every choice takes the
+    one with the fewest meetings. Quadratic in N, as all pairs are looked at.
 
     Parameters
     ----------
-    ways: where they go.
+    routes: one per drone.
     shares: (N,) of the whole time that each one's flight takes.
     ramps: (N,) of its flight that each one takes to get up to speed.
     scale: (3,) [1/m], the norm of an offset times this is a separation.
@@ -58,7 +58,7 @@ def departures(ways: Ways, shares: Array, ramps: Array, scale: Array) -> Array:
         check_time()
         delays = np.linspace(0.0, 1.0 - shares[i], CHOICES if shares[i] < 1.0 else 1)
         s = (time - delays[:, None]) / shares[i]
-        points = ways.of(int(i), progress_along(s, float(ramps[i]))) * scale
+        points = routes.of(int(i), progress_along(s, float(ramps[i]))) * scale
         if done:
             offset = points[:, None] - flown[done]  # (choices, drones, samples, 3)
             meetings = np.sum(np.sum(offset * offset, axis=-1) < WANTED * WANTED, axis=(1, 2))

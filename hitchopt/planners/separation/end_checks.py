@@ -1,4 +1,4 @@
-"""What can be told before anything is planned: starts and goals that break a limit themselves."""
+"""Checks before planning: starts and goals that break a limit themselves."""
 
 from __future__ import annotations
 
@@ -13,21 +13,20 @@ from hitchopt.planners.separation.task import SeparationTask
 Array = NDArray[np.float64]
 
 HALF = 0.5
-"""Share of the tolerance of checks: certificates need the rest for rounding."""
+"""Share of the checks' tolerance that is used here; certificates need the rest for rounding."""
 
 MOST = 10
-"""Violations that are told of one kind."""
+"""Maximum number of violations of one kind that are reported."""
 
 
 def check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
-    found: list[Violation] = []
-    for points, end in ((task.start, "start"), (task.goal, "goal")):
-        when = "at the start (t = 0)" if end == "start" else "at the goals (the plan's end)"
-        found += _too_close(task, points, when, end)
-        found += _outside(task, points, when, end)
-        found += _within(task, points, when, end)
-        found += _parted(task, points, when, end)
+    ends = (
+        (task.start, "at the start (t = 0)", "start"),
+        (task.goal, "at the goals (the plan's end)", "goal"),
+    )
+    checks = (_too_close, _outside, _within, _parted)
+    found = [violation for end in ends for check in checks for violation in check(task, *end)]
     if found:
         raise InfeasibleError(found)
 
@@ -78,13 +77,13 @@ def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Vi
 
 
 def _parted(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+    first, second, longest = task.tether_arrays
+    ratios = np.linalg.norm(points[first] - points[second], axis=1) / longest
+    sizes = np.max(np.abs(points)) / longest
+    remedy = f"move the {end}s together, or take a longer cable"
     found = []
-    for tether in task.tethers:
-        apart = float(np.linalg.norm(points[tether.first] - points[tether.second]))
-        size = float(np.max(np.abs(points))) / tether.longest
-        if apart / tether.longest > within(1.0, "max", size, HALF):
-            names = (task.names[tether.first], task.names[tether.second])
-            remedy = f"move the {end}s together, or take a longer cable"
-            value = apart / tether.longest
-            found.append(Violation("span", value, 1.0, "max", "ratio", names, when, remedy))
+    for i, j, ratio, size in zip(first, second, ratios.tolist(), sizes.tolist(), strict=True):
+        if ratio > within(1.0, "max", size, HALF):
+            names = (task.names[i], task.names[j])
+            found.append(Violation("span", ratio, 1.0, "max", "ratio", names, when, remedy))
     return found

@@ -1,4 +1,4 @@
-"""The shortest time from rest to rest along a straight line: no way between its ends is faster."""
+"""The shortest time from rest to rest along a straight line, the fastest of all routes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Ramp:
-    """Straight flights from rest to rest that go as fast as speed, acceleration and jerk allow.
+    """The fastest straight flights from rest to rest within speed, acceleration and jerk.
 
     Attributes
     ----------
     peak: (N,) largest speed of each [m/s]
-    rise: (N,) how long it takes to get there [s]
-    duration: (N,) of all of the flight [s]
+    rise: (N,) time to reach it [s]
+    duration: (N,) total time [s]
     """
 
     peak: Array

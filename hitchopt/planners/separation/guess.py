@@ -1,4 +1,4 @@
-"""Guesses: nominal curves, pushed apart where they meet until they are clear, or nearly so.
+"""Initial guesses: nominal curves, pushed apart where they meet until they are nearly clear.
 
 Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
 filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
@@ -14,38 +14,38 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.geometry.vectors import TIE
-from hitchopt.planners.separation.setting import SAMPLES, Course, inside
+from hitchopt.geometry.vectors import EAST, TIE, unit
+from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
 from hitchopt.time_limit import check_time
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 WANTED = 1.15
-"""Separation that pushes aim at: samples are not all of the time."""
+"""Separation that pushes aim at, larger than 1 as drones also move between samples."""
 
 ROUNDS = 120
-"""Of pushing, at most."""
+"""Maximum rounds of pushing."""
 
 MOMENTUM = 0.8
-"""Of the pushes, from one round to the next."""
+"""Share of a round's pushes that carries over to the next round."""
 
 STIFFNESS = 0.08
-"""Of the filter: bends shorter than this share of the duration are smoothed away."""
+"""Shortest bend that the filter passes, as a share of the duration."""
 
 FADING = 0.5
-"""Share of the rounds over which the side to give way to is of importance."""
+"""Share of the rounds over which the common side fades out of the pushes."""
 
 
 @dataclass(frozen=True)
-class Manners:
-    """How drones give way when they meet.
+class PriorityRule:
+    """The rule by which drones give way to each other where they meet.
 
     Attributes
     ----------
-    side: how strongly to the right (negative: to the left), in separations.
-    layers: of altitude that drones are dealt to, one after the other; 1: none.
-    patience: how many times the slowest flight's time there is to leave one after the other.
+    side: strength of the push to the right (negative: to the left), in separations.
+    layers: number of altitude layers over which drones are distributed; 1 for none.
+    patience: duration over that of the slowest flight; above 1, departures are staggered.
     """
 
     side: float
@@ -60,24 +60,24 @@ class Manners:
         return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
-def pushed_apart(course: Course, manners: Manners) -> Array:
-    """(N, count, 3) [m]: coefficients of curves that are clear, or nearly so."""
-    task, grid, scale = course.task, course.grid, course.scale
+def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
+    """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so."""
+    task, grid, scale = setting.task, setting.grid, setting.scale
     s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
     basis, rates = grid.sampled(s), grid.sampled(s, 1)
     free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
     stiff = STIFFNESS**6 * bends.T @ bends
     smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
-    layer = np.arange(task.drones) % manners.layers
-    coefficients = course.nominal.copy()
+    layer = np.arange(task.drones) % rule.layers
+    coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
         check_time()
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
-        pushes, crowded = _pushes(points, velocities, scale, manners, layer, fading)
-        pushes += _other_pushes(course, points)
+        pushes, crowded = _pushes(points, velocities, scale, rule, layer, fading)
+        pushes += _other_pushes(setting, points)
         if not crowded and not np.any(pushes):
             break
         speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
@@ -91,7 +91,7 @@ def _pushes(
     points: Array,
     velocities: Array,
     scale: Array,
-    manners: Manners,
+    rule: PriorityRule,
     layer: Indices,
     fading: float,
 ) -> tuple[Array, bool]:
@@ -109,13 +109,11 @@ def _pushes(
     offset = scaled[first] - scaled[second]
     flat = velocities.reshape(-1, 3)
     still = TIE * float(np.max(np.abs(flat)))
-    way_out = _way_out(flat[first] - flat[second], still)
+    rightward = _rightward(flat[first] - flat[second], still)
     apart = layer[first % drones] - layer[second % drones]
     upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
-    aside = np.where((apart != 0)[:, None], upward, np.sign(manners.side) * way_out)
-    direction = offset + fading * abs(manners.side) * aside
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), aside)
+    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * rightward)
+    direction = unit(offset + fading * abs(rule.side) * aside, aside, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
     share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
@@ -128,22 +126,19 @@ def _pushes(
     return pushes.reshape(points.shape), True
 
 
-def _way_out(velocity: Array, still: float) -> Array:
+def _rightward(velocity: Array, still: float) -> Array:
     """Return unit vectors (pairs, 3) to the right of relative velocities (pairs, 3).
 
     East where it is upright, or slower than ``still``: rounding has no direction.
     """
     right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
-    length = np.linalg.norm(right, axis=1, keepdims=True)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    sideways = length > np.maximum(1e-3 * speed, still)
-    east = np.array([1.0, 0.0, 0.0])
-    return np.where(sideways, right / np.where(sideways, length, 1.0), east)
+    return unit(right, EAST, np.maximum(1e-3 * speed, still))
 
 
-def _other_pushes(course: Course, points: Array) -> Array:
+def _other_pushes(setting: Setting, points: Array) -> Array:
     """Return pushes (samples, drones, 3) out of prisms, and together along taut cables [m]."""
-    task = course.task
+    task = setting.task
     pushes = np.zeros_like(points)
     wanted = WANTED * task.requirements.separation.radius
     for prism in task.requirements.keep_out:
@@ -151,9 +146,7 @@ def _other_pushes(course: Course, points: Array) -> Array:
         missing = np.maximum(wanted - clearance.distance, 0.0)
         pushes += missing[..., None] * clearance.normals
     if task.tethers:
-        first = np.array([tether.first for tether in task.tethers])
-        second = np.array([tether.second for tether in task.tethers])
-        longest = np.array([tether.longest for tether in task.tethers])
+        first, second, longest = task.tether_arrays
         offset = points[:, first] - points[:, second]
         length = np.linalg.norm(offset, axis=-1)
         excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)

@@ -1,38 +1,40 @@
-"""Rows of a program that keep speed, acceleration and jerk, norms made linear around what is."""
+"""Rows of a program that limit speed, acceleration and jerk, linearised about current curves."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.geometry.vectors import first_smallest
-from hitchopt.planners.separation.rows import Rows
-from hitchopt.planners.separation.setting import Course
+from hitchopt.geometry.vectors import EAST, first_smallest, unit
+from hitchopt.hitch.convex_qp import Rows
+from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.separation.spline import HELD
 
 Array = NDArray[np.float64]
 
 ACROSS = (0.3, 0.7)
-"""How far a derivative may turn aside, as shares of its limit: when it is there, and at zero."""
+"""Largest change across a derivative, as shares of its limit: at the limit, and at zero."""
 
 
 def add_limits(
-    rows: Rows, course: Course, coefficients: Array, duration: float, trust: float, slack: int
+    rows: Rows, setting: Setting, coefficients: Array, duration: float, trust: float, slack: int
 ) -> None:
-    """Keep the first three derivatives: along themselves up to the limit, and little across.
+    """Limit the first three derivatives: along themselves to the limit, across to a share of it.
 
     Parameters
     ----------
-    rows: to which they are added.
-    course: grid and limits.
+    rows: collects them.
+    setting: grid and limits.
     coefficients: (N, count, 3) [m], the current curves.
-    duration: in which the limits are to be kept [s]
-    trust: what an unknown of one stands for [m]
+    duration: [s] for which they hold.
+    trust: change of a coefficient that an unknown of one stands for [m]
     slack: column of the first drone's slack, in shares of the duration.
     """
-    n, free = len(coefficients), course.grid.count - 2 * HELD
+    n, free = len(coefficients), setting.grid.count - 2 * HELD
     drones = np.arange(n)
-    for order, (rate, cap) in enumerate(zip(course.grid.rates, course.caps, strict=True), start=1):
+    for order, (rate, cap) in enumerate(
+        zip(setting.grid.rates, setting.caps, strict=True), start=1
+    ):
         matrix = rate / duration**order
         current = np.einsum("rc,ncd->nrd", matrix, coefficients) / cap[:, None, None]
         size = np.linalg.norm(current, axis=-1)
@@ -58,9 +60,6 @@ def add_limits(
 
 def _frames(vectors: Array) -> tuple[Array, Array, Array]:
     """Return three orthogonal unit vectors for each of (…, 3), the first one along it."""
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    along = np.where(size > 1e-9, vectors / np.maximum(size, 1e-9), np.array([1.0, 0.0, 0.0]))
-    other = np.eye(3)[first_smallest(np.abs(along), 1.0)]
-    across = np.cross(along, other)
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    along = unit(vectors, EAST, 1e-9)
+    across = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
     return along, across, np.cross(along, across)

@@ -14,27 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.geometry.vectors import first_smallest
+from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BATCH = 4096
-"""Hulls whose nearest points are computed at once; it bounds the memory."""
+"""Number of hulls whose nearest points are computed at once, which bounds the memory."""
 
 FLAT = 1e-12
 """Sine of the angle below which two edges of a triangle count as parallel: all of it is then as
 near to its edges."""
 
 LEVEL = 1e-6
-"""Normals whose upward components are smaller count as level."""
+"""Largest upward component of a normal that counts as level."""
 
 LEAN, LEAN_UNTIL = 1e-2, 2.0
 """Upward slope of level normals, for every unit by which the separation falls short of this."""
 
 CURVE_SAMPLES = 17
-"""Of a piece, to find about where it comes nearest."""
+"""Number of samples of a piece that locate its nearest point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,13 +107,11 @@ def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
     inside = np.linalg.norm(nearest, axis=-1) < 1e-6
     nearest[inside] = _nearest_of_curves(differences[inside])
-    length = np.linalg.norm(nearest, axis=-1, keepdims=True)
-    east = np.array([1.0, 0.0, 0.0])
-    normals = np.where(length > 1e-9, nearest / np.maximum(length, 1e-9), east)
+    normals = unit(nearest, EAST, 1e-9)
     # Level pairs could pass above each other as well as below. The first one goes up: else
     # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(normals)
     return Planes(pairs, normals, np.einsum("md,mdk->mk", normals, differences))
 
 
@@ -193,7 +191,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _nearest_of_curves(differences: Array) -> Array:
-    """(m, 3): about the points nearest to the origin of curves (m, 3, degree + 1)."""
+    """Return about the points (m, 3) nearest to the origin of curves (m, 3, degree + 1)."""
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), differences.shape[-1] - 1)
     points = differences @ weights.T
     squared = np.sum(points * points, axis=1)

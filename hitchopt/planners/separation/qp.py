@@ -1,7 +1,7 @@
-"""Sparse quadratic programs by OSQP, whose word is not taken for anything.
+"""Quadratic programs of one pattern by OSQP, each started from the last one's solution.
 
-OSQP keeps silent on some mistakes: data of wrong length and crossed bounds in an update leave the
-old program in place. Sizes and bounds are checked before every call, residuals computed after it.
+OSQP reports neither data of wrong length nor crossed bounds in an update; it keeps the old program
+then. Programs check both when they are made. Its status is not trusted; residuals are recomputed.
 """
 
 from __future__ import annotations
@@ -14,73 +14,37 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.time_limit import check_time, time_left
 
 Array = NDArray[np.float64]
 
 ACCURACY = 1e-4
-"""Absolute and relative, of residuals that are scaled to about one; planes keep a wider margin."""
+"""Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
 MOST_ITERATIONS = 500
-"""A program that takes more is used as it is then: whoever asks checks what becomes of it."""
-
+"""Iterations after which the current point is used as it is: the curves are evaluated anyway."""
 
 LEAST_TIME = 1e-3
-"""[s] OSQP takes a limit of zero for none."""
+"""[s] Smallest time limit that is passed to OSQP, which takes zero for none."""
 
 
 class ProgramError(Exception):
-    """A program that OSQP did not solve in any sense."""
-
-
-@dataclass(frozen=True, eq=False)
-class QuadraticProgram:
-    """Minimise x·Px/2 + q·x where lower <= Ax <= upper.
-
-    Attributes
-    ----------
-    P: upper triangle, columns compressed.
-    A: columns compressed; entries that happen to be zero are stored.
-    """
-
-    P: sp.csc_array[np.float64]
-    q: Array
-    A: sp.csc_array[np.float64]
-    lower: Array
-    upper: Array
-
-    def __post_init__(self) -> None:
-        rows, columns = self.A.shape
-        if self.P.shape != (columns, columns) or self.q.shape != (columns,):
-            raise ValueError(f"objective of {self.P.shape}, {self.q.shape} for {columns} unknowns")
-        if self.lower.shape != (rows,) or self.upper.shape != (rows,):
-            raise ValueError(f"bounds of {self.lower.shape}, {self.upper.shape} for {rows} rows")
-        if not (np.all(np.isfinite(self.q)) and np.all(np.isfinite(self.A.data))):
-            raise ValueError("a program with nan or inf")
-        if not np.all(self.lower <= self.upper):
-            row = int(np.argmax(~(self.lower <= self.upper)))
-            raise ValueError(f"row {row}: {self.lower[row]} <= {self.upper[row]} is crossed")
-
-    def residual(self, x: Array) -> float:
-        """Return by how much ``x`` breaks the worst row."""
-        values = self.A @ x
-        return float(max(0.0, np.max(self.lower - values), np.max(values - self.upper)))
+    """No finite point was returned by OSQP."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What OSQP found.
+    """A point that OSQP returned.
 
     Attributes
     ----------
     x: the unknowns.
-    residual: by how much they break the worst row, computed from the program.
-    iterations: that it took.
+    residual: the largest violation of a row, computed from the program.
     """
 
     x: Array
     residual: float
-    iterations: int
 
 
 class Solver:
@@ -88,44 +52,58 @@ class Solver:
 
     def __init__(self) -> None:
         self._osqp: Any = None
-        self._program: QuadraticProgram | None = None
+        self._patterns: list[Any] = []
         self._multipliers: Array | None = None
 
-    def solve(self, program: QuadraticProgram, first: Array, kept_rows: int) -> Solution:
-        """Return a solution, searched from ``first``.
+    def solve(self, program: QuadraticProgram, first: Array, common_rows: int) -> Solution:
+        """Return OSQP's solution, searched from ``first``.
 
         Parameters
         ----------
-        program: what is to be solved.
+        program: its bounds on unknowns are rows.
         first: (unknowns,) where to start.
-        kept_rows: how many of the first rows mean what they did in the last program.
+        common_rows: number of first rows that mean the same as in the last program.
 
         Raises
         ------
-        ProgramError: not solved, not even roughly.
+        ProgramError: no finite point was returned.
         """
         import osqp
 
         if first.shape != program.q.shape:
             raise ValueError(f"a start of {first.shape} for {program.q.shape}")
+        objective = sp.csc_array(sp.triu(program.P))
+        patterns = [
+            array for M in (program.A, objective) for array in (M.shape, M.indptr, M.indices)
+        ]
+        same = self._osqp is not None and all(map(np.array_equal, patterns, self._patterns))
         multipliers = np.zeros(len(program.lower))
         if self._multipliers is not None:
-            same = self._same_pattern(program)
-            kept = len(multipliers) if same else min(kept_rows, len(self._multipliers))
-            multipliers[:kept] = self._multipliers[:kept]
-        if self._same_pattern(program):
-            self._osqp.update(
-                q=program.q, l=program.lower, u=program.upper, Px=program.P.data, Ax=program.A.data
-            )
+            common = len(multipliers) if same else min(common_rows, len(self._multipliers))
+            multipliers[:common] = self._multipliers[:common]
+        data = {"q": program.q, "l": program.lower, "u": program.upper}
+        if same:
+            self._osqp.update(**data, Px=objective.data, Ax=program.A.data)
         else:
-            self._set_up(program)
-        self._program = program
+            self._osqp = osqp.OSQP(algebra="builtin")
+            self._osqp.setup(
+                sp.csc_matrix(objective),
+                A=sp.csc_matrix(program.A),
+                **data,
+                eps_abs=ACCURACY,
+                eps_rel=ACCURACY,
+                max_iter=MOST_ITERATIONS,
+                warm_starting=True,
+                polishing=False,
+                verbose=False,
+            )
+        self._patterns = patterns
         self._osqp.warm_start(x=first, y=multipliers)
         if math.isfinite(left := time_left()):
             self._osqp.update_settings(time_limit=max(left, LEAST_TIME))
         result = self._osqp.solve(raise_error=False)
         if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
-            raise KeyboardInterrupt  # which OSQP has kept to itself
+            raise KeyboardInterrupt  # OSQP catches the signal
         check_time()  # what has been cut short is no solution
         x = np.asarray(result.x, dtype=np.float64)
         if x.shape != program.q.shape or not np.all(np.isfinite(x)):
@@ -134,35 +112,4 @@ class Solver:
             raise ProgramError(str(result.info.status))
         y = np.asarray(result.y, dtype=np.float64)
         self._multipliers = y if np.all(np.isfinite(y)) else None
-        return Solution(x, program.residual(x), int(result.info.iter))
-
-    def _same_pattern(self, program: QuadraticProgram) -> bool:
-        last = self._program
-        return (
-            self._osqp is not None
-            and last is not None
-            and all(
-                old.shape == new.shape
-                and np.array_equal(old.indptr, new.indptr)
-                and np.array_equal(old.indices, new.indices)
-                for old, new in ((last.A, program.A), (last.P, program.P))
-            )
-        )
-
-    def _set_up(self, program: QuadraticProgram) -> None:
-        import osqp
-
-        self._osqp = osqp.OSQP(algebra="builtin")
-        self._osqp.setup(
-            sp.csc_matrix(program.P),
-            program.q,
-            sp.csc_matrix(program.A),
-            program.lower,
-            program.upper,
-            eps_abs=ACCURACY,
-            eps_rel=ACCURACY,
-            max_iter=MOST_ITERATIONS,
-            warm_starting=True,
-            polishing=False,
-            verbose=False,
-        )
+        return Solution(x, program.residual(x))

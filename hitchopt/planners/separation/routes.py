@@ -1,7 +1,7 @@
-"""Shortest ways around prisms, for one drone at a time: through corners that see each other.
+"""Shortest routes around prisms, for one drone at a time: through corners that see each other.
 
 Corners stand off the prisms by a little more than drones must. They are taken at the altitudes of
-a drone's start and goal and just above and below the prisms: ways are shortest among those.
+a drone's start and goal and just above and below the prisms: routes are shortest among those.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import GOLDEN, TIE
+from hitchopt.geometry.vectors import GOLDEN, TIE, unit
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena, Prism
 from hitchopt.time_limit import check_time
@@ -23,21 +23,21 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 STAND_OFF = 1.25
-"""Radii that a way's corners are away from prisms; where that shuts all ways, the radius itself."""
+"""Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
 
 HALVINGS = 12
-"""Of the search for the widest way where all are too narrow."""
+"""Number of bisections in the search for the widest route where all are too narrow."""
 
 HIGH = 1e6
-"""[m] Above and below all that flies."""
+"""[m] Altitude above, and depth below, everything that flies."""
 
 TIGHT = 1e-6
-"""Relative: corners of ways lie outside of what must not be entered by so much at least."""
+"""Smallest distance of a route's corners to what they stay out of, relative to the radius."""
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """One way per drone.
+class Routes:
+    """Routes of all drones.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class Ways:
     lengths: Array
 
     def points(self, shares: Array) -> Array:
-        """(N, m, 3) [m]: where all ways are after shares (N, m) of their lengths."""
-        first = np.stack([way[0] for way in self.corners])
-        last = np.stack([way[-1] for way in self.corners])
+        """Return the points (N, m, 3) [m] of all routes at shares (N, m) of their lengths."""
+        first = np.stack([route[0] for route in self.corners])
+        last = np.stack([route[-1] for route in self.corners])
         points: Array = first[:, None] + shares[..., None] * (last - first)[:, None]
         for i in self.bent:
             points[i] = self.of(i, shares[i])
@@ -59,11 +59,11 @@ class Ways:
 
     @property
     def bent(self) -> list[int]:
-        """The drones whose ways are not straight lines."""
-        return [i for i, way in enumerate(self.corners) if len(way) > 2]
+        """The drones whose routes are not straight lines."""
+        return [i for i, route in enumerate(self.corners) if len(route) > 2]
 
     def of(self, drone: int, share: Array) -> Array:
-        """(*share.shape, 3): where one way is after shares of its length."""
+        """Return the points (*share.shape, 3) [m] of one route at shares of its length."""
         corners = self.corners[drone]
         steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -71,15 +71,14 @@ class Ways:
         return np.stack([np.interp(share, along, corners[:, axis]) for axis in range(3)], axis=-1)
 
 
-def ways_around(task: SeparationTask) -> Ways:
-    """Return the ways: straight lines where nothing is in between.
+def routes_around(task: SeparationTask) -> Routes:
+    """Return the shortest routes: straight lines where no prism is in between.
 
-    Those whose straight lines are blocked are looked for one by one, each among the corners of all
-    prisms.
+    Blocked ones are searched one by one, each among the corners of all prisms.
 
     Raises
     ------
-    InfeasibleError: no way was found that is wide enough.
+    InfeasibleError: every route that was found is too narrow.
     """
     radius = task.requirements.separation.radius
     corners = list(np.stack([task.start, task.goal], axis=1))
@@ -90,26 +89,26 @@ def ways_around(task: SeparationTask) -> Ways:
     for i in np.flatnonzero(blocked).tolist():
         check_time()
         start, goal = task.start[i], task.goal[i]
-        way = _way(task, start, goal, STAND_OFF * radius)
-        if way is None:
-            way = _way(task, start, goal, radius * (1.0 + TIGHT))
-        if way is None:
+        route = _route(task, start, goal, STAND_OFF * radius)
+        if route is None:
+            route = _route(task, start, goal, radius * (1.0 + TIGHT))
+        if route is None:
             raise InfeasibleError([_too_narrow(task, i)])
-        corners[i] = way
-        lengths[i] = np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1))
-    return Ways(tuple(corners), lengths)
+        corners[i] = route
+        lengths[i] = np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1))
+    return Routes(tuple(corners), lengths)
 
 
-def ways_along(curves: PiecewisePolynomial) -> Ways:
-    """Return the ways that curves of shape (N, 3) [m] follow."""
+def routes_along(curves: PiecewisePolynomial) -> Routes:
+    """Return the routes that curves of shape (N, 3) [m] follow."""
     t = np.linspace(curves.breaks[0], curves.breaks[-1], 8 * curves.pieces + 1)
     points = np.swapaxes(curves.at(t), 0, 1)
     lengths = np.sum(np.linalg.norm(np.diff(points, axis=1), axis=-1), axis=1)
-    return Ways(tuple(points), lengths)
+    return Routes(tuple(points), lengths)
 
 
-def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
-    """Return the shortest way whose corners keep a distance [m] from all prisms, or None."""
+def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
+    """Return the shortest route whose corners keep a distance [m] from all prisms, or None."""
     solids = [
         _Solid.around(prism, distance * (1.0 - TIGHT)) for prism in task.requirements.keep_out
     ]
@@ -152,14 +151,14 @@ def _way(task: SeparationTask, start: Array, goal: Array, distance: float) -> Ar
     )
     if not np.isfinite(distances[0, 1]):
         return None
-    way = [1]
-    while way[-1] != 0:
-        way.append(int(before[0, way[-1]]))
-    return nodes[way[::-1]]
+    route = [1]
+    while route[-1] != 0:
+        route.append(int(before[0, route[-1]]))
+    return nodes[route[::-1]]
 
 
 def _over(prism: Prism, start: Array, goal: Array, distance: float) -> Array:
-    """Return the points (m, 3) above and below a prism where the straight way comes and goes."""
+    """Return points (m, 3) over and under a prism where the straight route enters and leaves."""
     tower = _Solid.around(Prism(prism.polygon, -HIGH, HIGH), distance)
     into, out = tower.crossed(start[None], goal[None])
     if not into[0] < out[0]:
@@ -179,24 +178,23 @@ class _Solid:
     @classmethod
     def around(cls, prism: Prism, distance: float) -> _Solid:
         edges = prism.polygon.edge_vectors
-        sides = np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))])
-        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
         reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
         normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
         return cls(normals, np.concatenate([reach, [-prism.lower, prism.upper]]) + distance)
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """(m,): whether points (m, 3) are within."""
+        """Return whether points (m, 3) are within, (m,)."""
         within: NDArray[np.bool_] = np.all(points @ self.normals.T < self.offsets, axis=1)
         return within
 
     def cuts(self, first: Array, last: Array) -> NDArray[np.bool_]:
-        """(m,): whether the segments between points (m, 3) go through it."""
+        """Return whether segments between points (m, 3) pass through, (m,)."""
         into, out = self.crossed(first, last)
         return into < out
 
     def crossed(self, first: Array, last: Array) -> tuple[Array, Array]:
-        """(m,) each: at which shares segments (m, 3) come and go; in another order they miss it."""
+        """Return the shares (m,) where segments enter and leave; they miss it if enter ≥ leave."""
         before = first @ self.normals.T - self.offsets
         after = last @ self.normals.T - self.offsets
         change = after - before
@@ -213,8 +211,7 @@ class _Solid:
 def _widened(outline: Array, distance: float) -> Array:
     """Return the corners of a clockwise outline whose sides are moved out by a distance [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
-    outward = np.column_stack([-edges[:, 1], edges[:, 0]])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward = unit(np.column_stack([-edges[:, 1], edges[:, 0]]))
     middle = np.roll(outward, 1, axis=0) + outward
     widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
     return widened
@@ -228,15 +225,15 @@ def _inside(arena: Arena | None, points: Array) -> NDArray[np.bool_]:
 
 
 def _too_narrow(task: SeparationTask, drone: int) -> Violation:
-    """Return how wide the widest way is that was found for a drone."""
+    """Return the violation of the widest route that was found for a drone."""
     start, goal, limit = task.start[drone], task.goal[drone], task.requirements.separation.radius
     narrow, wide = 0.0, limit
     for _ in range(HALVINGS):
         middle = 0.5 * (narrow + wide)
-        if _way(task, start, goal, middle) is None:
+        if _route(task, start, goal, middle) is None:
             wide = middle
         else:
             narrow = middle
     remedy = "widen the gap between the prisms, or between them and the arena"
-    when = "on the widest way found from its start to its goal"
+    when = "on the widest route found from its start to its goal"
     return Violation("keep_out", narrow, limit, "min", "m", (task.names[drone],), when, remedy)

@@ -1,4 +1,4 @@
-"""The planner: guesses, convex programs around them, and the certificate that ends the search."""
+"""The separation planner: guesses, convex programs around them, and bounds that end the search."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
 from hitchopt.planners.separation.end_checks import check_ends
-from hitchopt.planners.separation.evaluation import Standing, standing_of
-from hitchopt.planners.separation.guess import Manners, pushed_apart
+from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
 from hitchopt.planners.separation.qp import ProgramError, Solver
 from hitchopt.planners.separation.separation_program import MARGIN, Around, build_program
-from hitchopt.planners.separation.setting import Course, course_of
+from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
 from hitchopt.planners.separation.walls import walls_before
 
@@ -24,120 +24,120 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 GUESSES = (
-    Manners(0.5),
-    Manners(0.5, layers=3),
-    Manners(0.5, patience=1.5),
-    Manners(-0.5),
-    Manners(0.5, patience=2.0),
-    Manners(1.5, layers=2),
-    Manners(0.5, patience=3.0),
+    PriorityRule(0.5),
+    PriorityRule(0.5, layers=3),
+    PriorityRule(0.5, patience=1.5),
+    PriorityRule(-0.5),
+    PriorityRule(0.5, patience=2.0),
+    PriorityRule(1.5, layers=2),
+    PriorityRule(0.5, patience=3.0),
 )
-"""How drones give way when they meet, in the order in which it is tried."""
+"""Priority rules in the order in which they are tried."""
 
 ROUNDS = 16
-"""Programs around one guess, at most."""
+"""Maximum number of programs around one guess."""
 
 FASTER = 0.85
-"""Share of the duration that the next program aims at, as long as the curves are clear."""
+"""Share of the present duration that the next program aims at while the curves are clear."""
 
 BARELY = 1.03
-"""Times what each takes alone: splines on the grid cannot be faster, so nothing aims at less."""
+"""Smallest duration to aim at, over that of single flights: splines cannot be faster."""
 
 GOOD = 1.05
-"""Times what each takes alone: what is as fast is not improved any more."""
+"""Duration over that of single flights at which the search ends."""
 
 PATIENCE = 3
-"""Rounds in a row that may gain nothing."""
+"""Maximum consecutive rounds without a gain."""
 
 GAIN = 0.02
-"""Share of the duration: rounds that gain less are the last ones."""
+"""Smallest relative gain that counts."""
 
 TRUST = 2.5
-"""Radii that a coefficient may move by in one program."""
+"""Trust radius: largest move of a coefficient in one program, in drone radii."""
 
 STALLED = 6
-"""Rounds in a row that may bring nothing while drones still meet."""
+"""Maximum consecutive rounds without a gain while drones still meet."""
 
 UNCLEAR, LATE = 1e9, 1e6
-"""Orders of demerit: of curves that break a limit at any speed, and of those that take too long."""
+"""Offsets of the merit for curves that break a limit at any speed, and that take too long."""
 
 REACH = 1.0
-"""Pieces this much farther apart than they must be get a plane as well."""
+"""Excess of the separation [1] up to which pairs of pieces get a plane."""
 
 NEARLY = 1.15
-"""Times what each takes alone: as fast as this, one round without a gain is the last one."""
+"""Duration over that of single flights at which one round without a gain ends the search."""
 
 
 def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
-    """Return curves for all drones that keep all of the task for all of the time.
+    """Return curves for all drones that satisfy the task at every time.
 
     Parameters
     ----------
-    task: who flies from where to where, and what must hold.
-    progress: called with what is being done now.
+    task: starts, goals and requirements.
+    progress: called with a description of the present stage.
 
     Raises
     ------
-    InfeasibleError: it cannot be met, or no way was found; the violations name the pair and the
-        time.
+    InfeasibleError: the task cannot be met, or the search found no curves; the violations name the
+        pair and the time.
     """
     say = progress if progress is not None else _silent
     check_ends(task)
-    course = course_of(task)
-    if task.duration is not None and task.duration < course.bound:
-        raise InfeasibleError([_too_short(task, course.bound, "no drone can be as fast")])
-    tried: list[Standing] = []
-    if standing_of(course, course.nominal).clear:  # nobody is in anybody's way
-        found = _improved(course, course.nominal, say)
+    setting = setting_of(task)
+    if task.duration is not None and task.duration < setting.bound:
+        raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
+    tried: list[Evaluation] = []
+    if evaluate(setting, setting.nominal).clear:  # no two drones meet
+        found = _improved(setting, setting.nominal, say)
         if found.clear and found.duration <= (task.duration or math.inf):
-            return _separated(course, found, "")
+            return _separated(setting, found, "")
         tried.append(found)
-    for manners in GUESSES:
-        patience = manners.patience
-        if task.duration is not None and patience * course.alone > task.duration:
+    for rule in GUESSES:
+        patience = rule.patience
+        if task.duration is not None and patience * setting.alone > task.duration:
             continue
-        say(f"guess: {manners}")
-        way = course if patience == 1.0 else course_of(task, patience)
-        found = _improved(way, pushed_apart(way, manners), say)
+        say(f"guess: {rule}")
+        delayed = setting if patience == 1.0 else setting_of(task, patience)
+        found = _improved(delayed, pushed_apart(delayed, rule), say)
         if found.clear and found.duration <= (task.duration or math.inf):
-            return _separated(way, found, str(manners))
+            return _separated(delayed, found, str(rule))
         tried.append(found)
     return _last_resort(task, tried, say)
 
 
-def _improved(course: Course, guess: Array, say: Progress) -> Standing:
-    """Return the best curves that programs around a guess lead to, clear ones if there are any."""
+def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
+    """Return the best curves that programs around a guess reach."""
     solver = Solver()
-    here = best = standing_of(course, guess)
+    here = best = evaluate(setting, guess)
     known: ClosePieces | None = None
     idle = 0
     for round_number in range(ROUNDS):
-        around = _around(course, here, known)
+        around = _around(setting, here, known)
         known = around.planes.between
-        built = build_program(course, around)
+        built = build_program(setting, around)
         first = np.zeros(len(built.program.q))  # unknowns are changes
         try:
-            solution = solver.solve(built.program, first, built.kept_rows)
+            solution = solver.solve(built.program, first, built.common_rows)
         except ProgramError:
             break
-        here = standing_of(course, built.moved(solution.x))
+        here = evaluate(setting, built.moved(solution.x))
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
-        idle = 0 if _demerit(course, here) < (1.0 - GAIN) * _demerit(course, best) else idle + 1
-        if _demerit(course, here) < _demerit(course, best):
+        idle = 0 if _merit(setting, here) < (1.0 - GAIN) * _merit(setting, best) else idle + 1
+        if _merit(setting, here) < _merit(setting, best):
             best = here
-        if _enough(course, here, best, idle):
+        if _enough(setting, here, best, idle):
             break
     return best
 
 
-def _around(course: Course, here: Standing, known: ClosePieces | None) -> Around:
-    """Return where the next program is set up, with the planes of the last one among its own."""
-    task = course.task
+def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Around:
+    """Return the data of the next program; it has the planes of the last one as well."""
+    task = setting.task
     radius = task.requirements.separation.radius
     aimed = FASTER * here.duration if here.clear else here.duration
-    floor = BARELY * course.alone if task.duration is None else task.duration
-    pieces = course.grid.pieces_of(here.coefficients)
-    scaled = pieces * course.scale[:, None]
+    floor = BARELY * setting.alone if task.duration is None else task.duration
+    pieces = setting.grid.pieces_of(here.coefficients)
+    scaled = pieces * setting.scale[:, None]
     close = close_pieces(scaled, 1.0 + MARGIN + REACH)
     if known is not None:
         close = close.united(known, task.drones)
@@ -147,48 +147,48 @@ def _around(course: Course, here: Standing, known: ClosePieces | None) -> Around
     return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
 
 
-def _enough(course: Course, here: Standing, best: Standing, idle: int) -> bool:
-    """Return whether more rounds are not worth their while."""
+def _enough(setting: Setting, here: Evaluation, best: Evaluation, idle: int) -> bool:
+    """Return whether the search around this guess ends."""
     if not best.clear:
         return idle >= STALLED
-    if course.task.duration is not None:
-        return idle >= (1 if best.duration <= course.task.duration else PATIENCE)
-    if best.duration <= max(GOOD, BARELY) * course.alone:
+    if setting.task.duration is not None:
+        return idle >= (1 if best.duration <= setting.task.duration else PATIENCE)
+    if best.duration <= max(GOOD, BARELY) * setting.alone:
         return True
-    nearly = best.duration <= NEARLY * course.alone and here.clear
+    nearly = best.duration <= NEARLY * setting.alone and here.clear
     return idle >= (1 if nearly else PATIENCE)
 
 
-def _demerit(course: Course, standing: Standing) -> float:
-    """Return a number that is smaller the better.
+def _merit(setting: Setting, evaluation: Evaluation) -> float:
+    """Return the merit of curves, smaller for better ones.
 
-    What is not clear is worst. Of the rest the fastest is best; or, where the duration is given and
-    kept, what is nearest to the nominal curves.
+    Curves that are not clear come last. Of the others the fastest is best or, where a given
+    duration is satisfied, the one nearest to the nominal curves.
     """
-    given = course.task.duration
-    if not standing.clear:
-        return UNCLEAR * (2.0 - min(standing.closest, 1.0))
+    given = setting.task.duration
+    if not evaluation.clear:
+        return UNCLEAR * (2.0 - min(evaluation.closest, 1.0))
     if given is None:
-        return standing.duration
-    if standing.duration > given:
-        return LATE * standing.duration / given
-    s, weights = course.grid.quadrature
+        return evaluation.duration
+    if evaluation.duration > given:
+        return LATE * evaluation.duration / given
+    s, weights = setting.grid.quadrature
     offset = np.einsum(
-        "sc,ncd->nsd", course.grid.sampled(s), standing.coefficients - course.nominal
+        "sc,ncd->nsd", setting.grid.sampled(s), evaluation.coefficients - setting.nominal
     )
-    return float(np.sum(weights[:, None] * offset**2)) / course.size**2 / len(offset)
+    return float(np.sum(weights[:, None] * offset**2)) / setting.size**2 / len(offset)
 
 
-def _separated(course: Course, found: Standing, remark: str) -> Separated:
-    duration = found.duration if course.task.duration is None else course.task.duration
-    curves = course.grid.curves(found.coefficients, duration)
-    return Separated(curves, found.closest, course.bound, remark)
+def _separated(setting: Setting, found: Evaluation, remark: str) -> Separated:
+    duration = found.duration if setting.task.duration is None else setting.task.duration
+    curves = setting.grid.curves(found.coefficients, duration)
+    return Separated(curves, found.closest, setting.bound, remark)
 
 
-def _last_resort(task: SeparationTask, tried: list[Standing], say: Progress) -> Separated:
-    """Return the fastest flight at the pace that is asked for, or say how long it takes."""
-    nearest = max(tried, key=lambda standing: standing.closest)
-    note = f"no way was found from {len(tried)} guesses, which proves nothing"
+def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
+    """Return the fastest flight slowed to the given duration, or refuse with the time it takes."""
+    nearest = max(tried, key=lambda evaluation: evaluation.closest)
+    note = f"no route was found from {len(tried)} guesses; the search is local: others may exist"
     if task.duration is None:
         raise InfeasibleError(nearest.broken, note)
     say("looking for a duration that would do")
@@ -198,23 +198,16 @@ def _last_resort(task: SeparationTask, tried: list[Standing], say: Progress) -> 
         raise InfeasibleError(nearest.broken, note) from None
     needed = found.drones.duration
     if needed > task.duration:
-        raise InfeasibleError([_too_short(task, needed, "the fastest way found takes longer")])
+        raise InfeasibleError([_too_short(task, needed, "the fastest route found takes longer")])
     return replace(found, drones=found.drones.stretched(task.duration / needed))
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
-    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # upward: what is told must do
+    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # rounded up
     enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
-    return Violation(
-        "duration",
-        needed,
-        task.duration or math.nan,
-        "max",
-        "s",
-        (),
-        "",
-        f"{which}; allow {enough:.4g} s, or raise the limits",
-    )
+    remedy = f"{which}; allow {enough:.4g} s, or raise the limits"
+    limit = task.duration or math.nan
+    return Violation("duration", needed, limit, "max", "s", (), "", remedy)
 
 
 def _silent(_: str) -> None:

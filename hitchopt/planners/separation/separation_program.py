@@ -1,4 +1,4 @@
-"""One convex program: the curves around a course's current ones, linearised.
+"""The convex program around given curves: all requirements, linearised.
 
 Unknowns are the changes of the free coefficients, in trust radii, and slacks: one per drone for its
 limits, one per cable, plane and wall. All rows hold on whole pieces, by their Bernstein (or spline)
@@ -13,11 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
-from hitchopt.planners.separation.qp import QuadraticProgram
-from hitchopt.planners.separation.rows import Rows
-from hitchopt.planners.separation.setting import Course, inside
+from hitchopt.planners.separation.setting import Setting, inside
 from hitchopt.planners.separation.spline import DEGREE, HELD
 from hitchopt.planners.separation.walls import Walls
 from hitchopt.requirements import Arena
@@ -26,27 +26,27 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MARGIN = 0.01
-"""By which planes are to be kept, in separations: OSQP errs by some thousandths."""
+"""Margin of every plane, in separations: OSQP errs by some thousandths."""
 
 DEVIATION, ROUGHNESS = 1.0, 3e-7
 """Weights of the squared distance to the nominal curves and of the squared third derivative, both
-over the longest way and a duration of one."""
+scaled to the longest route and a duration of one."""
 
 BROKEN = 10.0
-"""Weight of a squared slack of a plane, wall or cable."""
+"""Penalty weight of a squared slack of a plane, wall or cable."""
 
 EXCEEDED = 100.0
-"""Weight of a squared slack of a drone's limits, over the number of drones."""
+"""Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Where a program is set up.
+    """The curves that a program is linearised about, with planes and walls.
 
     Attributes
     ----------
     coefficients: (N, count, 3) [m], the current curves.
-    duration: [s] in which the limits are to be kept.
+    duration: [s] for which the limits hold.
     trust: how far any coefficient may move along any axis [m].
     planes, walls: what pieces must stay on their side of.
     """
@@ -60,99 +60,94 @@ class Around:
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A program and the meaning of its unknowns.
+    """A program and what its unknowns stand for.
 
     Attributes
     ----------
     program: for the solver.
-    kept_rows: rows at the front that are the same in every program of this course.
+    common_rows: rows at the front that are the same in every program of this setting.
     """
 
     program: QuadraticProgram
-    kept_rows: int
+    common_rows: int
     _shape: tuple[int, int, int] = field(repr=False)
     _around: Around = field(repr=False)
     _arena: Arena | None = field(repr=False)
 
     def moved(self, x: Array) -> Array:
-        """(N, count, 3) [m]: the coefficients that a solution stands for."""
+        """Return the coefficients (N, count, 3) [m] that a solution stands for."""
         coefficients = self._around.coefficients.copy()
         steps = np.clip(x[: int(np.prod(self._shape))], -1.0, 1.0).reshape(self._shape)
         inner = coefficients[:, HELD:-HELD]
         inner += self._around.trust * steps
-        if self._arena is not None:  # to the last digit, which OSQP does not know
+        if self._arena is not None:  # exactly, where OSQP has a tolerance
             inner[...] = inside(self._arena, inner)
         return coefficients
 
 
-def build_program(course: Course, around: Around) -> Built:
+def build_program(setting: Setting, around: Around) -> Built:
     """Return the program around the given curves."""
-    n = course.task.drones
-    free = course.grid.count - 2 * HELD
+    n = setting.task.drones
+    free = setting.grid.count - 2 * HELD
     unknowns = 3 * n * free
-    cables = len(course.task.tethers)
+    cables = len(setting.task.tethers)
     planes, walls = len(around.planes.between), len(around.walls)
     rows = Rows(unknowns + n + cables + planes + walls)
-    _add_boxes(rows, course, around)
-    add_limits(rows, course, around.coefficients, around.duration, around.trust, unknowns)
-    _add_tethers(rows, course, around, unknowns + n)
+    _add_boxes(rows, setting, around)
+    add_limits(rows, setting, around.coefficients, around.duration, around.trust, unknowns)
+    _add_tethers(rows, setting, around, unknowns + n)
     rows.add_bounds(unknowns + np.arange(n + cables), 0.0, np.inf)
-    kept = rows.count
+    common = rows.count
     slacks = unknowns + n + cables
-    _add_planes(rows, course, around, slacks)
-    _add_walls(rows, course, around, slacks + planes)
+    _add_planes(rows, setting, around, slacks)
+    _add_walls(rows, setting, around, slacks + planes)
     rows.add_bounds(slacks + np.arange(planes + walls), 0.0, np.inf)
-    hessian, gradient = _objective(course, around)
+    hessian, gradient = _objective(setting, around)
     weights = np.concatenate([np.full(n, EXCEEDED / n), np.full(cables + planes + walls, BROKEN)])
-    P = sp.block_diag([hessian, sp.diags_array(weights)], format="csc")
+    P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     q = np.concatenate([gradient, np.zeros(len(weights))])
-    program = QuadraticProgram(sp.csc_array(sp.triu(P)), q, *rows.compressed())
-    return Built(program, kept, (n, free, 3), around, course.task.requirements.arena)
+    program = QuadraticProgram(P, q, *rows.compressed())
+    return Built(program, common, (n, free, 3), around, setting.task.requirements.arena)
 
 
-def _objective(course: Course, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
-    grid = course.grid
+def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
+    grid = setting.grid
     s, weights = grid.quadrature
     basis, bends = grid.sampled(s), grid.sampled(s, 3)
-    unit = 2.0 / (course.size**2 * course.task.drones)
+    unit = 2.0 / (setting.size**2 * setting.task.drones)
     free = basis[:, grid.free] * weights[:, None], bends[:, grid.free] * weights[:, None]
-    deviation = np.einsum("sc,ncd->nsd", basis, around.coefficients - course.nominal)
+    deviation = np.einsum("sc,ncd->nsd", basis, around.coefficients - setting.nominal)
     bending = np.einsum("sc,ncd->nsd", bends, around.coefficients)
     gradient = DEVIATION * np.einsum("sf,nsd->nfd", free[0], deviation)
     gradient += ROUGHNESS * np.einsum("sf,nsd->nfd", free[1], bending)
     one = DEVIATION * free[0].T @ basis[:, grid.free] + ROUGHNESS * free[1].T @ bends[:, grid.free]
     trust = around.trust
     block = sp.kron(sp.csc_array(unit * trust**2 * one), sp.eye_array(3))
-    hessian = sp.csc_array(sp.kron(sp.eye_array(course.task.drones), block))
+    hessian = sp.csc_array(sp.kron(sp.eye_array(setting.task.drones), block))
     return hessian, unit * trust * gradient.ravel()
 
 
-def _add_boxes(rows: Rows, course: Course, around: Around) -> None:
+def _add_boxes(rows: Rows, setting: Setting, around: Around) -> None:
     """Keep changes within the trust radius, and coefficients (so curves) within the arena."""
     current = around.coefficients[:, HELD:-HELD]
     lower, upper = np.full(current.shape, -1.0), np.full(current.shape, 1.0)
-    arena = course.task.requirements.arena
+    arena = setting.task.requirements.arena
     if arena is not None:
         lower = np.maximum(lower, np.minimum((arena.lower - current) / around.trust, 0.0))
         upper = np.minimum(upper, np.maximum((arena.upper - current) / around.trust, 0.0))
     rows.add_bounds(np.arange(current.size), lower.ravel(), upper.ravel())
 
 
-def _add_tethers(rows: Rows, course: Course, around: Around, slack: int) -> None:
-    """Keep every coefficient's distance along its current direction: the hull's is no larger."""
-    tethers = course.task.tethers
-    if not tethers:
-        return
-    first = np.array([tether.first for tether in tethers])
-    second = np.array([tether.second for tether in tethers])
-    longest = np.array([tether.longest for tether in tethers])
+def _add_tethers(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
+    """Bound every coefficient's distance along its current direction: the hull's is no larger."""
+    first, second, longest = setting.task.tether_arrays
     inner = around.coefficients[:, HELD:-HELD]
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
     size = np.linalg.norm(offset, axis=-1)
-    along = offset / np.maximum(size, 1e-9)[..., None]
+    along = unit(offset, least=1e-9)
     f = np.arange(free)
-    local = (np.arange(len(tethers))[:, None] * free + f).ravel()
+    local = (np.arange(len(longest))[:, None] * free + f).ravel()
     entries = (along * around.trust / longest[:, None, None]).ravel()
     columns = [
         ((end[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel() for end in (first, second)
@@ -168,31 +163,30 @@ def _add_tethers(rows: Rows, course: Course, around: Around, slack: int) -> None
     rows.extend(top + local, slack + local // free, -1.0)
 
 
-def _add_planes(rows: Rows, course: Course, around: Around, slack: int) -> None:
+def _add_planes(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
     between = around.planes.between
-    steepest = around.planes.normals * course.scale * around.trust
-    wanted = np.full(around.planes.gaps.shape, 1.0 + MARGIN)
-    lower = wanted - around.planes.gaps
-    first, there, live = _piece_entries(course, between.piece, between.first, steepest)
-    second, back, _ = _piece_entries(course, between.piece, between.second, -steepest)
+    steepest = around.planes.normals * setting.scale * around.trust
+    lower = (1.0 + MARGIN) - around.planes.gaps
+    first, there, live = _piece_entries(setting, between.piece, between.first, steepest)
+    second, back, _ = _piece_entries(setting, between.piece, between.second, -steepest)
     _add_sided(rows, [first, second], [there, back], live, lower, slack)
 
 
-def _add_walls(rows: Rows, course: Course, around: Around, slack: int) -> None:
+def _add_walls(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
     walls = around.walls
     lower = (1.0 + MARGIN) - walls.gaps
-    steepest = walls.normals * around.trust / course.task.requirements.separation.radius
-    column, entry, live = _piece_entries(course, walls.piece, walls.drone, steepest)
+    steepest = walls.normals * around.trust / setting.task.requirements.separation.radius
+    column, entry, live = _piece_entries(setting, walls.piece, walls.drone, steepest)
     _add_sided(rows, [column], [entry], live, lower, slack)
 
 
 def _piece_entries(
-    course: Course, piece: Indices, drone: Indices, steepest: Array
+    setting: Setting, piece: Indices, drone: Indices, steepest: Array
 ) -> tuple[Indices, Array, NDArray[np.bool_]]:
     """Return columns, entries and which are free, (m, rows, coefficients, 3), of pieces' rows."""
     k = DEGREE + 1
-    free = course.grid.count - 2 * HELD
-    entries = course.grid.extraction[piece][..., None] * steepest[:, None, None, :]
+    free = setting.grid.count - 2 * HELD
+    entries = setting.grid.extraction[piece][..., None] * steepest[:, None, None, :]
     index = piece[:, None] + np.arange(k) - HELD
     live = np.broadcast_to(((index >= 0) & (index < free))[:, None, :, None], entries.shape)
     columns = ((drone[:, None] * free + index)[..., None] * 3 + np.arange(3))[:, None]
@@ -212,7 +206,7 @@ def _add_sided(
     if m == 0:
         return
     local = np.broadcast_to(np.arange(m * k).reshape(m, k, 1, 1), live.shape)[live]
-    # What the ends hold cannot move: no row may ask for it.
+    # Held coefficients cannot move: their rows have no bound.
     movable = np.any(live, axis=(2, 3))
     lower = np.where(movable, lower, -np.inf)
     top = rows.add(

@@ -1,4 +1,4 @@
-"""What a task looks like to the planner: a grid of time, splines, limits and scales."""
+"""A separation task on its time grid, with nominal splines, limits and scales."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
-from hitchopt.planners.separation.routes import ways_along, ways_around
+from hitchopt.planners.separation.routes import routes_along, routes_around
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena
@@ -18,37 +18,37 @@ from hitchopt.requirements import Arena
 Array = NDArray[np.float64]
 
 RAMP_PIECES = 3
-"""Pieces in which a drone gets up to speed: what the fastest flight needs to within 2 %."""
+"""Number of pieces of a ramp: the fastest flight is resolved to within 2 %."""
 
 MOST_PIECES = 20
-"""Of the time between the ramps; otherwise each is as long as one of them."""
+"""Maximum number of pieces between the ramps; with fewer, each is as long as a ramp."""
 
 WALL = 1e-9
-"""Relative to an arena's coordinates: curves stay off its walls by so much."""
+"""Distance of curves to an arena's walls, relative to its coordinates."""
 
 SHORTEST_RAMP = 1e-5
-"""Of the duration: splines do not resolve ramps of microseconds in flights of a month."""
+"""Shortest ramp, as a share of the duration: splines do not resolve shorter ones."""
 
 SHORTEST = 0.2
-"""Share of the longest flight's time that even the shortest flight is given."""
+"""Shortest flight, as a share of the longest one."""
 
 SAMPLES = 3
-"""Of every piece, where curves are looked at between their ends."""
+"""Number of samples of every piece at which guesses are pushed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Setting:
     """A task on its grid.
 
     Attributes
     ----------
-    task: what is asked.
+    task: starts, goals and requirements.
     grid: the pieces of time.
     nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
     caps: (3, N): largest norms of the first three derivatives of each drone, by time.
     bound: no flight of all drones takes less [s].
-    alone: what the drones would take about on their ways around prisms, if each were alone [s].
-    size: the longest way [m], by which deviations are measured.
+    alone: estimate of the longest flight on routes around prisms, without other drones [s].
+    size: the longest route [m], by which deviations are measured.
     """
 
     task: SeparationTask
@@ -65,18 +65,18 @@ class Course:
         return self.task.requirements.separation.scale
 
 
-def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
-    """Return the task's course: its grid suits the drone that takes longest.
+def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
+    """Return the task on a grid that suits the drone with the longest flight.
 
     Parameters
     ----------
-    task: what is asked.
-    patience: how many times what the slowest takes there is for all, who then leave one after the
-        other where they would meet; 1: all leave at once.
+    task: starts, goals and requirements.
+    patience: duration over that of the slowest flight; above 1, drones that would meet leave one
+        after the other, and at 1 all leave at once.
 
     Raises
     ------
-    InfeasibleError: the prisms leave no way.
+    InfeasibleError: the prisms leave no route.
     """
     limits = task.requirements.limits
     n = task.drones
@@ -85,13 +85,13 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     straight = np.linalg.norm(task.goal - task.start, axis=1)
     bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
-    ways = ways_along(task.nominal) if task.nominal is not None else ways_around(task)
-    ramps = fastest_ramps(ways.lengths, limits.speed, acceleration, limits.jerk)
+    routes = routes_along(task.nominal) if task.nominal is not None else routes_around(task)
+    ramps = fastest_ramps(routes.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
     alone = float(ramps.duration[slowest])
     rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
-    size = max(float(np.max(ways.lengths)), 2.0 * task.requirements.separation.radius)
-    going = float(ways.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    size = max(float(np.max(routes.lengths)), 2.0 * task.requirements.separation.radius)
+    going = float(routes.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
     middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
@@ -104,28 +104,29 @@ def course_of(task: SeparationTask, patience: float = 1.0) -> Course:
         points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
     elif patience > 1.0 and going:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
-        rises = np.divide(ramps.rise, ramps.duration, out=np.full(n, 0.5), where=ways.lengths > 0.0)
-        leaving = departures(ways, shares, rises, task.requirements.separation.scale)
+        rises = np.full(n, 0.5)
+        np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)
+        leaving = departures(routes, shares, rises, task.requirements.separation.scale)
         own = [
             progress_along((s - leave) / share, float(rise))
             for leave, share, rise in zip(leaving, shares, rises, strict=True)
         ]
-        points = ways.points(np.stack(own))
+        points = routes.points(np.stack(own))
     else:
         share = progress_along(s, 1.0 / breaks[-1])
-        points = ways.points(np.broadcast_to(share, (n, len(share))))
+        points = routes.points(np.broadcast_to(share, (n, len(share))))
     nominal = _fitted(task, grid, s, points)
-    return Course(task, grid, nominal, caps, float(bound), alone, size)
+    return Setting(task, grid, nominal, caps, float(bound), alone, size)
 
 
 def inside(arena: Arena, points: Array) -> Array:
-    """Return points (…, 3) [m], those outside moved in, off the walls by what rounding may err."""
+    """Return points (…, 3) [m], clipped to the arena with a margin for rounding."""
     room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
     return np.clip(points, arena.lower + room, arena.upper - room)
 
 
 def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
-    """(N, count, 3): coefficients held at both ends, zero between."""
+    """Return coefficients (N, count, 3) that hold both ends and are zero in between."""
     coefficients = np.zeros((len(start), grid.count, 3))
     coefficients[:, :HELD] = start[:, None]
     coefficients[:, -HELD:] = goal[:, None]

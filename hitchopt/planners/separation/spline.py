@@ -18,10 +18,10 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 Array = NDArray[np.float64]
 
 DEGREE = 5
-"""Of the curves: jerk is continuous too."""
+"""Degree of the curves, with which jerk is continuous as well."""
 
 HELD = 3
-"""Coefficients at each end that hold position, zero velocity and zero acceleration."""
+"""Number of coefficients at each end that hold position, zero velocity and acceleration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +42,12 @@ class Grid:
 
     @property
     def count(self) -> int:
-        """Coefficients of a spline."""
+        """Number of coefficients of a spline."""
         return self.pieces + DEGREE
 
     @property
     def free(self) -> slice:
-        """The coefficients that the ends leave free."""
+        """The coefficients that the ends do not hold."""
         return slice(HELD, self.count - HELD)
 
     @cached_property
@@ -71,7 +71,7 @@ class Grid:
         return np.swapaxes(swapped, 1, 2)
 
     def sampled(self, s: Array, derivative: int = 0) -> Array:
-        """(*s.shape, count): what each coefficient contributes at ``s``, or to a derivative."""
+        """Return the basis functions, or a derivative of theirs, at ``s`` as (*s.shape, count)."""
         splines = BSpline(self.knots, np.eye(self.count), DEGREE)
         function = splines.derivative(derivative) if derivative else splines
         values: Array = function(np.clip(s, 0.0, 1.0))
@@ -103,7 +103,7 @@ class Grid:
         return matrices[0], matrices[1], matrices[2]
 
     def pieces_of(self, coefficients: Array) -> Array:
-        """(pieces, N, 3, DEGREE + 1): Bernstein coefficients from splines' (N, count, 3)."""
+        """Return Bernstein coefficients (pieces, N, 3, DEGREE + 1) of splines (N, count, 3)."""
         index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
         local = coefficients[:, index]  # (N, pieces, DEGREE + 1, 3)
         pieces: Array = np.einsum("pbk,npkd->pndb", self.extraction, local, optimize=True)

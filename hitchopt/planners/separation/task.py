@@ -1,4 +1,4 @@
-"""What the separation planner is asked: who flies from where to where, and what must hold."""
+"""The separation planner's task, and its result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tether:
-    """Two drones that may not part farther than a cable lets them.
+    """An upper bound of the distance of two drones that hold one cable.
 
     Parameters
     ----------
@@ -37,15 +37,15 @@ class Tether:
 
 @dataclass(frozen=True, eq=False)
 class SeparationTask:
-    """N drones that go from rest to rest and keep out of each other's downwash.
+    """The task of N drones that fly from rest to rest outside of each other's downwash.
 
     Parameters
     ----------
     start, goal: (N, 3) [m]
     requirements: speed, acceleration and jerk of every drone, the ellipsoids, the arena and the
-        prisms that drones stay out of by ``separation.radius``; the rest is not looked at.
+        prisms that drones stay out of by ``separation.radius``; the rest is not used.
     tethers: pairs of drones with a largest distance.
-    duration: exactly this long [s], or None: as short as is found.
+    duration: exact duration [s], or None for the shortest that is found.
     nominal: of shape (N, 3) [m]: curves from start to goal that the drones stay near to, over any
         span of time (they are flown over the whole duration); None: straight lines.
     acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
@@ -97,13 +97,19 @@ class SeparationTask:
 
     @property
     def drones(self) -> int:
-        """How many."""
+        """Number N of drones."""
         return len(self.start)
+
+    @property
+    def tether_arrays(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """First drones, second drones and largest distances [m] of all tethers, (tethers,) each."""
+        ends = np.array([[t.first, t.second] for t in self.tethers], np.intp).reshape(-1, 2)
+        return ends[:, 0], ends[:, 1], np.array([t.longest for t in self.tethers])
 
 
 @dataclass(frozen=True, eq=False)
 class Separated:
-    """What the planner found; it has been bounded in continuous time that it keeps the task.
+    """Curves that satisfy their task at every time, by bounds in continuous time.
 
     Attributes
     ----------
@@ -111,7 +117,7 @@ class Separated:
         both ends; position, velocity and acceleration are continuous to 1e-9 or better.
     closest: no two drones' separation is smaller at any time (ratio).
     bound: no flight of these drones, even alone, takes less [s].
-    remark: how it was found, in a few words.
+    remark: the priority rule that led to it.
     """
 
     drones: PiecewisePolynomial

@@ -42,8 +42,8 @@ def walls_before(curves: Array, prisms: tuple[Prism, ...], radius: float, cutoff
     Parameters
     ----------
     curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
-    prisms: to stay out of.
-    radius: the distance to keep from them [m]
+    prisms: obstacles.
+    radius: smallest distance to them [m]
     cutoff: [m]
     """
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), curves.shape[-1] - 1)

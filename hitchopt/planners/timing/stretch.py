@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
+from hitchopt.hitch.statics import cable_forces
 from hitchopt.planners.timing.demands import Demands, loads_at_rest
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -98,9 +99,7 @@ def _spans(order: int) -> Array:
 
 def _loads(team: Team, flight: Timed, t: Array) -> Array:
     """Return the thrust at rest (times, 2n, 3) [N] of what the polynomials say at t."""
-    p, drones = flight.vertices.at(t), flight.drones.at(t)
-    outward = drones - p[:, team.layout.pulled_to]
-    directions = outward / length(outward)[..., None]
-    forces = -flight.pulls.at(t)[..., None] * directions
-    forces[..., 2] -= team.cable_weight
-    return loads_at_rest(team, forces)
+    places = flight.drones.at(t), flight.vertices.at(t)
+    return loads_at_rest(
+        team, cable_forces(team, *places, flight.pulls.at(t), np.ones(team.robots))
+    )

@@ -1,0 +1,123 @@
+"""Every field of a team survives what copies or stores teams; a new field fails until it does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hitchopt import Hitch, Limits, Quadrotor, Separation, Team
+from hitchopt.hitch.assignment import Assignment
+from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.repair import editing
+from hitchopt.mission.step_records import Hold
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.plan_file import read_plan, write_plan
+from hitchopt.requirements import Requirements
+from hitchopt.trajectory import PiecewisePolynomial
+
+ORDER = (2, 0, 3, 1)
+
+VALUES: dict[str, Any] = {
+    "robots": 4,
+    "cable_length": [2.4, 2.5, 2.6, 2.7],
+    "topology": "open",
+    "cable_density": 0.003,
+    "cable_friction": 0.05,
+    "tension": [0.41, 0.42, 0.43, 0.44],
+    "quadrotor": tuple(Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k) for k in range(4)),
+}
+"""One value for every field of a team, none its default; those per robot all differ."""
+
+ARC = [[-1.0, 0.0], [-0.5, 0.9], [0.5, 1.1], [1.4, 0.7], [1.7, -0.3]]
+
+
+def team() -> Team:
+    return Team(**VALUES)
+
+
+def per_robot(name: str) -> bool:
+    return isinstance(VALUES[name], list | tuple)
+
+
+def assert_fields(found: Team, expected: Team, *, but: str = "") -> None:
+    for field in fields(Team):
+        if field.name == but:
+            continue
+        value = getattr(found, field.name)
+        np.testing.assert_array_equal(value, getattr(expected, field.name), err_msg=field.name)
+        assert type(value) is type(getattr(expected, field.name)), field.name
+
+
+def test_values_are_given_for_every_field_and_none_is_a_default() -> None:
+    assert set(VALUES) == {field.name for field in fields(Team)}
+    plain = Team(3, 1.0)
+    for field in fields(Team):
+        value, default = getattr(team(), field.name), getattr(plain, field.name)
+        assert not np.array_equal(value, default), field.name
+        if per_robot(field.name):
+            assert len(value) == len(set(value)) == 4, field.name
+
+
+def test_replacing_one_field_keeps_all_others() -> None:
+    changes: dict[str, Any] = {
+        "robots": 4,
+        "cable_length": 3.0,
+        "topology": "closed",
+        "cable_density": 0.0,
+        "cable_friction": 0.3,
+        "tension": 0.9,
+        "quadrotor": Quadrotor(),
+    }
+    for field in fields(Team):
+        changed = replace(team(), **{field.name: changes[field.name]})
+        assert_fields(changed, team(), but=field.name)
+
+
+def test_a_reloaded_plan_has_every_field(tmp_path: Path) -> None:
+    hitch = Hitch.balanced(team(), ARC, 1.1)
+    breaks = np.array([0.0, 2.0])
+    drones, vertices, legs, tensions = (
+        PiecewisePolynomial.constant(breaks, value)
+        for value in (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
+    )
+    phases = (Phase("hold", 0, 0.0, 2.0),)
+    motion = Motion(team(), Requirements(), drones, vertices, legs, tensions, phases)
+    write_plan(tmp_path / "plan.npz", motion)
+    assert_fields(read_plan(tmp_path / "plan.npz").team, team())
+
+
+def test_a_renumbered_team_has_every_field() -> None:
+    found = Assignment(ORDER, (False, True, False, True)).team(team())
+    for field in fields(Team):
+        value = VALUES[field.name]
+        expected = [value[i] for i in ORDER] if per_robot(field.name) else value
+        np.testing.assert_array_equal(getattr(found, field.name), expected, err_msg=field.name)
+
+
+@pytest.mark.parametrize(
+    ("edit", "changed"),
+    [
+        (lambda p: editing.with_cables(p, p.team.cable_length * 1.1), "cable_length"),
+        (lambda p: editing.with_tensions(p, p.team.tension * 1.1), "tension"),
+        (lambda p: editing.with_thrust(p, 1.1), "quadrotor"),
+        (lambda p: editing.with_limit(p, "tilt_deg", 50.0), ""),
+        (lambda p: editing.with_separation(p, "cable", 0.05), ""),
+        (lambda p: editing.with_outlines_scaled(p, 0.9), ""),
+        (lambda p: editing.with_seconds(p, 0, 3.0), ""),
+    ],
+)
+def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:
+    hitch = Hitch.balanced(team(), ARC, 1.1)
+    start = HitchStart(hitch.polygon, 1.1, "balanced")
+    problem = Problem(team(), start, (Hold(2.0),), Limits(), Separation(), None, "")
+    found = edit(problem).problem
+    assert found is not problem
+    assert_fields(found.team, team(), but=changed)
+    if changed:
+        value = getattr(found.team, changed)
+        assert not np.array_equal(value, getattr(team(), changed))
