@@ -13,7 +13,8 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 

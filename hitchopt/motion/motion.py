@@ -194,6 +194,11 @@ class Motion:
             phases=tuple(phases),
         )
 
+    def slowed(self, factor: float) -> Motion:
+        """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
+        phases = [replace(p, start=factor * p.start, end=factor * p.end) for p in self.phases]
+        return self.changed(lambda part: part.stretched(factor), phases)
+
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
     """Return one motion of the given ones in a row; team and limits are the first one's."""

@@ -18,7 +18,8 @@ from hitchopt.planners.optimise.morph_program import WayProgram
 from hitchopt.planners.optimise.solver import solve_program
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.path.straight_morph import straight_morph
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 

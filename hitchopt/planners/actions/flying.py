@@ -14,7 +14,8 @@ from hitchopt.planners.actions.sliding import cleared
 from hitchopt.planners.actions.timed import fly_timed
 from hitchopt.planners.path.path_feasibility import SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
-from hitchopt.planners.timing.flown import MOVES, Flown, fly_unhurried, moving
+from hitchopt.planners.timing.flight_curves import MOVES, Flight, moving
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 PROBES = 65
@@ -33,7 +34,7 @@ class Flying:
     worst: s where the law broke a limit on the way, or None.
     """
 
-    flight: Flown | None
+    flight: Flight | None
     turning: tuple[str, ...] = ()
     sliding: tuple[str, ...] = ()
     worst: float | None = None
@@ -63,8 +64,8 @@ def fly_action(
     clear = cleared(path, requirements, at_rest=timed)
     check_shapes(clear.path)
     check_loads(clear.path, requirements.limits)
-    flight: Flown = (
-        fly_unhurried(clear.path, requirements.limits, duration)
+    flight: Flight = (
+        fly(clear.path, requirements.limits, duration)
         if action.seconds is None
         else fly_timed(clear.path, action.seconds)
     )

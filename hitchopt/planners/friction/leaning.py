@@ -67,17 +67,13 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     found = _leaned(motion, slip)
     if found is None or found.turned < SMALLEST:
         return None
-    factor = needed_stretch(motion.team, limits, found.motion)
+    leaned = found.motion
+    factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
     if factor <= 1.0:
         return found
     if not slower or not math.isfinite(factor):
         return None
-    phases = [
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    ]
-    slowed = found.motion.changed(lambda part: part.stretched(factor), phases)
-    return replace(found, motion=slowed)
+    return replace(found, motion=leaned.slowed(factor))
 
 
 def worth_leaning(motion: Motion) -> bool:

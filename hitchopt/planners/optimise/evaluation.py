@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,15 +10,13 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.leg_lengths import measured
-from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.optimise.knot_path import Way
 from hitchopt.planners.optimise.variable_bounds import Bounds
 from hitchopt.planners.path.leg_law import CLEAR, sharing_task
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
-from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.flight import Flight
-from hitchopt.planners.timing.speed_profile import TimingError, fastest_profile
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
@@ -104,14 +101,8 @@ def judged(way: Way, search: Search) -> Candidate | None:
 
 
 def promise(way: Way, requirements: Requirements) -> float:
-    """Return how long a way takes without a limit of jerk [s], be it clear or not."""
-    path, s = way.path(), np.linspace(0.0, 1.0, GRID)
-    flat = path.flat(s)
-    try:
-        demands = Demands.of(path.team, requirements.limits, flat, drone_jets(path.team, flat))
-        return fastest_profile(s, demands).duration
-    except (InfeasibleError, TimingError):
-        return math.inf
+    """Return an estimate of how long a way takes [s], without a limit of jerk, clear or not."""
+    return time_estimate(way.path(), requirements.limits, np.linspace(0.0, 1.0, GRID))
 
 
 def _distances_kept(path: ShapePath, requirements: Requirements) -> bool:

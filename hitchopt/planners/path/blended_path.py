@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.flight import GRID
-from hitchopt.planners.timing.flown import Flown
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import GRID
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def check_turns(way: BlendedPath) -> None:
         )
 
 
-def passing_times(path: ShapePath, s: Array, flight: Flown) -> Array:
+def passing_times(path: ShapePath, s: Array, flight: Flight) -> Array:
     """Return when (J,) [s] a flight along a path is at the inner points s (J,) of it.
 
     The way that vertices and drones have gone together is the same on path and flight. From where
@@ -97,7 +97,7 @@ def passing_times(path: ShapePath, s: Array, flight: Flown) -> Array:
     return np.array([_abreast(path, x, flight, g) for x, g in zip(s, guesses, strict=True)])
 
 
-def _abreast(path: ShapePath, s: float, flight: Flown, guess: float) -> float:
+def _abreast(path: ShapePath, s: float, flight: Flight, guess: float) -> float:
     """Return the time near ``guess`` at which the flight is abreast of the path's point s."""
     at = np.array([s])
     place, ahead = (
@@ -115,7 +115,7 @@ def _abreast(path: ShapePath, s: float, flight: Flown, guess: float) -> float:
     return float(brentq(off, low, high, xtol=1e-12))
 
 
-def _fractions(flight: Flown, t: Array) -> Array:
+def _fractions(flight: Flight, t: Array) -> Array:
     legs = flight.legs.at(t)
     fractions: Array = legs[..., 0] / np.sum(legs, axis=-1)
     return fractions

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.speed_profile import TimingError, fastest_profile, path_grid
+from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -57,9 +55,9 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     if led > HELPS * usual:
         return
     paths = {share: _slid(path, share * slopes) for share in SHARES}
-    times = {share: _optimum(p, limits) for share, p in paths.items()}
+    times = {share: time_estimate(p, limits, path_grid(GRID)) for share, p in paths.items()}
     best = min(SHARES, key=lambda share: times[share])
-    if times[best] < GAIN * _optimum(path, limits):
+    if times[best] < GAIN * time_estimate(path, limits, path_grid(GRID)):
         yield paths[best]
         yield _slid(path, SMALLER * best * slopes)
 
@@ -88,14 +86,3 @@ def _slid(path: ShapePath, slopes: Array) -> ShapePath:
     length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
     legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)
     return ShapePath(path.team, path.vertices, legs, path.tensions)
-
-
-def _optimum(path: ShapePath, limits: Limits) -> float:
-    """Return toppra's optimum [s], infinite where there is none."""
-    s = path_grid(GRID)
-    flat = path.flat(s)
-    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
-    try:
-        return fastest_profile(s, demands).duration
-    except TimingError:
-        return float("inf")

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.path.shape_path import Path, shapes_along
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
@@ -76,8 +75,7 @@ def check_shapes(path: Path) -> None:
 def check_loads(path: Path, limits: Limits) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
     s = np.linspace(0.0, 1.0, LOAD_PROBES)
-    flat = path.flat(s)
-    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
+    demands = Demands.along(path, limits, s)
     names = path.team.drone_names
     for name, unit, ratios, scale, remedy in (
         ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),

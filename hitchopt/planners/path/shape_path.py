@@ -34,6 +34,15 @@ def drones_along(path: Path, s: Array) -> DroneJets:
     return drone_jets(path.team, path.flat(s))
 
 
+def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the jets by s at s (J,) of drones, vertices, legs and tensions: (J, *shape, 4)."""
+    flat = path.flat(s)
+    drones = drone_jets(path.team, flat)
+    legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
+    legs *= path.team.layout.has_leg[..., None]  # exactly zero, not nearly
+    return drones.positions, flat.vertices, legs, flat.tensions
+
+
 @dataclass(frozen=True, eq=False)
 class LegLaw:
     """How q-legs follow from what the edges leave of their cables: ``d = length + share · slack``.

@@ -8,8 +8,8 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.path.leg_law import with_legs_clear
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight import Flight
-from hitchopt.planners.timing.flown import fly_unhurried
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 STILL = 1e-9
@@ -39,4 +39,4 @@ def straight_morph(
     check_shapes(path)
     path = with_legs_clear(path, requirements)
     check_loads(path, requirements.limits)
-    return fly_unhurried(path, requirements.limits, duration)
+    return fly(path, requirements.limits, duration)

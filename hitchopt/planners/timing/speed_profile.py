@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import toppra
@@ -13,7 +14,9 @@ from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
+from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
+from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 
@@ -111,6 +114,14 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     return SpeedProfile(s, speed * np.sqrt(unit / length))
 
 
+def time_estimate(path: Path, limits: Limits, s: Array) -> float:
+    """Return the optimum [s] without a limit of jerk on the grid s (J,); infinite if none."""
+    try:
+        return fastest_profile(s, Demands.along(path, limits, s)).duration
+    except TimingError:
+        return math.inf
+
+
 @dataclass(frozen=True, eq=False)
 class AccelerationRows:
     """Half planes ``normals @ (s̈, ṡ²) ≤ bounds``.
@@ -160,13 +171,11 @@ def _cast(demands: Demands, u: Array, x: Array) -> Array:
     parts = []
     for first in range(0, len(u), size):
         span = slice(first, first + size)
-        part = Demands(
-            demands.drones[span],
-            demands.vertex_speed[span],
-            demands.loads[span],
-            demands.mass,
-            demands.max_thrust,
-            demands.limits,
+        part = replace(
+            demands,
+            drones=demands.drones[span],
+            vertex_speed=demands.vertex_speed[span],
+            loads=demands.loads[span],
         )
         parts.append(part.reach(u[span], x[span]))
     return np.concatenate(parts)
