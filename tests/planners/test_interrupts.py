@@ -16,7 +16,7 @@ import pytest
 import scipy.sparse as sp
 
 import hitchopt as ho
-from hitchopt.planners.optimise.signals import answered_later
+from hitchopt.planners.optimise.deferred_signals import answered_later
 from hitchopt.planners.separation.qp import QuadraticProgram, Solver
 
 QUARTER = ho.regular_polygon(3, 1.0).rotated(0.5)

@@ -12,61 +12,86 @@ from hitchopt.geometry import random_convex_polygon, regular_polygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.leg_lengths import measured
 from hitchopt.hitch.leg_task import SharingTask
-from hitchopt.planners.optimise.between import (
+from hitchopt.planners.optimise.guesses import guesses
+from hitchopt.planners.optimise.ipopt_steps import solve_program
+from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
+from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
+from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
+from hitchopt.planners.optimise.nlp_draft import Draft
+from hitchopt.planners.optimise.search_task import Search, SolverStep
+from hitchopt.planners.optimise.separating_rows import (
     LEG_INSET,
     LEG_REACH,
-    between_rows,
     instants,
+    rows_at_knots,
+    rows_between,
 )
-from hitchopt.planners.optimise.draft import Draft
-from hitchopt.planners.optimise.guesses import guesses
-from hitchopt.planners.optimise.knot_path import Way
-from hitchopt.planners.optimise.morph_program import WayProgram, build_program
-from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
-from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.optimise.variable_bounds import Bounds, Step
-from hitchopt.planners.optimise.variables import Layout
 from hitchopt.requirements import Requirements
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}
 
 
-def program_of(n: int, step: Step, tension: tuple[float, float] | None) -> WayProgram:
+def search(
+    tension: tuple[float, float] | None,
+    margin: float,
+    end_margins: tuple[float, float],
+    requirements: Requirements | None = None,
+) -> Search:
+    return Search(requirements or Requirements(), lambda _: None, tension, end_margins, margin)
+
+
+def costs_and_rows(expressions: dict[str, ca.MX]) -> ca.Function:
+    return ca.Function("value", [expressions["x"]], [expressions["f"], expressions["g"]])
+
+
+def distances(nodes: np.ndarray, drones: NearPairs) -> np.ndarray:
+    """Return the distances (m,) [m] of pairs of drones, of nodes (K, 3n, 2)."""
+    first, second = (nodes[drones.frame, node[:, 0]] for node in (drones.first, drones.second))
+    return np.asarray(np.linalg.norm(first - second, axis=1))
+
+
+def program_of(n: int, step: SolverStep, tension: tuple[float, float] | None) -> MorphProgram:
     rng = np.random.default_rng(n)
     first = random_convex_polygon(n, 1.1, rng)
     pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
     start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
     polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
-    bounds = Bounds(Requirements(), tension, 1.02, (1.5, 1.5))
-    return build_program(Way.through("turned", start, end, polygons), bounds, step)
+    bounds = search(tension, 1.02, (1.5, 1.5))
+    return build_program(KnotPath.through("turned", start, end, polygons), bounds, step)
 
 
 @pytest.mark.parametrize(
     ("step", "tension"),
     [
-        (Step(0.17), None),
-        (Step(0.17, 3, fastest=True), None),
-        (Step(0.12, 4), (0.2, 0.6)),
-        (Step(0.12, fastest=True), (0.2, 0.6)),
+        (SolverStep(0.17), None),
+        (SolverStep(0.17, 3, fastest=True), None),
+        (SolverStep(0.12, 4), (0.2, 0.6)),
+        (SolverStep(0.12, fastest=True), (0.2, 0.6)),
     ],
 )
 def test_the_optimisers_derivatives_are_those_of_finite_differences(
-    step: Step, tension: tuple[float, float] | None
+    step: SolverStep, tension: tuple[float, float] | None
 ) -> None:
     program = program_of(3, step, tension)
     rng = np.random.default_rng(1)
-    multipliers = rng.normal(size=len(program.least))
-    lagrangian = program.f + ca.dot(ca.DM(multipliers), program.g)
-    gradient = ca.gradient(lagrangian, program.x)
-    value = ca.Function("value", [program.x], [lagrangian, gradient])
-    slope = ca.Function("slope", [program.x], [gradient, ca.jacobian(gradient, program.x)])
-    x = program.start + 1e-3 * rng.normal(size=len(program.start))
-    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(x))
+    multipliers = rng.normal(size=len(program.numbers["lbg"]))
+    x, f, g = (program.expressions[name] for name in "xfg")
+    lagrangian = f + ca.dot(ca.DM(multipliers), g)
+    gradient = ca.gradient(lagrangian, x)
+    value = ca.Function("value", [x], [lagrangian, gradient])
+    slope = ca.Function(
+        "slope",
+        [program.expressions["x"]],
+        [gradient, ca.jacobian(gradient, program.expressions["x"])],
+    )
+    start = program.numbers["x0"]
+    point = start + 1e-3 * rng.normal(size=len(start))
+    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(point))
     h = 1e-5
     for _ in range(12):  # along random directions: all entries take part in each
-        direction = rng.normal(size=len(x))
+        direction = rng.normal(size=len(point))
         around = [
-            [np.asarray(v).ravel() for v in value.call([x + k * h * direction])]
+            [np.asarray(v).ravel() for v in value.call([point + k * h * direction])]
             for k in (-2.0, -1.0, 1.0, 2.0)
         ]
         by_cost, by_slope = (
@@ -86,18 +111,22 @@ def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
     n = int(rng.integers(3, 7))
     first = random_convex_polygon(n, 1.1, rng)
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
-    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
-    layout = Layout(n)
-    table = layout.table(way)
+    way = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
+    columns = columns_of(n)
+    table = way.table()
     moved = table.copy()
     moved[1:-1] += rng.uniform(-0.03, 0.03, moved[1:-1].shape)  # well within a step
-    moved[:, layout.tensions] = table[:, layout.tensions]
-    other = layout.way(moved, way)
-    moved[1:-1] = layout.table(other)[1:-1]  # drones where the moved hitch has them
-    rows = pair_rows(layout, table, ho.Separation(), np.ones(3), 0.5)
-    x = moved[1:-1].ravel()
-    apart = np.linalg.norm(x[rows.first] - x[rows.second], axis=1)
-    kept = bool(np.all(rows.rows @ x >= rows.least) and np.all(apart >= rows.apart))
+    moved[:, columns.tensions] = table[:, columns.tensions]
+    other = way.with_table(moved)
+    moved[1:-1] = other.table()[1:-1]  # drones where the moved hitch has them
+    pairs = near_pairs(table[1:-1][:, columns.nodes], ho.Separation(), np.ones(3), 0.5)
+    drones, others = (pairs.chosen(which) for which in (pairs.kind == 0, pairs.kind != 0))
+    rows = rows_at_knots(way, others)
+    places = moved[1:-1][:, columns.nodes]
+    apart = distances(places, drones)
+    kept = bool(np.all(rows.rows @ moved[1:-1].ravel() >= rows.least)) and bool(
+        np.all(apart >= drones.enforced)
+    )
     task = SharingTask(way.team, Requirements(), other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0)
     assert measured(task) >= 1.0 - 1e-9 or not kept
 
@@ -112,15 +141,15 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     n = int(rng.integers(3, 7))
     first = random_convex_polygon(n, 1.1, rng)
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
-    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
-    layout, places = Layout(n), instants(5, parts)
+    way = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    columns, places = columns_of(n), instants(5, parts)
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
-    bounds = Bounds(Requirements(), None, 1.05, (1.2, 1.01))
-    table = layout.table(way)
-    found = between_rows(way, bounds, places, 0.3)
-    nodes = layout.table(way.at(places / 5.0))[:, layout.nodes]
+    bounds = search(None, 1.05, (1.2, 1.01))
+    table = way.table()
+    found = rows_between(way, bounds, places, 0.3)
+    nodes = way.at(places / 5.0).table()[:, columns.nodes]
     pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
-    excess = np.full(len(pairs.kept), np.inf)
+    excess = np.full(len(pairs.enforced), np.inf)
     pair, _, _ = pairs.sides()
     x = table[1:-1].ravel()
     np.minimum.at(excess, pair, (found.rows @ x - found.least)[: len(pair)])
@@ -132,12 +161,12 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
             strict=True,
         )
     ]
-    np.testing.assert_allclose(excess + pairs.kept, gaps, atol=2e-3)
-    assert np.all(excess + pairs.kept <= np.array(gaps) + 1e-9)  # samples are never nearer
+    np.testing.assert_allclose(excess + pairs.enforced, gaps, atol=2e-3)
+    assert np.all(excess + pairs.enforced <= np.array(gaps) + 1e-9)  # samples are never nearer
     # The inner knots all moved alike: pairs within a step between inner knots stay as they are.
     inner = np.abs(places[pairs.frame[pair]] - 2.5) < 1.5
     moved = table[1:-1].copy()
-    moved[:, layout.nodes] += rng.normal(size=2)
+    moved[:, columns.nodes] += rng.normal(size=2)
     before, after = ((found.rows @ a)[: len(pair)] for a in (x, moved.ravel()))
     np.testing.assert_allclose(after[inner], before[inner], atol=1e-9)
 
@@ -148,31 +177,31 @@ def points_on(segment: np.ndarray, count: int) -> np.ndarray:
 
 
 def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
-    program = program_of(4, Step(0.17, 2), None)
+    program = program_of(4, SolverStep(0.17, 2), None)
     way = solve_program(program)
     assert way is not None
-    value = ca.Function("value", [program.x], [program.f, program.g])
-    x = program.layout.table(way)[1:-1].ravel()
+    value = ca.Function(
+        "value", [program.expressions["x"]], [program.expressions["f"], program.expressions["g"]]
+    )
+    x = way.table()[1:-1].ravel()
     cost, rows = value(x)
-    assert np.all(np.asarray(rows).ravel() >= program.least - 1e-4)
-    assert np.all(np.asarray(rows).ravel() <= program.most + 1e-4)
-    assert float(cost) <= float(value(program.start)[0]) + 1e-6
+    assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
+    assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
+    assert float(cost) <= float(value(program.numbers["x0"])[0]) + 1e-6
 
 
 def test_what_is_short_of_its_bound_may_stay_so_at_a_price_and_the_rest_may_not() -> None:
     draft = Draft()
     x = draft.variables("x", np.array([0.0, 2.0]), np.full(2, -5.0), np.full(2, 5.0))
-    draft.urge(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
+    draft.soft_bound(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
     draft.f += ca.sumsqr(x)
-    start, lower, upper = draft.box()
-    least, most = draft.ranges()
-    rows = ca.Function("rows", [draft.x], [draft.f, draft.g])
-    cost, values = rows(start)
+    expressions, numbers = draft.program()
+    rows = costs_and_rows(expressions)
+    cost, values = rows(numbers["x0"])
     np.testing.assert_allclose(np.asarray(values).ravel(), [1.0, 2.0])  # feasible where it starts
     assert float(cost) == pytest.approx(4.0 + 3.0 * 1.0)
-    np.testing.assert_array_equal(lower, [-5.0, -5.0, 0.0])
-    solver = ca.qpsol("dear", "qrqp", {"x": draft.x, "f": draft.f, "g": draft.g}, QUIET)
-    found = solver(x0=start, lbx=lower, ubx=upper, lbg=least, ubg=most)
+    np.testing.assert_array_equal(numbers["lbx"], [-5.0, -5.0, 0.0])
+    found = ca.qpsol("soft", "qrqp", expressions, QUIET)(**numbers)
     # Worth 3 a metre, the first one is raised to its bound of 1, where a square costs 2 a metre.
     np.testing.assert_allclose(np.asarray(found["x"]).ravel(), [1.0, 1.5, 0.0], atol=1e-6)
 
@@ -181,17 +210,17 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     first = regular_polygon(4, 1.2)
     last = first.rotated(0.5).scaled(0.9)
     start, end = ends(Team(4, [2.4, 2.5, 2.6, 2.4]), first, last)
-    way = Way.through("turned", start, end, guesses(first, last, 6)[1].polygons)
-    layout, places = Layout(4), instants(5, 4)
-    columns = np.concatenate([layout.q_legs, layout.r_legs])
-    legs, at_knots = (w[:, columns] for w in map(layout.table, (way.at(places / 5.0), way)))
+    way = KnotPath.through("turned", start, end, guesses(first, last, 6)[1].polygons)
+    columns, places = columns_of(4), instants(5, 4)
+    columns = np.concatenate([columns.q_legs, columns.r_legs])
+    legs, at_knots = (w[:, columns] for w in (way.at(places / 5.0).table(), way.table()))
     limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
-    bounds = Bounds(
-        Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0)), None, 1.0, (1.0, 1.0)
+    bounds = search(
+        None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
     )
-    rows = between_rows(way, bounds, places, 0.0)  # of no pair: their limits are next to none
+    rows = rows_between(way, bounds, places, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH
-    excess = rows.rows @ layout.table(way)[1:-1].ravel() - rows.least
+    excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
     assert 0 < np.sum(near) < near.size
     np.testing.assert_allclose(excess, (legs - shortest)[near], atol=1e-9)
