@@ -1,5 +1,8 @@
 """The optimiser's programs: their rows, their derivatives, and what a solution keeps."""
 
+import math
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -18,7 +21,12 @@ from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
 from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
 from hitchopt.planners.optimise.nlp_draft import Draft
-from hitchopt.planners.optimise.search_task import Search, SolverStep
+from hitchopt.planners.optimise.search_task import (
+    STATIC_SHARE,
+    Search,
+    SolverStep,
+    static_tension,
+)
 from hitchopt.planners.optimise.separating_rows import (
     LEG_INSET,
     LEG_REACH,
@@ -26,6 +34,7 @@ from hitchopt.planners.optimise.separating_rows import (
     rows_at_knots,
     rows_between,
 )
+from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.requirements import Requirements
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}
@@ -224,3 +233,107 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
     assert 0 < np.sum(near) < near.size
     np.testing.assert_allclose(excess, (legs - shortest)[near], atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+@settings(max_examples=10)
+def test_rows_between_knots_follow_the_chord_between_moved_knots(seed: int, parts: int) -> None:
+    """Their change is that of pairs on straight lines from each knot to the next, all moved."""
+    rng = np.random.default_rng(seed)
+    n, steps = int(rng.integers(3, 7)), 5
+    first = random_convex_polygon(n, 1.1, rng)
+    start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
+    path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    places = instants(steps, parts)
+    asked = search(None, 1.05, (1.2, 1.01), Requirements(ho.Limits(leg=float(np.min(path.q_legs)))))
+    rows = rows_between(path, asked, places, 0.3)
+    change = rng.normal(size=path.table().shape)
+    change[[0, -1]] = 0.0  # the ends are given
+    knots = np.arange(steps + 1.0)
+    there = np.stack([np.interp(places, knots, column) for column in change.T], axis=1)
+
+    columns = path.columns
+    table = path.at(places / steps).table()
+    margins = asked.margins(steps, places)
+    pairs = near_pairs(table[:, columns.nodes], ho.Separation(), margins, 0.3)
+    pair, a, b = pairs.sides()
+    moved = there[:, columns.nodes][pairs.frame[pair]]
+    at = np.arange(len(pair))
+    apart = np.sum(pairs.normal[pair] * (moved[at, a] - moved[at, b]), axis=1)
+    legs = np.concatenate([columns.q_legs, columns.r_legs])
+    near = table[:, legs] < asked.requirements.limits.leg + LEG_REACH
+    assert np.any(near)
+    wanted = np.concatenate([apart, there[:, legs][near]])
+    np.testing.assert_allclose(rows.rows @ change[1:-1].ravel(), wanted, atol=1e-12)
+
+
+def test_rows_at_knots_are_the_slopes_of_distances_along_their_normals() -> None:
+    """By central differences of the distance between the sides of each pair, knot by knot."""
+    rng = np.random.default_rng(7)
+    first = random_convex_polygon(5, 1.1, rng)
+    start, end = ends(Team(5, 2.0), first, first.rotated(0.4))
+    path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    columns, inner = path.columns, path.table()[1:-1]
+    pairs = near_pairs(inner[:, columns.nodes], ho.Separation(), np.ones(4), 0.5)
+    others = pairs.chosen(pairs.kind != 0)
+    rows = rows_at_knots(path, others)
+    pair, a, b = others.sides()
+
+    def apart(x: np.ndarray) -> np.ndarray:
+        nodes = x.reshape(inner.shape)[:, columns.nodes]
+        frame = others.frame[pair]
+        return np.sum(others.normal[pair] * (nodes[frame, a] - nodes[frame, b]), axis=1)
+
+    x, direction = inner.ravel(), rng.normal(size=inner.size)
+    slope = (apart(x + 1e-4 * direction) - apart(x - 1e-4 * direction)) / 2e-4
+    np.testing.assert_allclose(rows.rows @ direction, slope, atol=1e-9)
+    np.testing.assert_allclose(rows.rows @ x, apart(x), atol=1e-12)
+    np.testing.assert_allclose(rows.least, others.enforced[pair], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "binding",
+    [
+        {"max_thrust": 1.9, "tilt": math.radians(60.0)},  # thrust binds
+        {"max_thrust": 9.0, "tilt": math.radians(20.0)},  # tilt binds
+    ],
+    ids=["thrust", "tilt"],
+)
+def test_the_static_tension_is_where_drones_that_carry_their_cables_reach_a_limit(
+    binding: dict[str, float],
+) -> None:
+    """A hitch at rest with heavy cables: thrust and tilt of the model itself, at that tension."""
+    tilt = binding["tilt"]
+    quadrotor = ho.Quadrotor(0.132, binding["max_thrust"])
+    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=quadrotor, cable_density=0.02)
+    largest = static_tension(team, tilt)
+    assert largest[0] != largest[1]  # the longer cable weighs more
+    for k in range(4):
+        same = replace(team, tension=float(largest[k]))
+        hitch = ho.Hitch.balanced(same, regular_polygon(4, 1.2))
+        thrust = loads_at_rest(same, hitch.cable_forces)[2 * k : 2 * k + 2]
+        level = np.hypot(thrust[:, 0], thrust[:, 1])
+        by_thrust = np.linalg.norm(thrust, axis=1) / binding["max_thrust"]
+        by_tilt = np.arctan2(level, thrust[:, 2]) / tilt
+        assert max(np.max(by_thrust), np.max(by_tilt)) == pytest.approx(STATIC_SHARE, rel=1e-9)
+
+
+def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> None:
+    """In the variables that the solver gets, of cables with weight."""
+    quadrotor = ho.Quadrotor(0.132, 1.8)
+    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=quadrotor, cable_density=0.02)
+    square = regular_polygon(4, 1.2)
+    start, end = ends(team, square, square.rotated(0.3))
+    path = KnotPath.through(
+        "turned", start, end, guesses(square, square.rotated(0.3), 6)[1].polygons
+    )
+    tilt = ho.Limits().tilt
+    for top in (0.5, 5.0):
+        program = build_program(path, search((0.2, top), 1.02, (1.5, 1.5)), SolverStep(0.17))
+        size = path.columns.size * (path.steps - 1)
+        upper = program.numbers["ubx"][:size].reshape(path.steps - 1, -1)[:, path.columns.tensions]
+        lift = team.mass[::2] * 9.81 + team.cable_weight[::2]
+        by_thrust = np.sqrt((0.97 * 1.8) ** 2 - lift**2)
+        static = np.minimum(by_thrust, lift * math.tan(0.97 * tilt))
+        wanted = np.minimum(top - 0.02 * (top - 0.2), static)
+        np.testing.assert_allclose(upper, np.tile(wanted, (path.steps - 1, 1)), rtol=1e-6)

@@ -23,6 +23,7 @@ from hitchopt.planners.timing.speed_profile import (
     fastest_profile,
     path_grid,
 )
+from hitchopt.planners.timing.stretch import needed_stretch
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 
@@ -323,3 +324,35 @@ def test_the_mesh_is_close_where_the_acceleration_changes() -> None:
     assert np.all(widths[1:] / widths[:-1] < 2.5)
     assert np.all(widths[:-1] / widths[1:] < 2.5)
     assert len(time_mesh(profile, ramp, finer=2)) == pytest.approx(2 * len(knots), abs=3)
+
+
+@pytest.mark.parametrize(
+    ("tight", "order", "limit"),
+    [
+        (Limits(speed=0.3), 1, 0.3),
+        (Limits(acceleration=0.2), 2, 0.2),
+        (Limits(jerk=0.5), 3, 0.5),
+    ],
+    ids=["speed", "acceleration", "jerk"],
+)
+def test_the_stretch_leaves_the_certificate_a_share_of_every_limit(
+    tight: Limits, order: int, limit: float
+) -> None:
+    """Flown at what the stretch allows, the largest rate is under 99.96 % of its limit."""
+    path = straight(4, 3, tight, (1.0, 0.5))
+    flight = fly(path, tight)
+    for factor in (1.0, 0.5):
+        faster = flight.lasting(factor * flight.duration)
+        slower = needed_stretch(path.team, tight, faster.drones, faster.vertices, faster.pulls)
+        assert slower == pytest.approx(1.0 / factor, rel=1e-9)
+        t = np.linspace(0.0, faster.duration, 40001)
+        rate = np.max(np.linalg.norm(faster.drones.at(t, order), axis=-1)) / slower**order
+        assert 0.99 * limit < rate < 0.9996 * limit
+
+
+def test_the_stretch_leaves_the_certificate_a_share_of_the_vertices_speed() -> None:
+    tight = Limits(vertex_speed=0.1)
+    flight = fly(straight(4, 3, tight, (1.0, 0.5)), tight)
+    t = np.linspace(0.0, flight.duration, 40001)
+    fastest = np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1))
+    assert 0.099 < fastest < 0.09996
