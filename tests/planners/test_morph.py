@@ -6,7 +6,7 @@ import pytest
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import measured
 from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
-from hitchopt.planners.path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.planners.path.straight_morph import straight_morph
 from hitchopt.requirements import Requirements
 
@@ -28,7 +28,7 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     assert distances_on_the_way(linear) < 1.0
     clear = with_legs_clear(linear, KEPT)
     assert distances_on_the_way(clear) >= 1.0
-    legs = legs_along(clear, np.array([0.0, 1.0]))
+    legs = shapes_along(clear, np.array([0.0, 1.0])).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
     flight = straight_morph(start, end, Requirements())
     assert flight is not None

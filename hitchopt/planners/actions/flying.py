@@ -13,7 +13,7 @@ from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import cleared
 from hitchopt.planners.actions.timed import fly_timed
 from hitchopt.planners.path.path_feasibility import SHORTEST_LEG, check_loads, check_shapes
-from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight_curves import MOVES, Flight, moving
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
@@ -85,7 +85,7 @@ def _check_outline(path: ShapePath) -> None:
     try:
         check_shapes(path)
     except InfeasibleError as error:
-        slack = np.sum(legs_along(path, np.linspace(0.0, 1.0, PROBES)), axis=-1)
+        slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
         if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
             raise
 

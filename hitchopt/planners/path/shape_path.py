@@ -113,29 +113,23 @@ class ShapePath:
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
 
 
-def legs_along(path: Path, s: Array) -> Array:
-    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m].
-
-    Negative where a cable is too short; zero where a chain's end has no leg.
-    """
-    return shapes_along(path, s).legs
-
-
-def polygons_along(path: Path, s: Array) -> Array:
-    """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
-    return shapes_along(path, s).polygons
-
-
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Polygons (J, points, 2) in plan view, and legs ``d``, ``e`` (J, n, 2) [m]."""
+    """Shapes at J points of a path.
+
+    Attributes
+    ----------
+    polygons: (J, points, 2) [m], in plan view.
+    legs: (J, n, 2) [m], ``d`` and ``e``: negative where a cable is too short, zero where a chain's
+        end has no leg.
+    """
 
     polygons: Array
     legs: Array
 
 
 def shapes_along(path: Path, s: Array) -> Shapes:
-    """Return what ``polygons_along`` and ``legs_along`` do, at once."""
+    """Return the shapes at s (J,)."""
     flat, layout = path.flat(s), path.team.layout
     edges = length(layout.edges(flat.vertices[..., 0]))
     legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
