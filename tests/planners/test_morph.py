@@ -60,7 +60,7 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
     assert violation.where[0].startswith("p")
-    assert "of the way" in violation.when
+    assert "of the path" in violation.when
 
 
 def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:

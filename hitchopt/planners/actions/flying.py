@@ -1,4 +1,4 @@
-"""From an action and the hitch that it ends with to its flight."""
+"""The flight of an action to the hitch that it ends with."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 PROBES = 65
-"""Points of a path at which it is seen which drones its law moves."""
+"""Number of points of a path at which it is determined which drones its law moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Flying:
     ----------
     flight: None where nothing moves.
     turning: names of the drones beyond the named ones that the action's own law moves.
-    sliding: names of those that move only because its law was not kept.
-    worst: s where the law broke a limit on the way, or None.
+    sliding: names of those that move only because its law could not be kept.
+    worst: s where the law broke a limit on the path, or None.
     """
 
     flight: Flight | None
@@ -43,13 +43,13 @@ class Flying:
 def fly_action(
     action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
 ) -> Flying:
-    """Return the flight to ``end``, further cables sliding where a limit binds on the way.
+    """Return the flight to ``end``, further cables sliding where a limit binds on the path.
 
     Parameters
     ----------
     action: what moves, and by which law.
     end: the hitch after it; its legs may differ from those that the law keeps.
-    kept: limits and distances.
+    requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
 
     Raises
@@ -81,7 +81,7 @@ def fly_action(
 
 
 def _check_outline(path: ShapePath) -> None:
-    """Raise InfeasibleError where no sharing of the legs makes the path one of hitches."""
+    """Raise InfeasibleError where no leg lengths make the path one of hitches."""
     try:
         check_shapes(path)
     except InfeasibleError as error:

@@ -18,10 +18,10 @@ from hitchopt.trajectory import PiecewisePolynomial
 Array = NDArray[np.float64]
 
 SAME_PLACE = 1e-6
-"""[m] How far a point at t = 0 may be from where the vertex is."""
+"""[m] Largest distance of a point at t = 0 from the vertex."""
 
 STANDING = 1e-9
-"""[m] Points that follow each other closer than this mean standing still."""
+"""[m] Distance of consecutive points below which the vertex stands still."""
 
 
 def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) -> Action:

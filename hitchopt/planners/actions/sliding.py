@@ -30,7 +30,7 @@ ROUNDS = ((9, MARGIN), (17, MARGIN), (17, 1.02), (33, MARGIN), (65, MARGIN))
 """Numbers of points of the path at which leg lengths are chosen, and the margins there."""
 
 LEG_MARGIN = 1.02
-"""How many times their limit legs are at the knots: where they reach it, a spline would dip below
+"""Factor on the limit of legs at the knots: where they reach it, a spline would dip below
 it in between."""
 
 

@@ -29,7 +29,7 @@ from hitchopt.requirements import Requirements
 
 @dataclass(frozen=True)
 class Round:
-    """How closely a path is examined.
+    """One round of refinement: how closely a path is examined.
 
     Attributes
     ----------

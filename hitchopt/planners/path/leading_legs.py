@@ -2,7 +2,7 @@
 
 Vertices have a limit of speed, drones one of acceleration besides. Where a vertex moves along the
 legs of its drones, cables that slide through the clasps while it speeds up leave its drones behind
-for a while, and let them overtake it on the way: the vertex is at full speed earlier and stays so
+for a while, and let them overtake it: the vertex is at full speed earlier and stays so
 for longer. The slide is a cubic of the path's parameter that is zero at both ends; its slopes there
 are, for every cable by itself, those that leave its two drones the least to do.
 """
@@ -25,25 +25,25 @@ Array = NDArray[np.float64]
 DEGREE = 3
 
 HELPS = 0.9
-"""Share of the fastest drone's start and stop that has to be left at most, or it is not tried."""
+"""Largest share of the fastest drone's start and stop that may be left for a slide to be tried."""
 
 SHARES = (1.0, 0.75, 0.5)
-"""Of the slide that leaves drones the least to do: it costs speed on the way."""
+"""Shares of the slide that leaves drones the least to do: it costs speed in between."""
 
 SMALLER = 0.4
-"""Of the best share: where that breaks a distance, one that slides less may not."""
+"""Factor on the best share: where that breaks a distance, one that slides less may not."""
 
 GAIN = 0.995
-"""Of toppra's optimum: who promises less is not flown."""
+"""Largest share of toppra's optimum that an estimate may take to be worth flying."""
 
 GRID = 80
-"""Steps of toppra's grid on which shares are compared."""
+"""Number of steps of toppra's grid on which shares are compared."""
 
 
 def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
-    """Yield paths of the same vertices that promise to be faster, the best first; mostly none.
+    """Yield paths of the same vertices with a shorter estimate, the best first; mostly none.
 
-    What their distances keep, and how fast they are, is for others to say.
+    Neither their distances nor their durations are verified here.
     """
     if path.legs.length.pieces > 1:
         return

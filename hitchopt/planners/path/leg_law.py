@@ -1,4 +1,4 @@
-"""How leg lengths change along a path so that distances hold on all of it."""
+"""Laws by which leg lengths change along a path so that distances hold on all of it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ PROBES = 65
 """Number of points of the path at which a law is tried, before the certificate verifies it all."""
 
 MARGIN = 1.005
-"""How many times their limits distances are at knots, for what is between them."""
+"""Factor on the limits of distances at knots, for what is between them."""
 
 ROUNDS = ((9, MARGIN), (17, MARGIN), (17, 1.02), (33, 1.002), (33, 1.01))
 """Numbers of points of the path at which leg lengths are chosen, and the margins there."""
 
 CLEAR = 1.0 + 0.5 * (LIMIT_MARGIN - 1.0)
-"""How many times their limits a law's distances must be at all probes: half of what LIMIT_MARGIN
+"""Factor on the limits that a law's distances must satisfy at all probes: half of what LIMIT_MARGIN
 gives to legs at rest, and more than the certificate's tolerance."""
 
 RAMP = 3.0

@@ -1,4 +1,4 @@
-"""Whether a path can be flown at all: a hitch all the way, and drones that can hold it at rest."""
+"""Whether a path can be flown at all: a hitch everywhere, and drones that can hold it at rest."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from hitchopt.requirements import Limits
 Array = NDArray[np.float64]
 
 FLATTEST = math.radians(0.01)
-"""[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
+"""[rad] Smallest exterior angle on a path: at a flatter vertex the clasp's bisector is lost."""
 
 SHORTEST_EDGE = 1e-3
-"""[m] A shorter edge on the way has no direction to speak of."""
+"""[m] Shortest edge on a path: a shorter one has no accurate direction."""
 
 SHORTEST_LEG = 1e-3
-"""[m] A shorter leg on the way has no direction to speak of."""
+"""[m] Shortest leg on a path: a shorter one has no accurate direction."""
 
 PROBES, LOAD_PROBES = 401, 161
-"""Points of the path at which its shapes, and loads at rest, are looked at before it is timed."""
+"""Numbers of points of the path at which its shapes and loads at rest are checked before timing."""
 
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
@@ -58,8 +58,8 @@ def check_shapes(path: Path) -> None:
             "min",
             "deg",
             (f"p{layout.clasps[k]}",),
-            f"from {s[first]:.0%} of the way on",
-            "the straight way is shut: go by a polygon in between, in two morphs",
+            f"from {s[first]:.0%} of the path on",
+            "the straight path is blocked: go by a polygon in between, in two morphs",
         )
         raise InfeasibleError([flat])
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
@@ -73,14 +73,14 @@ def check_shapes(path: Path) -> None:
             "min",
             "m",
             (f"{'qr'[end]}{at}",),
-            f"at {s[j]:.0%} of the way",
+            f"at {s[j]:.0%} of the path",
             f"cable {at} leaves {left:.6g} m there",
         )
         raise InfeasibleError([short])
 
 
 def check_loads(path: Path, limits: Limits) -> None:
-    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
+    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path."""
     s = np.linspace(0.0, 1.0, LOAD_PROBES)
     demands = Demands.along(path, limits, s)
     thrust, tilt = demands.at_rest()
@@ -98,8 +98,8 @@ def check_loads(path: Path, limits: Limits) -> None:
                 "max",
                 unit,
                 (path.team.drone_names[i],),
-                f"at rest, {s[j]:.0%} of the way on, "
-                f"{1.0 - demands.share:.1%} of it being kept to move by",
+                f"at rest, {s[j]:.0%} of the path on, "
+                f"{1.0 - demands.share:.1%} of it being reserved to move by",
                 f"{remedy}, or lower team.tension",
             )
             raise InfeasibleError([broken])

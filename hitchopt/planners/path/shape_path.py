@@ -45,7 +45,7 @@ def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LegLaw:
-    """How q-legs follow from what the edges leave of their cables: ``d = length + share · slack``.
+    """Law of the q-legs by the slack of their cables: ``d = length + share · slack``.
 
     A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
 

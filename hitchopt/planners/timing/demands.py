@@ -1,4 +1,4 @@
-"""What a path demands of the drones: how motion along it turns into what their limits are of."""
+"""What motion along a path demands of the drones, in the quantities of their limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from hitchopt.requirements import Limits
 Array = NDArray[np.float64]
 
 LIMIT_SHARE = 0.999
-"""Limits are planned at this share, for what happens between the points that are looked at."""
+"""Share of the limits that is planned at samples; the rest is for what happens between them."""
+
+FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
+"""Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
+certificate, which bounds them by other means."""
 
 
 @dataclass(frozen=True, eq=False)

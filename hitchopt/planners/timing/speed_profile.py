@@ -26,8 +26,8 @@ RAYS = 64
 """Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
 
 CHUNK = 40_000
-"""Elements of a temporary array: rays are cast for as many points of the path at a time. The dozen
-of them fit in a core's cache, which makes it four times as fast."""
+"""Number of elements of a temporary array: rays are cast for as many points of the path at a time.
+The dozen arrays fit in a core's cache, which makes it four times as fast."""
 
 
 class TimingError(HitchoptError):
@@ -42,7 +42,7 @@ def path_grid(steps: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """The fastest way along a path without a jerk limit.
+    """The fastest motion along a path without a jerk limit.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class SpeedProfile:
 
     @property
     def duration(self) -> float:
-        """From rest to rest [s]."""
+        """Duration from rest to rest [s]."""
         return float(self.times[-1])
 
     def acceleration(self, t: Array) -> Array:
@@ -96,7 +96,7 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
 
     Raises
     ------
-    TimingError: none exists, as where rest itself breaks a limit on the way.
+    TimingError: none exists, as where rest itself breaks a limit on the path.
     """
     rows = acceleration_rows(demands)
     # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in

@@ -1,4 +1,4 @@
-"""How many times slower a flight must be so that it keeps its limits between all samples too."""
+"""Slowing of a flight until it satisfies its limits between all samples too."""
 
 from __future__ import annotations
 
@@ -10,24 +10,20 @@ from numpy.typing import NDArray
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.hitch.hanging_forces import cable_forces
-from hitchopt.planners.timing.demands import Demands, loads_at_rest
+from hitchopt.planners.timing.demands import FINAL_SHARE, Demands, loads_at_rest
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
 
-FINAL_SHARE = 0.9995
-"""Share of the limits that the polynomials' enclosures may use; the certificate, which bounds
-them by other means, has the rest to itself."""
-
 SPANS = 8
-"""Of a piece, on which its rates are enclosed: within about 0.1 %."""
+"""Number of spans of a piece on which its rates are enclosed: within about 0.1 %."""
 
 ENCLOSING = 8
-"""Coefficients on a span: those of the drones' septic pieces."""
+"""Number of coefficients on a span: those of the drones' septic pieces."""
 
 CHUNK = 60_000
-"""Coefficients of drones that are looked at in one go."""
+"""Number of coefficients of drones that are processed in one go."""
 
 
 def needed_stretch(
