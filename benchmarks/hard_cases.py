@@ -12,7 +12,8 @@ from hitchopt.geometry.outline import Outline
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 from problems.random_morph import random_morph
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from benchmarks.hard_cases import Case
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.planners.optimise.candidates import searched
-from hitchopt.planners.optimise.evaluation import Candidate, Search
+from hitchopt.planners.optimise.candidates import Candidate, searched
 from hitchopt.planners.optimise.guesses import mean_turn
-from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.screening import end_margin
+from hitchopt.planners.optimise.search_task import Search
 
 CAP = 20.0
 """[s] of processor time for one restart; what has found nothing by then counts as not found."""
@@ -32,7 +32,7 @@ class Restarts:
     Attributes
     ----------
     count: how many there were.
-    found: how many of them led to a certified way.
+    found: how many of them led to a certified path.
     capped: how many the cap of processor time stopped.
     best: shortest certified duration [s], infinity if there is none.
     """
@@ -79,11 +79,11 @@ def restarted(case: Case, rng: np.random.Generator) -> list[Candidate]:
     centres = first.centroid + s[:, None] * (last.centroid - first.centroid) + bow
     polygons = centres[:, None] + size[:, None, None] * (blend @ matrices)
     polygons[0], polygons[-1] = first.vertices, last.vertices
-    way = Way.through("restart", case.start, case.end, polygons)
-    if np.min(way.slack) <= 0.0:
+    path = KnotPath.through("restart", case.start, case.end, polygons)
+    if np.min(path.slack) <= 0.0:
         return []
     margins = (end_margin(case.start, case.requirements), end_margin(case.end, case.requirements))
-    return searched([way], Search(case.requirements, case.judge, None, margins))
+    return searched([path], Search(case.requirements, case.judge, None, margins))
 
 
 @contextmanager

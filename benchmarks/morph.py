@@ -16,9 +16,8 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.environment import print_environment
-from hitchopt.planners.path.shape_path import ShapePath, drones_along
-from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.speed_profile import fastest_profile
+from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.timing.speed_profile import time_estimate
 
 FINE = 1001
 
@@ -49,8 +48,7 @@ def measure(n: int) -> str:
     end = ho.Hitch(start.team, goal, 1.0, plan.at(plan.duration).legs[:, 0])
     path = ShapePath.straight(start, end)
     s = np.linspace(0.0, 1.0, FINE)
-    flat, drones = path.flat(s), drones_along(path, s)
-    optimum = fastest_profile(s, Demands.of(start.team, ho.Limits(), flat, drones)).duration
+    optimum = time_estimate(path, ho.Limits(), s)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return (
         f"{n:6d} {plan.motion.drones.pieces:7d} {planned - began:10.2f} {certified - planned:12.2f}"

@@ -15,7 +15,7 @@ from hitchopt.mission.leg_sharing import LegSharing
 from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
-from hitchopt.planners.path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.requirements import Requirements
 
 
@@ -90,7 +90,7 @@ def broken_on_the_way(
     path: ShapePath, s: float, altitude: float, requirements: Requirements
 ) -> str:
     """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
-    given = legs_along(path, np.array([s]))[0]
+    given = shapes_along(path, np.array([s])).legs[0]
     legs = np.where(path.team.layout.has_leg, given, np.inf)
     place = f"at {s:.0%} of the way"
     if np.min(legs) <= 0.0:

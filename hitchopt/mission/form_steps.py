@@ -21,7 +21,7 @@ from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied, undone
 from hitchopt.planners.path.rigid_path import RigidPath
-from hitchopt.planners.timing.flown import fly_unhurried
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ def _shifted(
 ) -> Motion:
     """Return the motion of the hitch straight up or down."""
     to = np.append(hitch.polygon.centroid, altitude)
-    flight = fly_unhurried(RigidPath(hitch, to, 0.0), requirements.limits)
+    flight = fly(RigidPath(hitch, to, 0.0), requirements.limits)
     remark = "cables that hang need more room over the ground than the hitch"
     return flying(flight, hitch.team, requirements, [Phase(name, i, 0.0, flight.duration, remark)])
 

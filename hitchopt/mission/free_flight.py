@@ -17,6 +17,7 @@ from hitchopt.mission.situation import Situation, Tied
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
+from hitchopt.planners.timing.flight_curves import check_duration
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -157,24 +158,5 @@ def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion
     """Return the motion slowed to last exactly as long as a step was given."""
     if duration is None:
         return motion
-    if duration < motion.duration:
-        raise InfeasibleError(
-            [
-                Violation(
-                    "duration",
-                    duration,
-                    motion.duration,
-                    "min",
-                    "s",
-                    (),
-                    f"of step {i} ({name})",
-                    f"give it {motion.duration:.6g} s or more, or raise the limits of motion",
-                )
-            ]
-        )
-    factor = duration / motion.duration
-    phases = tuple(
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    )
-    return motion.changed(lambda part: part.stretched(factor), phases)
+    check_duration(duration, motion.duration, f"of step {i} ({name})")
+    return motion.slowed(duration / motion.duration)

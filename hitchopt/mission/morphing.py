@@ -15,8 +15,8 @@ from hitchopt.planners.optimise.candidates import candidates
 from hitchopt.planners.path.leading_legs import leading
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight import Flight
-from hitchopt.planners.timing.flown import fly_unhurried
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 
@@ -103,7 +103,7 @@ class _Judge:
 
     def __call__(self, path: ShapePath) -> Flight | None:
         task = self.task
-        flight = fly_unhurried(path, task.requirements.limits)
+        flight = fly(path, task.requirements.limits)
         phase = replace(task.phase, end=flight.duration)
         found = certified(flying(flight, task.start.team, task.requirements, [phase]))
         if not found.certificate.certified:

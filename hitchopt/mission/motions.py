@@ -11,7 +11,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.timing.flown import Flown
+from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -48,7 +48,7 @@ def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Pha
 
 
 def flying(
-    flight: Flown, team: Team, requirements: Requirements, phases: Sequence[Phase]
+    flight: Flight, team: Team, requirements: Requirements, phases: Sequence[Phase]
 ) -> Motion:
     """Return the motion of a flight, its phases from t = 0."""
     return Motion(

@@ -34,7 +34,8 @@ from hitchopt.planners.path.blended_path import SAME, blended, check_turns, pass
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
 from hitchopt.planners.path.rigid_path import RigidPath
 from hitchopt.planners.path.straight_morph import straight_morph
-from hitchopt.planners.timing.flown import Flown, fly_unhurried
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 IDLE = 0.01
@@ -107,7 +108,7 @@ def plan_blended(
     check_shapes(way.path)
     check_turns(way)
     check_loads(way.path, requirements.limits)
-    flight = fly_unhurried(way.path, requirements.limits)
+    flight = fly(way.path, requirements.limits)
     passed = passing_times(way.path, way.s[1:-1], flight)
     times = [0.0, *passed.tolist(), flight.duration]
     phases = [
@@ -161,7 +162,7 @@ def _transport(start: Hitch, step: Transport, i: int, requirements: Requirements
     if path.still:
         return Planned(_moving(None, end, step, i, requirements), end)
     check_loads(path, requirements.limits)
-    flight = fly_unhurried(path, requirements.limits, step.duration)
+    flight = fly(path, requirements.limits, step.duration)
     return Planned(_moving(flight, end, step, i, requirements), end)
 
 
@@ -205,7 +206,7 @@ def _given(step: MoveVertex | MoveEdge | Adjust | FollowVertex) -> float | None:
 
 
 def _moving(
-    flight: Flown | None,
+    flight: Flight | None,
     end: Hitch,
     step: ShapeStep | FollowVertex | Transport,
     i: int,

@@ -6,7 +6,7 @@ import pytest
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
-from hitchopt.planners.path.shape_path import ShapePath, legs_along
+from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.planners.path.straight_morph import straight_morph
 from hitchopt.requirements import Requirements
 
@@ -28,7 +28,7 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     assert distances_on_the_way(linear) < 1.0
     clear = with_legs_clear(linear, KEPT)
     assert distances_on_the_way(clear) >= 1.0
-    legs = legs_along(clear, np.array([0.0, 1.0]))
+    legs = shapes_along(clear, np.array([0.0, 1.0])).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
     flight = straight_morph(start, end, Requirements())
     assert flight is not None
@@ -60,7 +60,7 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
     assert violation.where[0].startswith("p")
-    assert "of the way" in violation.when
+    assert "of the path" in violation.when
 
 
 def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:

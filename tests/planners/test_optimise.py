@@ -10,15 +10,16 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.optimise import settling
+from hitchopt.planners.optimise import ipopt_steps
 from hitchopt.planners.optimise.candidates import Candidate, candidates
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
-from hitchopt.planners.optimise.knot_path import Way
-from hitchopt.planners.optimise.morph_program import WayProgram
-from hitchopt.planners.optimise.solver import solve_program
+from hitchopt.planners.optimise.ipopt_steps import solve_program
+from hitchopt.planners.optimise.knot_path import KnotPath
+from hitchopt.planners.optimise.morph_program import MorphProgram
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.path.straight_morph import straight_morph
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
@@ -132,11 +133,11 @@ def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch
     solved: list[str] = []
     solve = solve_program
 
-    def counting(program: WayProgram) -> Way | None:
-        solved.append(program.way.name)
+    def counting(program: MorphProgram) -> KnotPath | None:
+        solved.append(program.path.name)
         return solve(program)
 
-    monkeypatch.setattr(settling, "solve_program", counting)
+    monkeypatch.setattr(ipopt_steps, "solve_program", counting)
 
     def fly_all(path: ShapePath) -> Flight:
         return fly(path, FREE.limits)

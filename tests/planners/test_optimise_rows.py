@@ -1,5 +1,8 @@
 """The optimiser's programs: their rows, their derivatives, and what a solution keeps."""
 
+import math
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,62 +15,93 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
-from hitchopt.planners.optimise.between import (
+from hitchopt.planners.optimise.guesses import guesses
+from hitchopt.planners.optimise.ipopt_steps import solve_program
+from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
+from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
+from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
+from hitchopt.planners.optimise.nlp_draft import Draft
+from hitchopt.planners.optimise.search_task import (
+    STATIC_SHARE,
+    Search,
+    SolverStep,
+    static_tension,
+)
+from hitchopt.planners.optimise.separating_rows import (
     LEG_INSET,
     LEG_REACH,
-    between_rows,
     instants,
+    rows_at_knots,
+    rows_between,
 )
-from hitchopt.planners.optimise.draft import Draft
-from hitchopt.planners.optimise.guesses import guesses
-from hitchopt.planners.optimise.knot_path import Way
-from hitchopt.planners.optimise.morph_program import WayProgram, build_program
-from hitchopt.planners.optimise.pairs import near_pairs, pair_rows
-from hitchopt.planners.optimise.solver import solve_program
-from hitchopt.planners.optimise.variable_bounds import Bounds, Step
-from hitchopt.planners.optimise.variables import Layout
+from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
 QUIET = {"print_iter": False, "print_header": False, "print_info": False}
 
 
-def program_of(n: int, step: Step, tension: tuple[float, float] | None) -> WayProgram:
+def search(
+    tension: tuple[float, float] | None,
+    margin: float,
+    end_margins: tuple[float, float],
+    requirements: Requirements | None = None,
+) -> Search:
+    return Search(requirements or Requirements(), lambda _: None, tension, end_margins, margin)
+
+
+def costs_and_rows(expressions: dict[str, ca.MX]) -> ca.Function:
+    return ca.Function("value", [expressions["x"]], [expressions["f"], expressions["g"]])
+
+
+def distances(nodes: np.ndarray, drones: NearPairs) -> np.ndarray:
+    """Return the distances (m,) [m] of pairs of drones, of nodes (K, 3n, 2)."""
+    first, second = (nodes[drones.frame, node[:, 0]] for node in (drones.first, drones.second))
+    return np.asarray(np.linalg.norm(first - second, axis=1))
+
+
+def program_of(n: int, step: SolverStep, tension: tuple[float, float] | None) -> MorphProgram:
     rng = np.random.default_rng(n)
     first = random_convex_polygon(n, 1.1, rng)
     pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
     start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
     polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
-    bounds = Bounds(Requirements(), tension, 1.02, (1.5, 1.5))
-    return build_program(Way.through("turned", start, end, polygons), bounds, step)
+    bounds = search(tension, 1.02, (1.5, 1.5))
+    return build_program(KnotPath.through("turned", start, end, polygons), bounds, step)
 
 
 @pytest.mark.parametrize(
     ("step", "tension"),
     [
-        (Step(0.17), None),
-        (Step(0.17, 3, fastest=True), None),
-        (Step(0.12, 4), (0.2, 0.6)),
-        (Step(0.12, fastest=True), (0.2, 0.6)),
+        (SolverStep(0.17), None),
+        (SolverStep(0.17, 3, fastest=True), None),
+        (SolverStep(0.12, 4), (0.2, 0.6)),
+        (SolverStep(0.12, fastest=True), (0.2, 0.6)),
     ],
 )
 def test_the_optimisers_derivatives_are_those_of_finite_differences(
-    step: Step, tension: tuple[float, float] | None
+    step: SolverStep, tension: tuple[float, float] | None
 ) -> None:
     program = program_of(3, step, tension)
     rng = np.random.default_rng(1)
-    multipliers = rng.normal(size=len(program.least))
-    lagrangian = program.f + ca.dot(ca.DM(multipliers), program.g)
-    gradient = ca.gradient(lagrangian, program.x)
-    value = ca.Function("value", [program.x], [lagrangian, gradient])
-    slope = ca.Function("slope", [program.x], [gradient, ca.jacobian(gradient, program.x)])
-    x = program.start + 1e-3 * rng.normal(size=len(program.start))
-    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(x))
+    multipliers = rng.normal(size=len(program.numbers["lbg"]))
+    x, f, g = (program.expressions[name] for name in "xfg")
+    lagrangian = f + ca.dot(ca.DM(multipliers), g)
+    gradient = ca.gradient(lagrangian, x)
+    value = ca.Function("value", [x], [lagrangian, gradient])
+    slope = ca.Function(
+        "slope",
+        [program.expressions["x"]],
+        [gradient, ca.jacobian(gradient, program.expressions["x"])],
+    )
+    start = program.numbers["x0"]
+    point = start + 1e-3 * rng.normal(size=len(start))
+    exact_gradient, exact_hessian = (np.asarray(v) for v in slope(point))
     h = 1e-5
     for _ in range(12):  # along random directions: all entries take part in each
-        direction = rng.normal(size=len(x))
+        direction = rng.normal(size=len(point))
         around = [
-            [np.asarray(v).ravel() for v in value.call([x + k * h * direction])]
+            [np.asarray(v).ravel() for v in value.call([point + k * h * direction])]
             for k in (-2.0, -1.0, 1.0, 2.0)
         ]
         by_cost, by_slope = (
@@ -87,18 +121,22 @@ def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
     n = int(rng.integers(3, 7))
     first = random_convex_polygon(n, 1.1, rng)
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
-    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
-    layout = Layout(n)
-    table = layout.table(way)
+    way = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
+    columns = columns_of(n)
+    table = way.table()
     moved = table.copy()
     moved[1:-1] += rng.uniform(-0.03, 0.03, moved[1:-1].shape)  # well within a step
-    moved[:, layout.tensions] = table[:, layout.tensions]
-    other = layout.way(moved, way)
-    moved[1:-1] = layout.table(other)[1:-1]  # drones where the moved hitch has them
-    rows = pair_rows(layout, table, ho.Separation(), np.ones(3), 0.5)
-    x = moved[1:-1].ravel()
-    apart = np.linalg.norm(x[rows.first] - x[rows.second], axis=1)
-    kept = bool(np.all(rows.rows @ x >= rows.least) and np.all(apart >= rows.apart))
+    moved[:, columns.tensions] = table[:, columns.tensions]
+    other = way.with_table(moved)
+    moved[1:-1] = other.table()[1:-1]  # drones where the moved hitch has them
+    pairs = near_pairs(table[1:-1][:, columns.nodes], ho.Separation(), np.ones(3), 0.5)
+    drones, others = (pairs.chosen(which) for which in (pairs.kind == 0, pairs.kind != 0))
+    rows = rows_at_knots(way, others)
+    places = moved[1:-1][:, columns.nodes]
+    apart = distances(places, drones)
+    kept = bool(np.all(rows.rows @ moved[1:-1].ravel() >= rows.least)) and bool(
+        np.all(apart >= drones.enforced)
+    )
     task = LegTask(way.team, Requirements(), other.polygons[1:-1], other.q_legs[1:-1], 0.0, 1.0)
     assert reference_margin(task) >= 1.0 - 1e-9 or not kept
 
@@ -113,15 +151,15 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     n = int(rng.integers(3, 7))
     first = random_convex_polygon(n, 1.1, rng)
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
-    way = Way.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
-    layout, places = Layout(n), instants(5, parts)
+    way = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    columns, places = columns_of(n), instants(5, parts)
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
-    bounds = Bounds(Requirements(), None, 1.05, (1.2, 1.01))
-    table = layout.table(way)
-    found = between_rows(way, bounds, places, 0.3)
-    nodes = layout.table(way.at(places / 5.0))[:, layout.nodes]
+    bounds = search(None, 1.05, (1.2, 1.01))
+    table = way.table()
+    found = rows_between(way, bounds, places, 0.3)
+    nodes = way.at(places / 5.0).table()[:, columns.nodes]
     pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
-    excess = np.full(len(pairs.kept), np.inf)
+    excess = np.full(len(pairs.enforced), np.inf)
     pair, _, _ = pairs.sides()
     x = table[1:-1].ravel()
     np.minimum.at(excess, pair, (found.rows @ x - found.least)[: len(pair)])
@@ -133,12 +171,12 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
             strict=True,
         )
     ]
-    np.testing.assert_allclose(excess + pairs.kept, gaps, atol=2e-3)
-    assert np.all(excess + pairs.kept <= np.array(gaps) + 1e-9)  # samples are never nearer
+    np.testing.assert_allclose(excess + pairs.enforced, gaps, atol=2e-3)
+    assert np.all(excess + pairs.enforced <= np.array(gaps) + 1e-9)  # samples are never nearer
     # The inner knots all moved alike: pairs within a step between inner knots stay as they are.
     inner = np.abs(places[pairs.frame[pair]] - 2.5) < 1.5
     moved = table[1:-1].copy()
-    moved[:, layout.nodes] += rng.normal(size=2)
+    moved[:, columns.nodes] += rng.normal(size=2)
     before, after = ((found.rows @ a)[: len(pair)] for a in (x, moved.ravel()))
     np.testing.assert_allclose(after[inner], before[inner], atol=1e-9)
 
@@ -149,31 +187,31 @@ def points_on(segment: np.ndarray, count: int) -> np.ndarray:
 
 
 def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
-    program = program_of(4, Step(0.17, 2), None)
+    program = program_of(4, SolverStep(0.17, 2), None)
     way = solve_program(program)
     assert way is not None
-    value = ca.Function("value", [program.x], [program.f, program.g])
-    x = program.layout.table(way)[1:-1].ravel()
+    value = ca.Function(
+        "value", [program.expressions["x"]], [program.expressions["f"], program.expressions["g"]]
+    )
+    x = way.table()[1:-1].ravel()
     cost, rows = value(x)
-    assert np.all(np.asarray(rows).ravel() >= program.least - 1e-4)
-    assert np.all(np.asarray(rows).ravel() <= program.most + 1e-4)
-    assert float(cost) <= float(value(program.start)[0]) + 1e-6
+    assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
+    assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
+    assert float(cost) <= float(value(program.numbers["x0"])[0]) + 1e-6
 
 
 def test_what_is_short_of_its_bound_may_stay_so_at_a_price_and_the_rest_may_not() -> None:
     draft = Draft()
     x = draft.variables("x", np.array([0.0, 2.0]), np.full(2, -5.0), np.full(2, 5.0))
-    draft.urge(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
+    draft.soft_bound(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
     draft.f += ca.sumsqr(x)
-    start, lower, upper = draft.box()
-    least, most = draft.ranges()
-    rows = ca.Function("rows", [draft.x], [draft.f, draft.g])
-    cost, values = rows(start)
+    expressions, numbers = draft.program()
+    rows = costs_and_rows(expressions)
+    cost, values = rows(numbers["x0"])
     np.testing.assert_allclose(np.asarray(values).ravel(), [1.0, 2.0])  # feasible where it starts
     assert float(cost) == pytest.approx(4.0 + 3.0 * 1.0)
-    np.testing.assert_array_equal(lower, [-5.0, -5.0, 0.0])
-    solver = ca.qpsol("dear", "qrqp", {"x": draft.x, "f": draft.f, "g": draft.g}, QUIET)
-    found = solver(x0=start, lbx=lower, ubx=upper, lbg=least, ubg=most)
+    np.testing.assert_array_equal(numbers["lbx"], [-5.0, -5.0, 0.0])
+    found = ca.qpsol("soft", "qrqp", expressions, QUIET)(**numbers)
     # Worth 3 a metre, the first one is raised to its bound of 1, where a square costs 2 a metre.
     np.testing.assert_allclose(np.asarray(found["x"]).ravel(), [1.0, 1.5, 0.0], atol=1e-6)
 
@@ -182,17 +220,121 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     first = regular_polygon(4, 1.2)
     last = first.rotated(0.5).scaled(0.9)
     start, end = ends(Team(4, [2.4, 2.5, 2.6, 2.4]), first, last)
-    way = Way.through("turned", start, end, guesses(first, last, 6)[1].polygons)
-    layout, places = Layout(4), instants(5, 4)
-    columns = np.concatenate([layout.q_legs, layout.r_legs])
-    legs, at_knots = (w[:, columns] for w in map(layout.table, (way.at(places / 5.0), way)))
+    way = KnotPath.through("turned", start, end, guesses(first, last, 6)[1].polygons)
+    columns, places = columns_of(4), instants(5, 4)
+    columns = np.concatenate([columns.q_legs, columns.r_legs])
+    legs, at_knots = (w[:, columns] for w in (way.at(places / 5.0).table(), way.table()))
     limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
-    bounds = Bounds(
-        Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0)), None, 1.0, (1.0, 1.0)
+    bounds = search(
+        None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
     )
-    rows = between_rows(way, bounds, places, 0.0)  # of no pair: their limits are next to none
+    rows = rows_between(way, bounds, places, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH
-    excess = rows.rows @ layout.table(way)[1:-1].ravel() - rows.least
+    excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
     assert 0 < np.sum(near) < near.size
     np.testing.assert_allclose(excess, (legs - shortest)[near], atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+@settings(max_examples=10)
+def test_rows_between_knots_follow_the_chord_between_moved_knots(seed: int, parts: int) -> None:
+    """Their change is that of pairs on straight lines from each knot to the next, all moved."""
+    rng = np.random.default_rng(seed)
+    n, steps = int(rng.integers(3, 7)), 5
+    first = random_convex_polygon(n, 1.1, rng)
+    start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
+    path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    places = instants(steps, parts)
+    asked = search(None, 1.05, (1.2, 1.01), Requirements(ho.Limits(leg=float(np.min(path.q_legs)))))
+    rows = rows_between(path, asked, places, 0.3)
+    change = rng.normal(size=path.table().shape)
+    change[[0, -1]] = 0.0  # the ends are given
+    knots = np.arange(steps + 1.0)
+    there = np.stack([np.interp(places, knots, column) for column in change.T], axis=1)
+
+    columns = path.columns
+    table = path.at(places / steps).table()
+    margins = asked.margins(steps, places)
+    pairs = near_pairs(table[:, columns.nodes], ho.Separation(), margins, 0.3)
+    pair, a, b = pairs.sides()
+    moved = there[:, columns.nodes][pairs.frame[pair]]
+    at = np.arange(len(pair))
+    apart = np.sum(pairs.normal[pair] * (moved[at, a] - moved[at, b]), axis=1)
+    legs = np.concatenate([columns.q_legs, columns.r_legs])
+    near = table[:, legs] < asked.requirements.limits.leg + LEG_REACH
+    assert np.any(near)
+    wanted = np.concatenate([apart, there[:, legs][near]])
+    np.testing.assert_allclose(rows.rows @ change[1:-1].ravel(), wanted, atol=1e-12)
+
+
+def test_rows_at_knots_are_the_slopes_of_distances_along_their_normals() -> None:
+    """By central differences of the distance between the sides of each pair, knot by knot."""
+    rng = np.random.default_rng(7)
+    first = random_convex_polygon(5, 1.1, rng)
+    start, end = ends(Team(5, 2.0), first, first.rotated(0.4))
+    path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
+    columns, inner = path.columns, path.table()[1:-1]
+    pairs = near_pairs(inner[:, columns.nodes], ho.Separation(), np.ones(4), 0.5)
+    others = pairs.chosen(pairs.kind != 0)
+    rows = rows_at_knots(path, others)
+    pair, a, b = others.sides()
+
+    def apart(x: np.ndarray) -> np.ndarray:
+        nodes = x.reshape(inner.shape)[:, columns.nodes]
+        frame = others.frame[pair]
+        return np.sum(others.normal[pair] * (nodes[frame, a] - nodes[frame, b]), axis=1)
+
+    x, direction = inner.ravel(), rng.normal(size=inner.size)
+    slope = (apart(x + 1e-4 * direction) - apart(x - 1e-4 * direction)) / 2e-4
+    np.testing.assert_allclose(rows.rows @ direction, slope, atol=1e-9)
+    np.testing.assert_allclose(rows.rows @ x, apart(x), atol=1e-12)
+    np.testing.assert_allclose(rows.least, others.enforced[pair], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "binding",
+    [
+        {"max_thrust": 1.9, "tilt": math.radians(60.0)},  # thrust binds
+        {"max_thrust": 9.0, "tilt": math.radians(20.0)},  # tilt binds
+    ],
+    ids=["thrust", "tilt"],
+)
+def test_the_static_tension_is_where_drones_that_carry_their_cables_reach_a_limit(
+    binding: dict[str, float],
+) -> None:
+    """A hitch at rest with heavy cables: thrust and tilt of the model itself, at that tension."""
+    tilt = binding["tilt"]
+    quadrotor = ho.Quadrotor(0.132, binding["max_thrust"])
+    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=quadrotor, cable_density=0.02)
+    largest = static_tension(team, tilt)
+    assert largest[0] != largest[1]  # the longer cable weighs more
+    for k in range(4):
+        same = replace(team, tension=float(largest[k]))
+        hitch = ho.Hitch.balanced(same, regular_polygon(4, 1.2))
+        thrust = loads_at_rest(same, hitch.cable_forces)[2 * k : 2 * k + 2]
+        level = np.hypot(thrust[:, 0], thrust[:, 1])
+        by_thrust = np.linalg.norm(thrust, axis=1) / binding["max_thrust"]
+        by_tilt = np.arctan2(level, thrust[:, 2]) / tilt
+        assert max(np.max(by_thrust), np.max(by_tilt)) == pytest.approx(STATIC_SHARE, rel=1e-9)
+
+
+def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> None:
+    """In the variables that the solver gets, of cables with weight."""
+    quadrotor = ho.Quadrotor(0.132, 1.8)
+    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=quadrotor, cable_density=0.02)
+    square = regular_polygon(4, 1.2)
+    start, end = ends(team, square, square.rotated(0.3))
+    path = KnotPath.through(
+        "turned", start, end, guesses(square, square.rotated(0.3), 6)[1].polygons
+    )
+    tilt = ho.Limits().tilt
+    for top in (0.5, 5.0):
+        program = build_program(path, search((0.2, top), 1.02, (1.5, 1.5)), SolverStep(0.17))
+        size = path.columns.size * (path.steps - 1)
+        upper = program.numbers["ubx"][:size].reshape(path.steps - 1, -1)[:, path.columns.tensions]
+        lift = team.mass[::2] * 9.81 + team.cable_weight[::2]
+        by_thrust = np.sqrt((0.97 * 1.8) ** 2 - lift**2)
+        static = np.minimum(by_thrust, lift * math.tan(0.97 * tilt))
+        wanted = np.minimum(top - 0.02 * (top - 0.2), static)
+        np.testing.assert_allclose(upper, np.tile(wanted, (path.steps - 1, 1)), rtol=1e-6)

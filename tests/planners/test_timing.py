@@ -14,10 +14,16 @@ from hitchopt.planners.path import jets
 from hitchopt.planners.path.shape_path import ShapePath, drones_along
 from hitchopt.planners.timing import speed_profile
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import GRID, fly
 from hitchopt.planners.timing.mesh import time_mesh
-from hitchopt.planners.timing.speed_profile import acceleration_rows, fastest_profile, path_grid
-from problems.random_morph import random_convex_polygon
+from hitchopt.planners.timing.speed_profile import (
+    SpeedProfile,
+    acceleration_rows,
+    fastest_profile,
+    path_grid,
+)
+from hitchopt.planners.timing.stretch import needed_stretch
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 
@@ -62,7 +68,12 @@ def straight(
 
 def demands(path: ShapePath, limits: Limits, count: int = 201) -> Demands:
     s = np.linspace(0.0, 1.0, count)
-    return Demands.of(path.team, limits, path.flat(s), drones_along(path, s))
+    return Demands.along(path, limits, s)
+
+
+def profile_of(path: ShapePath, limits: Limits) -> SpeedProfile:
+    grid = path_grid(GRID)
+    return fastest_profile(grid, Demands.along(path, limits, grid))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
@@ -117,7 +128,7 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     path = straight(4, 3, limits, (0.6 * distance, 0.8 * distance))
     bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
     flight = fly(path, limits)
-    assert flight.profile.duration == pytest.approx(bang, rel=2e-3)
+    assert profile_of(path, limits).duration == pytest.approx(bang, rel=2e-3)
     # The jerk-limited optimum in closed form.
     ramp = a / j
     if distance >= v * (v / a + ramp):
@@ -174,7 +185,7 @@ def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
     assert max(ratios.values()) <= 1.0
     assert ratios[binding] >= 0.985
     fine = np.linspace(0.0, 1.0, 1001)
-    exact = Demands.of(path.team, limits, path.flat(fine), drones_along(path, fine))
+    exact = Demands.along(path, limits, fine)
     optimum = fastest_profile(fine, exact).duration
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
@@ -263,7 +274,7 @@ def test_limits_of_all_sizes_only_scale_the_time(limits: Limits) -> None:
     flight = fly(path, limits)
     assert max(worst_ratio(path, limits, flight).values()) <= 1.0
     fine = path_grid(2000)
-    exact = Demands.of(path.team, limits, path.flat(fine), drones_along(path, fine))
+    exact = Demands.along(path, limits, fine)
     optimum = fastest_profile(fine, exact).duration
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
@@ -284,7 +295,7 @@ def test_a_higher_limit_hardly_ever_costs_time() -> None:
 
 
 def test_the_profiles_mean_and_acceleration_by_sampling() -> None:
-    profile = fly(straight(4, 5, Limits()), Limits()).profile
+    profile = profile_of(straight(4, 5, Limits()), Limits())
     t = np.linspace(-0.3, profile.duration + 0.3, 4001)
     rate = np.interp(t, profile.times, profile.speed, left=0.0, right=0.0)
     s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
@@ -301,7 +312,7 @@ def test_the_profiles_mean_and_acceleration_by_sampling() -> None:
 
 def test_the_mesh_is_close_where_the_acceleration_changes() -> None:
     limits = Limits()
-    profile = fly(straight(3, 4, limits, (10.0, 0.0)), limits).profile
+    profile = profile_of(straight(3, 4, limits, (10.0, 0.0)), limits)
     ramp = 0.2
     knots = time_mesh(profile, ramp)
     widths = np.diff(knots)
@@ -313,3 +324,35 @@ def test_the_mesh_is_close_where_the_acceleration_changes() -> None:
     assert np.all(widths[1:] / widths[:-1] < 2.5)
     assert np.all(widths[:-1] / widths[1:] < 2.5)
     assert len(time_mesh(profile, ramp, finer=2)) == pytest.approx(2 * len(knots), abs=3)
+
+
+@pytest.mark.parametrize(
+    ("tight", "order", "limit"),
+    [
+        (Limits(speed=0.3), 1, 0.3),
+        (Limits(acceleration=0.2), 2, 0.2),
+        (Limits(jerk=0.5), 3, 0.5),
+    ],
+    ids=["speed", "acceleration", "jerk"],
+)
+def test_the_stretch_leaves_the_certificate_a_share_of_every_limit(
+    tight: Limits, order: int, limit: float
+) -> None:
+    """Flown at what the stretch allows, the largest rate is under 99.96 % of its limit."""
+    path = straight(4, 3, tight, (1.0, 0.5))
+    flight = fly(path, tight)
+    for factor in (1.0, 0.5):
+        faster = flight.lasting(factor * flight.duration)
+        slower = needed_stretch(path.team, tight, faster.drones, faster.vertices, faster.pulls)
+        assert slower == pytest.approx(1.0 / factor, rel=1e-9)
+        t = np.linspace(0.0, faster.duration, 40001)
+        rate = np.max(np.linalg.norm(faster.drones.at(t, order), axis=-1)) / slower**order
+        assert 0.99 * limit < rate < 0.9996 * limit
+
+
+def test_the_stretch_leaves_the_certificate_a_share_of_the_vertices_speed() -> None:
+    tight = Limits(vertex_speed=0.1)
+    flight = fly(straight(4, 3, tight, (1.0, 0.5)), tight)
+    t = np.linspace(0.0, flight.duration, 40001)
+    fastest = np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1))
+    assert 0.099 < fastest < 0.09996

@@ -1,1 +1,1 @@
-"""The paper's actions on a formed hitch: what moves, and what is kept."""
+"""The paper's actions on a formed hitch: what moves, and what stays."""

@@ -1,4 +1,4 @@
-"""An action as the paper words it: which vertices move, and which legs are kept meanwhile."""
+"""An action of the paper: which vertices move, and which legs keep their lengths meanwhile."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Action:
     ----------
     start: the hitch before.
     polygon: the outline after.
-    vertices: of shape (n, 3) over s from 0 to 1 [m], the way between.
+    vertices: of shape (n, 3) over s from 0 to 1 [m], the path between.
     length, share: (n,) [m] and without unit; the legs kept are ``d = length + share · slack``.
     named: the drones that move by this law where tensions are equal.
     seconds: [s] how long, where s is time already; else None.
@@ -54,7 +54,7 @@ class Action:
     def path(self, q_legs: Array | None = None) -> ShapePath:
         """Return the path that ends with ``q_legs`` (n,) [m], those kept if None.
 
-        What they differ by from the kept ones is made up along the way.
+        What they differ by from the kept ones is made up along the path.
         """
         deviation = np.zeros_like(self.length) if q_legs is None else q_legs - self.kept_legs
         grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
@@ -67,7 +67,7 @@ class Action:
 
 
 def straight_vertices(start: Hitch, polygon: Outline) -> PiecewisePolynomial:
-    """Return the vertices' straight way to an outline at the same height, over s."""
+    """Return the vertices' straight path to an outline at the same height, over s."""
     end = np.column_stack([polygon.vertices, np.full(len(polygon), start.altitude)])
     return PiecewisePolynomial(np.array([0.0, 1.0]), np.stack([start.vertices, end], axis=-1)[None])
 

@@ -1,4 +1,4 @@
-"""From an action and the hitch that it ends with to its flight."""
+"""The flight of an action to the hitch that it ends with."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import cleared
 from hitchopt.planners.actions.timed import fly_timed
 from hitchopt.planners.path.path_feasibility import SHORTEST_LEG, check_loads, check_shapes
-from hitchopt.planners.path.shape_path import ShapePath, drones_along, legs_along
-from hitchopt.planners.timing.flown import MOVES, Flown, fly_unhurried, moving
+from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
+from hitchopt.planners.timing.flight_curves import MOVES, Flight, moving
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 PROBES = 65
-"""Points of a path at which it is seen which drones its law moves."""
+"""Number of points of a path at which it is determined which drones its law moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +30,11 @@ class Flying:
     ----------
     flight: None where nothing moves.
     turning: names of the drones beyond the named ones that the action's own law moves.
-    sliding: names of those that move only because its law was not kept.
-    worst: s where the law broke a limit on the way, or None.
+    sliding: names of those that move only because its law could not be kept.
+    worst: s where the law broke a limit on the path, or None.
     """
 
-    flight: Flown | None
+    flight: Flight | None
     turning: tuple[str, ...] = ()
     sliding: tuple[str, ...] = ()
     worst: float | None = None
@@ -42,13 +43,13 @@ class Flying:
 def fly_action(
     action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
 ) -> Flying:
-    """Return the flight to ``end``, further cables sliding where a limit binds on the way.
+    """Return the flight to ``end``, further cables sliding where a limit binds on the path.
 
     Parameters
     ----------
     action: what moves, and by which law.
     end: the hitch after it; its legs may differ from those that the law keeps.
-    kept: limits and distances.
+    requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
 
     Raises
@@ -63,8 +64,8 @@ def fly_action(
     clear = cleared(path, requirements, at_rest=timed)
     check_shapes(clear.path)
     check_loads(clear.path, requirements.limits)
-    flight: Flown = (
-        fly_unhurried(clear.path, requirements.limits, duration)
+    flight: Flight = (
+        fly(clear.path, requirements.limits, duration)
         if action.seconds is None
         else fly_timed(clear.path, action.seconds)
     )
@@ -80,11 +81,11 @@ def fly_action(
 
 
 def _check_outline(path: ShapePath) -> None:
-    """Raise InfeasibleError where no sharing of the legs makes the path one of hitches."""
+    """Raise InfeasibleError where no leg lengths make the path one of hitches."""
     try:
         check_shapes(path)
     except InfeasibleError as error:
-        slack = np.sum(legs_along(path, np.linspace(0.0, 1.0, PROBES)), axis=-1)
+        slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
         if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
             raise
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action, drone_names, straight_vertices
-from hitchopt.planners.timing.flown import MOVES
+from hitchopt.planners.timing.flight_curves import MOVES
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Which cables slide through their clasps where an action's own legs break a limit on the way."""
+"""Which cables slide through their clasps where an action's own leg lengths break a limit."""
 
 from __future__ import annotations
 
@@ -6,35 +6,42 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
-from hitchopt.hitch.leg_lengths import reference_margin, split_slack
-from hitchopt.planners.path.leg_law import CLEAR, PROBES, RAMP, legs_clear, sharing_task
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along
+from hitchopt.hitch.leg_lengths import reference_margin
+from hitchopt.planners.path.leg_law import (
+    CLEAR,
+    MARGIN,
+    PROBES,
+    laws_nearby,
+    legs_clear,
+    sharing_task,
+)
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
 from hitchopt.requirements import Requirements
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splitting import on_breaks
 
 Array = NDArray[np.float64]
 
 SLIDES = 1e-6
 """[m] A cable whose legs would change by less keeps them exactly."""
 
-ROUNDS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.005), (65, 1.005))
-"""Points of the path at which the sharing is chosen, and how many times their limits distances are
-kept there, for what is between them; towards the ends less, which have been chosen already."""
+ROUNDS = ((9, MARGIN), (17, MARGIN), (17, 1.02), (33, MARGIN), (65, MARGIN))
+"""Numbers of points of the path at which leg lengths are chosen, and the margins there."""
 
 LEG_MARGIN = 1.02
-"""Legs are kept at this many times their limit at the knots."""
+"""Factor on the limit of legs at the knots: where they reach it, a spline would dip below
+it in between."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """A path whose legs keep clear, and where the law that it was given did not.
+    """A path whose distances hold, and where the law that it was given breaks them.
 
     Attributes
     ----------
     path: with as few cables sliding as possible.
-    worst: s where the given law comes closest to its limits or breaks them; None where it is kept.
+    worst: s where the given law comes closest to its limits or breaks them; None where it holds.
     """
 
     path: ShapePath
@@ -42,90 +49,45 @@ class Clearance:
 
 
 def cleared(path: ShapePath, requirements: Requirements, at_rest: bool) -> Clearance:
-    """Return the path with legs shared so that distances hold on the way.
-
-    As with_legs_clear, but for few cables only, and with legs a little longer than their limit at
-    the knots: where they reach it, a spline would else dip below in between.
+    """Return the path with leg lengths such that distances hold, few cables sliding for it.
 
     Parameters
     ----------
     path: with the law that is wanted; returned as it is where none is found, for the certificate to
-        tell what it breaks.
-    kept: the distances.
-    at_rest: whether s is time, so that the sharing has to start and end at rest.
+        report what it breaks.
+    requirements: distances and shortest legs.
+    at_rest: whether s is time, so that cables have to start and end at rest.
     """
     if legs_clear(path, requirements):
         return Clearance(path, None)
-    for count, margin in ROUNDS:
-        s = np.linspace(0.0, 1.0, count)
-        inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
-        margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-        task = replace(
-            sharing_task(path, requirements, s, margins),
-            shortest_leg=LEG_MARGIN * requirements.limits.leg,
-        )
-        found = split_slack(task)
-        if found.margin < 1.0:
-            break
-        law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack, at_rest))
-        changed = ShapePath(path.team, path.vertices, law, path.tensions)
+    shortest = LEG_MARGIN * requirements.limits.leg
+    for changed in laws_nearby(path, requirements, ROUNDS, shortest, 1.0, at_rest=at_rest):
         for candidate in (_few_sliding(path, changed), changed):
             if legs_clear(candidate, requirements):
                 return Clearance(candidate, _worst_place(path, requirements))
     return Clearance(path, None)
 
 
-def _spline(s: Array, fractions: Array, at_rest: bool) -> PiecewisePolynomial:
-    """Return the quintic spline through the fractions (J, n), at rest at both ends if so wanted."""
-    still = np.zeros(fractions.shape[1])
-    rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
-    ends = (rest, rest) if at_rest else None
-    spline = make_interp_spline(s, fractions, k=5, bc_type=ends)  # type: ignore[arg-type]
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
-
-
 def _few_sliding(path: ShapePath, changed: ShapePath) -> ShapePath:
     """Return the changed path with the given path's law for all cables that hardly slide."""
     s = np.linspace(0.0, 1.0, PROBES)
-    away = np.abs(legs_along(changed, s) - legs_along(path, s))
+    away = np.abs(shapes_along(changed, s).legs - shapes_along(path, s).legs)
     slides = np.max(away, axis=(0, 2)) > SLIDES
     breaks = changed.legs.share.breaks
-    law = LegLaw(
-        _chosen(slides, changed.legs.length, path.legs.length, breaks),
-        _chosen(slides, changed.legs.share, path.legs.share, breaks),
-    )
-    return ShapePath(path.team, path.vertices, law, path.tensions)
 
+    def chosen(new: PiecewisePolynomial, old: PiecewisePolynomial) -> PiecewisePolynomial:
+        order = max(new.degree, old.degree)
+        one, other = (on_breaks(p, breaks).elevated(order).coefficients for p in (new, old))
+        return PiecewisePolynomial(breaks, np.where(slides[:, None], one, other))
 
-def _chosen(
-    first: NDArray[np.bool_], a: PiecewisePolynomial, b: PiecewisePolynomial, breaks: Array
-) -> PiecewisePolynomial:
-    """Return ``a`` for the cables where ``first`` (n,), else ``b``, on common breaks."""
-    parts = [_split(part, breaks) for part in (a, b)]
-    order = max(bernstein.degree(part) for part in parts)
-    one, other = (bernstein.elevate(part, order) for part in parts)
-    return PiecewisePolynomial(breaks, np.where(first[:, None], one, other))
-
-
-def _split(part: PiecewisePolynomial, breaks: Array) -> Array:
-    """Return the coefficients on ``breaks``, which refine the part's own."""
-    middle = 0.5 * (breaks[:-1] + breaks[1:])
-    piece = np.searchsorted(part.breaks, middle, side="right") - 1
-    begin, h = part.breaks[piece], part.durations[piece]
-    lower, upper = ((breaks[i : len(breaks) - 1 + i] - begin) / h for i in (0, 1))
-    return bernstein.restrict(
-        part.coefficients[piece],
-        np.clip(lower, 0.0, 1.0)[:, None],
-        np.clip(upper, 0.0, 1.0)[:, None],
-    )
+    lengths = chosen(changed.legs.length, path.legs.length)
+    return replace(path, legs=LegLaw(lengths, chosen(changed.legs.share, path.legs.share)))
 
 
 def _worst_place(path: ShapePath, requirements: Requirements) -> float:
-    """Return s where the path's own law leaves the least of its limits, ends left out."""
+    """Return s where the path's own law comes closest to its limits, without the ends."""
     s = np.linspace(0.0, 1.0, PROBES)[1:-1]
-    legs = legs_along(path, s)[:, path.team.layout.has_leg]
+    legs = shapes_along(path, s).legs[:, path.team.layout.has_leg]
     shortest = np.min(legs, axis=1) / requirements.limits.leg
     apart = [
         reference_margin(sharing_task(path, requirements, s[j : j + 1], CLEAR))

@@ -3,7 +3,7 @@
 A cable that slides through a clasp pulls harder on the side that it is drawn to. With legs where
 they hold without friction the vertex is dragged along until the clasp balances again. Planned for,
 the same balance is found by the legs: they pull with what friction makes of the tension, and lean
-as the force triangle at the clasp asks (``model.slipping``).
+as the force triangle at the clasp requires (``model.slipping``).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from hitchopt.trajectory.splitting import on_breaks
 Array = NDArray[np.float64]
 
 SMALLEST = math.radians(0.5)
-"""Legs that would lean less than this stay as they are."""
+"""Smallest lean: legs that would lean less stay as they are."""
 
 FINER = 2
-"""Pieces of the drones' polynomials for one of the splines."""
+"""Number of pieces of the drones' polynomials for one of the splines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     Parameters
     ----------
     motion: of a level hitch, from rest to rest, formed all of the time.
-    limits: that the leaning drones keep, by going slower.
+    limits: that the leaning drones satisfy, by going slower.
     share: of the friction that is counted on, in (0, 1].
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
@@ -67,21 +67,17 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     found = _leaned(motion, slip)
     if found is None or found.turned < SMALLEST:
         return None
-    factor = needed_stretch(motion.team, limits, found.motion)
+    leaned = found.motion
+    factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
     if factor <= 1.0:
         return found
     if not slower or not math.isfinite(factor):
         return None
-    phases = [
-        replace(phase, start=factor * phase.start, end=factor * phase.end)
-        for phase in motion.phases
-    ]
-    slowed = found.motion.changed(lambda part: part.stretched(factor), phases)
-    return replace(found, motion=slowed)
+    return replace(found, motion=leaned.slowed(factor))
 
 
 def worth_leaning(motion: Motion) -> bool:
-    """Return whether legs would lean by more than the least, if only there were room for it."""
+    """Return whether legs would lean by more than the least, if limits allowed it."""
     slip = counted_on(motion, 1.0)
     if slip is None:
         return False
@@ -108,9 +104,9 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
     found = slipping_drones(layout, p, lengths, T, pulls)
     if not np.all(np.isfinite(found)):
         return None
-    ways = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
+    places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
     clasps = p[:, layout.clasps][..., 0][:, :, None]
-    turned = _angles_between(ways - clasps, found[..., 0] - clasps)
+    turned = _angles_between(places - clasps, found[..., 0] - clasps)
     d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
     leaned = replace(
         motion,

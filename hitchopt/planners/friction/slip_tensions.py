@@ -22,45 +22,46 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Separation
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 DEGREE = 5
-"""Of the splines that say how friction grows and fades: smooth up to the snap."""
+"""Degree of the splines by which friction grows and fades: smooth up to the snap."""
 
 SPACING = 0.4
-"""[s] Of their knots; friction then turns about within a second."""
+"""[s] Spacing of their knots; friction then reverses within a second."""
 
 FEWEST, MOST = 4, 200
-"""Knot intervals of a short motion: with more, legs would have to lean faster than drones fly; and
-of a long one, which would have ten thousands of pieces else."""
+"""Bounds of the number of knot intervals: with more, the legs of a short motion would have to lean
+faster than drones fly, and a long one would have ten thousands of pieces."""
 
 AT_REST = 3
-"""Coefficients at both ends that are zero: legs begin and end at rest, where they hold alone."""
+"""Number of coefficients at both ends that are zero: legs begin and end
+at rest, where they hold alone."""
 
 SLOW = 0.1
-"""Of the largest speed of a leg: legs much slower than that count on little friction."""
+"""Share of the largest speed of a leg: legs much slower than that plan for little friction."""
 
 STILL = 1e-5
-"""[m/s] Where no leg changes faster, nothing slides."""
+"""[m/s] Rate of a leg below which nothing slides."""
 
 FARTHEST = math.radians(12.0)
 """A leg leans no farther: toward what friction would ask for where it locks a sharp vertex, the
 two legs close in on each other."""
 
 ROOM = 1.02
-"""Of their limits, what the two drones of a clasp keep from each other and from their legs."""
+"""Factor on the limits of the distances of a clasp's drones from each other and their legs."""
 
 ROUGHEST = 5.0
 """Coefficient of friction beyond which no more is counted on: legs lean as far as they may by far
 less, and the exponential of more is no number."""
 
 TOUCHING = 1e-3
-"""[m] That far drones keep from the other leg of their clasp where they have no limit."""
+"""[m] Distance of drones from the other leg of their clasp where they have no limit."""
 
 HALVINGS = 20
-"""Of the share of the friction at which a leg leans as far as it may."""
+"""Number of halvings of the interval in which the largest bearable share of friction lies."""
 
 
 def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
@@ -91,10 +92,7 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
     wanted = friction * clasps.wrapped * rates / both
     wanted *= share * clasps.bearable(wanted)[..., None]
     wanted[:AT_REST] = wanted[-AT_REST:] = 0.0
-    spline = BSpline(knots, wanted, DEGREE)
-    x = inner[:-1, None] + np.diff(inner)[:, None] * bernstein.nodes(DEGREE)
-    coefficients = bernstein.interpolate(np.moveaxis(spline(x), 1, -1))
-    return PiecewisePolynomial(start + inner, coefficients)
+    return PiecewisePolynomial.from_spline(BSpline(start + knots, wanted, DEGREE))
 
 
 def _at_clasps(layout: Layout, legs: Array) -> Array:
@@ -111,7 +109,7 @@ class _Clasps:
     pull: (J, clasps), size of V, what the edges pull with [N].
     tensions: (J, clasps, 2) [N], of the cables behind and ahead.
     legs: (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``.
-    separation: that their drones keep.
+    separation: distances of their drones.
     """
 
     pull: Array

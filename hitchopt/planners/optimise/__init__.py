@@ -1,1 +1,1 @@
-"""Ways for a morph where the straight one is shut: guesses, a casadi NLP, refinement."""
+"""Paths for a morph where the straight one is blocked: guesses, a casadi NLP, refinement."""

@@ -1,4 +1,4 @@
-"""First guesses of the way from one polygon to another, each of another homotopy.
+"""First guesses of the path from one polygon to another, each of another homotopy.
 
 Straight lines need not stay convex, and a half turn along them collapses to a point. Turning the
 edges' directions evenly, with lengths from a small QP, always gives convex polygons; so does
@@ -20,15 +20,15 @@ from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
 Array = NDArray[np.float64]
 
 SHORTEST_EDGE = 0.3
-"""Of the shorter of an edge's two lengths: how much of it is left on the way."""
+"""Least share of the shorter of an edge's two lengths on the path."""
 
-OTHER_WAY = 0.75 * math.pi
-"""[rad] From a turn of this much on, turning the other way round is a guess as well."""
+OTHER_TURN = 0.75 * math.pi
+"""[rad] Smallest turn for which turning in the other direction is a guess as well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Polygons on the way.
+    """Polygons on a path.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> list[Guess
     found = [Guess("straight", _line(first.vertices, last.vertices, s))]
     turn = mean_turn(first, last)
     turns = [turn]
-    if abs(turn) > OTHER_WAY:
+    if abs(turn) > OTHER_TURN:
         turns.append(turn - math.copysign(2.0 * math.pi, turn))
     for angle in turns:
         found.append(Guess(f"turned {math.degrees(angle):.0f}°", _turned(first, last, angle, s)))

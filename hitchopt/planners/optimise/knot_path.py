@@ -1,25 +1,69 @@
-"""A way from one hitch to another, as knots: what the optimiser moves."""
+"""A path from one hitch to another, as knots: what the optimiser moves."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along, polygons_along
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.hitch.statics import leg_directions
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 SPLINE_DEGREE = 5
-"""Smooth up to the snap, so that pieces of a trajectory need not meet the knots."""
+"""Degree of the splines through the knots: smooth up to the snap, so that pieces of a trajectory
+need not meet the knots."""
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class Columns:
+    """The columns of a table (knots, size), of which the inner rows are variables.
+
+    Drones and r-legs are variables of their own, tied to the flat outputs by equalities: distances
+    are then polynomials of the second degree at most, and every row involves few variables.
+
+    Attributes
+    ----------
+    vertices: (n, 2)
+    q_legs, r_legs: (n,)
+    drones: (2n, 2)
+    tensions: (n,)
+    """
+
+    vertices: Index
+    q_legs: Index
+    r_legs: Index
+    drones: Index
+    tensions: Index
+
+    @property
+    def size(self) -> int:
+        """Number of variables per knot."""
+        return 9 * len(self.q_legs)
+
+    @property
+    def nodes(self) -> Index:
+        """(3n, 2): vertices, then drones, as in ``hitch.parts``."""
+        return np.concatenate([self.vertices, self.drones])
+
+
+@lru_cache(maxsize=64)
+def columns_of(n: int) -> Columns:
+    """Return the columns of n robots."""
+    parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
+    vertices, q_legs, r_legs, drones, tensions = parts
+    return Columns(vertices.reshape(-1, 2), q_legs, r_legs, drones.reshape(-1, 2), tensions)
+
+
+@dataclass(frozen=True, eq=False)
+class KnotPath:
     """A hitch at J + 1 knots, evenly spaced in the path's parameter.
 
     Attributes
@@ -40,20 +84,28 @@ class Way:
     tensions: Array
 
     @classmethod
-    def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> Way:
-        """Return the way through polygons (J + 1, n, 2) on which fractions change evenly."""
+    def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
+        """Return the path through polygons (J + 1, n, 2) on which fractions change evenly."""
         s = np.linspace(0.0, 1.0, len(polygons))[:, None]
-        fractions = start.fractions + s * (end.fractions - start.fractions)
-        edges = np.linalg.norm(np.roll(polygons, -1, axis=1) - polygons, axis=-1)
-        q_legs = fractions * (start.team.cable_length - edges)
         tensions = np.tile(start.team.tension, (len(polygons), 1))
-        return cls(name, start.team, start.altitude, polygons, q_legs, tensions)
+        bare = cls(name, start.team, start.altitude, polygons, np.zeros_like(tensions), tensions)
+        fractions = start.fractions + s * (end.fractions - start.fractions)
+        return replace(bare, q_legs=fractions * bare.slack)
+
+    @property
+    def steps(self) -> int:
+        """Number J of steps between the knots."""
+        return len(self.polygons) - 1
+
+    @property
+    def edges(self) -> Array:
+        """(J + 1, n, 2) [m]: edge vectors."""
+        return self.team.layout.edges(self.polygons)
 
     @property
     def slack(self) -> Array:
         """(J + 1, n) [m]: what each cable has left for its two legs."""
-        edges = np.roll(self.polygons, -1, axis=1) - self.polygons
-        slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
+        slack: Array = self.team.cable_length - np.linalg.norm(self.edges, axis=-1)
         return slack
 
     def path(self) -> ShapePath:
@@ -62,33 +114,50 @@ class Way:
         steady = np.all(self.tensions == self.tensions[0])
         return ShapePath(
             self.team,
-            knot_spline(np.concatenate([self.polygons, level], axis=-1)),
-            LegLaw.of_fractions(knot_spline(self.q_legs / self.slack)),
-            None if steady else knot_spline(self.tensions),
+            _knot_spline(np.concatenate([self.polygons, level], axis=-1)),
+            LegLaw.of_fractions(_knot_spline(self.q_legs / self.slack)),
+            None if steady else _knot_spline(self.tensions),
         )
 
-    def resampled(self, count: int) -> Way:
-        """Return the same way at ``count`` knots, read off its path."""
+    def resampled(self, count: int) -> KnotPath:
+        """Return the same path at ``count`` knots, evaluated on its spline."""
         return self.at(np.linspace(0.0, 1.0, count))
 
-    def at(self, s: Array) -> Way:
+    def at(self, s: Array) -> KnotPath:
         """Return the hitches at s (K,) of its path, as if they were knots."""
         path = self.path()
-        return Way(
-            self.name,
-            self.team,
-            self.altitude,
-            polygons_along(path, s),
-            legs_along(path, s)[..., 0],
-            path.flat(s).tensions[..., 0],
+        shapes, tensions = shapes_along(path, s), path.flat(s).tensions[..., 0]
+        q_legs = shapes.legs[..., 0]
+        return replace(self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions)
+
+    @property
+    def columns(self) -> Columns:
+        """The columns of its table."""
+        return columns_of(self.team.robots)
+
+    def table(self) -> Array:
+        """Return the table (knots, size) of all columns."""
+        edges = self.edges
+        q, r = leg_directions(edges / np.linalg.norm(edges, axis=-1, keepdims=True), self.tensions)
+        r_legs = self.slack - self.q_legs
+        q_drones = self.polygons + self.q_legs[..., None] * q
+        r_drones = np.roll(self.polygons, -1, axis=1) + r_legs[..., None] * r
+        drones = np.stack([q_drones, r_drones], axis=2)
+        parts = [self.polygons, self.q_legs, r_legs, drones, self.tensions]
+        return np.concatenate([part.reshape(len(edges), -1) for part in parts], axis=1)
+
+    def with_table(self, table: Array) -> KnotPath:
+        """Return the path with the vertices, q-legs and tensions of a table (knots, size)."""
+        columns = self.columns
+        return replace(
+            self,
+            polygons=table[:, columns.vertices],
+            q_legs=table[:, columns.q_legs],
+            tensions=table[:, columns.tensions],
         )
 
 
-def knot_spline(values: Array) -> PiecewisePolynomial:
+def _knot_spline(values: Array) -> PiecewisePolynomial:
     """Return the spline through values (J + 1, *shape) at evenly spaced s in [0, 1]."""
     s = np.linspace(0.0, 1.0, len(values))
-    spline = make_interp_spline(s, values, k=SPLINE_DEGREE)
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(SPLINE_DEGREE)
-    coefficients = bernstein.interpolate(np.moveaxis(spline(x), 1, -1))
-    return PiecewisePolynomial(breaks, coefficients)
+    return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))

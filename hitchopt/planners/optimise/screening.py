@@ -1,4 +1,4 @@
-"""Which guesses are worth the optimiser's time."""
+"""Which paths are worth the optimiser's time, look flyable, and pass the judge."""
 
 from __future__ import annotations
 
@@ -7,66 +7,134 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Hitch, Team
+from hitchopt.errors import InfeasibleError
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
-from hitchopt.planners.optimise.knot_path import Way
+from hitchopt.planners.optimise.knot_path import KnotPath
+from hitchopt.planners.optimise.search_task import Search
+from hitchopt.planners.path.leg_law import CLEAR, sharing_task
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes, exterior_angles
+from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
+from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
+from hitchopt.trajectory import bernstein
 
 Array = NDArray[np.float64]
 
 CLOSEST = 0.3
-"""A guess whose distances fall below this share of their limits is not worth a try."""
+"""Share of their limits that the distances of a guess must exceed for it to be tried."""
 
 SHARPEST_LOSS = 0.1
-"""Share of a polygon's smallest exterior angle and shortest edge that a guess has to keep."""
+"""Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
 
 WIDEST = 1.05
-"""Largest margin that any round asks for; larger ones need not be told apart."""
+"""Largest margin of any round; larger ones need not be told apart."""
+
+BELOW = 1.0 - 1e-4
+"""Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
 
 SAME = 0.05
-"""[m] Ways that differ by less at every knot are one."""
+"""[m] Paths that differ by less at every knot count as one."""
+
+HALVINGS = 3
+"""Number of halvings of pieces, to bound their tensions closely."""
+
+GRID = 101
+"""Number of points at which paths are timed to be compared."""
+
+PROBES = 65
+"""Number of points at which a path's distances are evaluated before the judge decides, and again
+near each end."""
+
+NEAR_END = 0.1
+"""Share of the path that is near an end."""
 
 
-def sound(way: Way) -> bool:
-    """Return whether a guess is a hitch all the way: convex, with edges, legs and slack."""
-    edges = np.roll(way.polygons, -1, axis=1) - way.polygons
-    lengths = np.linalg.norm(edges, axis=-1)
-    behind = np.roll(edges, 1, axis=1)
-    right = behind[..., 1] * edges[..., 0] - behind[..., 0] * edges[..., 1]
-    angles = np.arctan2(right, np.sum(behind * edges, axis=-1))
-    ends = np.minimum(angles[0].min(), angles[-1].min())
-    shortest = np.minimum(lengths[0].min(), lengths[-1].min())
+def sound(path: KnotPath) -> bool:
+    """Return whether a guess is a hitch everywhere: convex, with edges, legs and slack."""
+    lengths = length(path.edges)
+    angles = exterior_angles(path.team.layout, path.edges)
+    smallest, shortest = (np.min(values[[0, -1]]) for values in (angles, lengths))
     return bool(
-        np.min(way.slack) > 0.0
-        and np.min(angles) > SHARPEST_LOSS * ends
+        np.min(path.slack) > 0.0
+        and np.min(angles) > SHARPEST_LOSS * smallest
         and np.min(lengths) > SHARPEST_LOSS * shortest
     )
 
 
-def loose(way: Way, requirements: Requirements) -> bool:
-    """Return whether a way's bodies are not all in one heap."""
-    return _measured(way.team, way.polygons, way.q_legs, requirements) >= CLOSEST
+def loose(path: KnotPath, requirements: Requirements) -> bool:
+    """Return whether a path's bodies are not all in one heap."""
+    bare = replace(requirements, arena=None)
+    task = LegTask(path.team, bare, path.polygons, path.q_legs, 0.0, WIDEST)
+    return reference_margin(task) >= CLOSEST
 
 
 def end_margin(hitch: Hitch, requirements: Requirements) -> float:
-    """Return how many times their limits a hitch keeps its distances."""
+    """Return how many times their limits a hitch's distances are."""
+    bare = replace(requirements, arena=None)
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return _measured(hitch.team, polygon, q_legs, requirements) * (1.0 - 1e-4)
+    return reference_margin(LegTask(hitch.team, bare, polygon, q_legs, 0.0, WIDEST)) * BELOW
 
 
-def same(way: Way, other: Way) -> bool:
-    """Return whether two guesses have come to one and the same way."""
-    if len(way.polygons) != len(other.polygons):
-        other = other.resampled(len(way.polygons))
-    apart = max(
-        float(np.max(np.abs(way.polygons - other.polygons))),
-        float(np.max(np.abs(way.q_legs - other.q_legs))),
-    )
-    return apart < SAME
+def same(path: KnotPath, other: KnotPath) -> bool:
+    """Return whether two guesses have come to one and the same path."""
+    if path.steps != other.steps:
+        other = other.resampled(path.steps + 1)
+    apart = (path.polygons - other.polygons, path.q_legs - other.q_legs)
+    return max(float(np.max(np.abs(part))) for part in apart) < SAME
 
 
-def _measured(team: Team, polygons: Array, q_legs: Array, requirements: Requirements) -> float:
-    return reference_margin(
-        LegTask(team, replace(requirements, arena=None), polygons, q_legs, 0.0, WIDEST)
-    )
+def clear(knots: KnotPath, search: Search) -> bool:
+    """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
+    path = knots.path()
+    try:
+        check_shapes(path)
+        if not _distances_hold(path, search.requirements):
+            return False
+        check_loads(path, search.requirements.limits)
+    except InfeasibleError:
+        return False
+    arena = search.requirements.arena
+    if arena is None:
+        return True
+    drones = drones_along(path, np.linspace(0.0, 1.0, GRID)).positions[..., 0]
+    return bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
+
+
+def judged(path: KnotPath, search: Search) -> Flight | None:
+    """Return the flight along a path if it satisfies every limit all of the time."""
+    try:
+        flight = search.judge(path.path())
+    except (InfeasibleError, TimingError, WarpError):
+        return None
+    return flight if flight and _tensions_within(flight, search.tension) else None
+
+
+def estimate(path: KnotPath, requirements: Requirements) -> float:
+    """Return an estimate of how long a path takes [s], without a limit of jerk, clear or not."""
+    return time_estimate(path.path(), requirements.limits, np.linspace(0.0, 1.0, GRID))
+
+
+def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:
+    """Return whether legs are long enough and distances hold, with more points near the ends."""
+    inner = np.linspace(0.0, 1.0, PROBES)
+    near = NEAR_END * inner[1:-1]
+    s = np.unique(np.concatenate([inner, near, 1.0 - near]))
+    if np.min(shapes_along(path, s).legs[1:-1]) < requirements.limits.leg:
+        return False
+    return reference_margin(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
+
+
+def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:
+    """Return whether tensions stay within their range, by the hulls of their polynomials."""
+    if tension is None:
+        return True
+    hulls = flight.tensions.coefficients
+    for _ in range(HALVINGS):
+        hulls = np.concatenate(bernstein.halve(hulls))
+    slack = 1e-9 * tension[1]
+    return bool(np.min(hulls) >= tension[0] - slack and np.max(hulls) <= tension[1] + slack)

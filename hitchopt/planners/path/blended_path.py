@@ -13,17 +13,17 @@ from scipy.optimize import brentq
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.flight import GRID
-from hitchopt.planners.timing.flown import Flown
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import GRID
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 FINE = 2001
-"""Points by which the lengths of path and flight are compared."""
+"""Number of points by which the lengths of path and flight are compared."""
 
 SLOWEST = 1e-6
-"""Of a path's mean speed by its parameter: where all drones are slower, it cannot be timed."""
+"""Share of a path's mean speed by its parameter below which it cannot be timed."""
 
 SAME = 1e-9
 """[m] Hitches in a row that are closer than this are one."""
@@ -47,7 +47,7 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     """Return the path through three hitches or more, no two neighbours of them the same.
 
     Vertices and fractions are natural quintic splines: of all curves through the hitches the one
-    with the least third derivative. Their parameter is near to the farthest drone's way.
+    with the least third derivative. Their parameter is nearly the distance of the farthest drone.
     """
     places = np.stack([hitch.drones for hitch in hitches])
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)
@@ -58,10 +58,10 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     return BlendedPath(ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions)), s)
 
 
-def check_turns(way: BlendedPath) -> None:
-    """Raise InfeasibleError where the path turns back on itself at a point that timing looks at."""
+def check_turns(blend: BlendedPath) -> None:
+    """Raise InfeasibleError where the path turns back on itself at a point of the timing grid."""
     s = np.linspace(0.0, 1.0, GRID + 1)
-    drones = drones_along(way.path, s).positions[..., 1]
+    drones = drones_along(blend.path, s).positions[..., 1]
     speed = np.max(np.linalg.norm(drones, axis=-1), axis=1)
     slowest = int(np.argmin(speed))
     ratio = float(speed[slowest] / np.mean(speed))
@@ -75,18 +75,18 @@ def check_turns(way: BlendedPath) -> None:
                     "min",
                     "of the mean speed",
                     (),
-                    f"at {s[slowest]:.0%} of the way",
-                    "the way turns back on itself there: go by another one",
+                    f"at {s[slowest]:.0%} of the path",
+                    "the path turns back on itself there: go by another one",
                 )
             ]
         )
 
 
-def passing_times(path: ShapePath, s: Array, flight: Flown) -> Array:
+def passing_times(path: ShapePath, s: Array, flight: Flight) -> Array:
     """Return when (J,) [s] a flight along a path is at the inner points s (J,) of it.
 
-    The way that vertices and drones have gone together is the same on path and flight. From where
-    it says, the time is refined until the flight is abreast of the place.
+    The distance that vertices and drones have covered together is the same on path and flight.
+    From the time that it gives, the time is refined until the flight is abreast of the place.
     """
     t = np.linspace(0.0, flight.duration, FINE)
     fine = np.linspace(0.0, 1.0, FINE)
@@ -97,7 +97,7 @@ def passing_times(path: ShapePath, s: Array, flight: Flown) -> Array:
     return np.array([_abreast(path, x, flight, g) for x, g in zip(s, guesses, strict=True)])
 
 
-def _abreast(path: ShapePath, s: float, flight: Flown, guess: float) -> float:
+def _abreast(path: ShapePath, s: float, flight: Flight, guess: float) -> float:
     """Return the time near ``guess`` at which the flight is abreast of the path's point s."""
     at = np.array([s])
     place, ahead = (
@@ -115,14 +115,14 @@ def _abreast(path: ShapePath, s: float, flight: Flown, guess: float) -> float:
     return float(brentq(off, low, high, xtol=1e-12))
 
 
-def _fractions(flight: Flown, t: Array) -> Array:
+def _fractions(flight: Flight, t: Array) -> Array:
     legs = flight.legs.at(t)
     fractions: Array = legs[..., 0] / np.sum(legs, axis=-1)
     return fractions
 
 
 def _gone(vertices: Array, fractions: Array) -> Array:
-    """Return (J,): the way gone so far in all coordinates together."""
+    """Return (J,): distance covered so far in all coordinates together."""
     rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
 
@@ -132,5 +132,4 @@ def _spline(s: Array, values: Array) -> PiecewisePolynomial:
     none = np.zeros(values.shape[1:])
     free = [(3, none), (4, none)]  # the stubs know of one condition an end, scipy of any
     spline = make_interp_spline(s, values, k=5, bc_type=(free, free))  # type: ignore[arg-type]
-    x = s[:-1, None] + np.diff(s)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(s, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
+    return PiecewisePolynomial.from_spline(spline)

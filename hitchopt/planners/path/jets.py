@@ -7,6 +7,8 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.trajectory import PiecewisePolynomial
+
 Array = NDArray[np.float64]
 
 
@@ -49,3 +51,9 @@ def chained(outer: Array, inner: Array) -> Array:
         ),
         axis=-1,
     )
+
+
+def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:
+    """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
+    orders = np.moveaxis(jets, -1, 0)
+    return PiecewisePolynomial.hermite(breaks, orders[:, :-1], orders[:, 1:])

@@ -2,7 +2,7 @@
 
 Vertices have a limit of speed, drones one of acceleration besides. Where a vertex moves along the
 legs of its drones, cables that slide through the clasps while it speeds up leave its drones behind
-for a while, and let them overtake it on the way: the vertex is at full speed earlier and stays so
+for a while, and let them overtake it: the vertex is at full speed earlier and stays so
 for longer. The slide is a cubic of the path's parameter that is zero at both ends; its slopes there
 are, for every cable by itself, those that leave its two drones the least to do.
 """
@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.speed_profile import TimingError, fastest_profile, path_grid
+from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -27,25 +25,25 @@ Array = NDArray[np.float64]
 DEGREE = 3
 
 HELPS = 0.9
-"""Share of the fastest drone's start and stop that has to be left at most, or it is not tried."""
+"""Largest share of the fastest drone's start and stop that may be left for a slide to be tried."""
 
 SHARES = (1.0, 0.75, 0.5)
-"""Of the slide that leaves drones the least to do: it costs speed on the way."""
+"""Shares of the slide that leaves drones the least to do: it costs speed in between."""
 
 SMALLER = 0.4
-"""Of the best share: where that breaks a distance, one that slides less may not."""
+"""Factor on the best share: where that breaks a distance, one that slides less may not."""
 
 GAIN = 0.995
-"""Of toppra's optimum: who promises less is not flown."""
+"""Largest share of toppra's optimum that an estimate may take to be worth flying."""
 
 GRID = 80
-"""Steps of toppra's grid on which shares are compared."""
+"""Number of steps of toppra's grid on which shares are compared."""
 
 
 def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
-    """Yield paths of the same vertices that promise to be faster, the best first; mostly none.
+    """Yield paths of the same vertices with a shorter estimate, the best first; mostly none.
 
-    What their distances keep, and how fast they are, is for others to say.
+    Neither their distances nor their durations are verified here.
     """
     if path.legs.length.pieces > 1:
         return
@@ -57,9 +55,9 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     if led > HELPS * usual:
         return
     paths = {share: _slid(path, share * slopes) for share in SHARES}
-    times = {share: _optimum(p, limits) for share, p in paths.items()}
+    times = {share: time_estimate(p, limits, path_grid(GRID)) for share, p in paths.items()}
     best = min(SHARES, key=lambda share: times[share])
-    if times[best] < GAIN * _optimum(path, limits):
+    if times[best] < GAIN * time_estimate(path, limits, path_grid(GRID)):
         yield paths[best]
         yield _slid(path, SMALLER * best * slopes)
 
@@ -88,14 +86,3 @@ def _slid(path: ShapePath, slopes: Array) -> ShapePath:
     length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
     legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)
     return ShapePath(path.team, path.vertices, legs, path.tensions)
-
-
-def _optimum(path: ShapePath, limits: Limits) -> float:
-    """Return toppra's optimum [s], infinite where there is none."""
-    s = path_grid(GRID)
-    flat = path.flat(s)
-    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
-    try:
-        return fastest_profile(s, demands).duration
-    except TimingError:
-        return float("inf")

@@ -1,69 +1,96 @@
-"""How the legs' sharing changes along a path so that distances are kept all the way."""
+"""Laws by which leg lengths change along a path so that distances hold on all of it."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
-from hitchopt.hitch.leg_task import LegTask
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
 PROBES = 65
-"""Points of the path at which a law is tried before the certificate looks at all of it."""
+"""Number of points of the path at which a law is tried, before the certificate verifies it all."""
 
 MARGIN = 1.005
-"""How many times their limits distances are kept at knots, for what is between them."""
+"""Factor on the limits of distances at knots, for what is between them."""
 
 ROUNDS = ((9, MARGIN), (17, MARGIN), (17, 1.02), (33, 1.002), (33, 1.01))
-"""Points of the path at which the sharing is chosen, and the margin there."""
+"""Numbers of points of the path at which leg lengths are chosen, and the margins there."""
 
-CLEAR = 1.0005
-"""A law will do that keeps distances at this many times their limits at all probes: half of what
-LIMIT_MARGIN gives to a sharing at rest, and more than the certificate's tolerance."""
+CLEAR = 1.0 + 0.5 * (LIMIT_MARGIN - 1.0)
+"""Factor on the limits that a law's distances must satisfy at all probes: half of what LIMIT_MARGIN
+gives to legs at rest, and more than the certificate's tolerance."""
 
 RAMP = 3.0
-"""Knots in which the margin rises from CLEAR, since the ends may have no more than LIMIT_MARGIN."""
+"""Number of knots in which the margin rises from CLEAR: the ends may have only LIMIT_MARGIN."""
 
 ROUGHNESS = 1.0
-"""[m²] How much a bend of the fractions between knots weighs against a deviation of the legs."""
+"""[m²] Weight of a bend of the fractions between knots relative to a deviation of the legs."""
 
 
 def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
-    """Return the path with the legs shared so that distances hold on the way.
+    """Return the path with leg lengths such that distances hold on all of it.
 
-    The path's own law is kept where it will do. Else legs are chosen at knots, all at once, nearest
-    to that law's; where none is found the path is returned as it is, for the certificate to tell
-    what it breaks.
+    The path's own law is used where its distances hold. Else legs are chosen at knots, all at once,
+    nearest to that law's; where none is found the path is returned as it is, for the certificate
+    to report what it breaks.
     """
     if legs_clear(path, requirements):
         return path
-    for count, margin in ROUNDS:
+    laws = laws_nearby(path, requirements, ROUNDS, requirements.limits.leg, CLEAR)
+    return next((found for found in laws if legs_clear(found, requirements)), path)
+
+
+def laws_nearby(
+    path: ShapePath,
+    requirements: Requirements,
+    rounds: Sequence[tuple[int, float]],
+    shortest_leg: float,
+    least: float,
+    *,
+    at_rest: bool = False,
+) -> Iterator[ShapePath]:
+    """Yield the path with other laws of the legs, closer to their limits from round to round.
+
+    Ends early where no leg lengths at the knots have a margin of ``least``.
+
+    Parameters
+    ----------
+    rounds: numbers of knots, and margins there; towards the ends less, which are given already.
+    shortest_leg: [m], at the knots.
+    at_rest: whether the fractions start and end at rest, as where s is time.
+    """
+    for count, margin in rounds:
         s = np.linspace(0.0, 1.0, count)
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-        task = sharing_task(path, requirements, s, margins)
+        task = replace(sharing_task(path, requirements, s, margins), shortest_leg=shortest_leg)
         found = split_slack(task)
-        if found.margin < CLEAR:
-            return path
-        law = LegLaw.of_fractions(_spline(s, found.q_legs / task.slack))
-        changed = ShapePath(path.team, path.vertices, law, path.tensions)
-        if legs_clear(changed, requirements):
-            return changed
-    return path
+        if found.margin < least:
+            return
+        fractions = found.q_legs / task.slack
+        still = np.zeros(fractions.shape[1])
+        rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
+        ends = (rest, rest) if at_rest else None
+        spline = make_interp_spline(s, fractions, k=5, bc_type=ends)  # type: ignore[arg-type]
+        yield replace(path, legs=LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline)))
 
 
 def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
-    """Return whether legs are long enough and distances kept at the probes."""
+    """Return whether legs are long enough and distances hold at the probes."""
     s = np.linspace(0.0, 1.0, PROBES)
     shapes = shapes_along(path, s)
     legs = shapes.legs[:, path.team.layout.has_leg]
-    # The ends are what was asked for; whether they hold is told apart from the way.
+    # The ends are given; whether they hold is reported apart from the path.
     long_enough = float(np.min(legs[1:-1])) >= requirements.limits.leg
     return long_enough and reference_margin(_task(path, requirements, shapes, CLEAR)) >= CLEAR
 
@@ -71,7 +98,7 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
 def sharing_task(
     path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
 ) -> LegTask:
-    """Return the task of sharing the legs at the points s (J,) of a path, the ends fixed."""
+    """Return the task of choosing leg lengths at the points s (J,) of a path, the ends fixed."""
     return _task(path, requirements, shapes_along(path, s), margin)
 
 
@@ -90,11 +117,3 @@ def _task(
         ROUGHNESS,
         fixed,
     )
-
-
-def _spline(s: Array, fractions: Array) -> PiecewisePolynomial:
-    """Return the quintic spline through the fractions (J, n): smooth up to the snap."""
-    spline = make_interp_spline(s, fractions, k=5)
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))

@@ -1,28 +1,40 @@
-"""Whether a path can be flown at all: a hitch all the way, and drones that can hold it at rest."""
+"""Whether a path can be flown at all: a hitch everywhere, and drones that can hold it at rest."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.model.evaluation import drone_jets
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch.layout import Layout
 from hitchopt.planners.path.shape_path import Path, shapes_along
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
 
+Array = NDArray[np.float64]
+
 FLATTEST = math.radians(0.01)
-"""[rad] A flatter vertex on the way has no legs to speak of: the clasp's bisector is lost."""
+"""[rad] Smallest exterior angle on a path: at a flatter vertex the clasp's bisector is lost."""
 
 SHORTEST_EDGE = 1e-3
-"""[m] A shorter edge on the way has no direction to speak of."""
+"""[m] Shortest edge on a path: a shorter one has no accurate direction."""
 
 SHORTEST_LEG = 1e-3
-"""[m] A shorter leg on the way has no direction to speak of."""
+"""[m] Shortest leg on a path: a shorter one has no accurate direction."""
 
 PROBES, LOAD_PROBES = 401, 161
-"""Points of the path at which its shapes, and loads at rest, are looked at before it is timed."""
+"""Numbers of points of the path at which its shapes and loads at rest are checked before timing."""
+
+
+def exterior_angles(layout: Layout, edges: Array) -> Array:
+    """Return the angles (…, clasps) [rad] by which edges (…, n, 2) turn right at each clasp."""
+    ahead, behind = edges[..., layout.ahead, :], edges[..., layout.behind, :]
+    right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
+    angles: Array = np.arctan2(right, np.sum(behind * ahead, axis=-1))
+    return angles
 
 
 def check_shapes(path: Path) -> None:
@@ -31,77 +43,63 @@ def check_shapes(path: Path) -> None:
     layout = path.team.layout
     shapes = shapes_along(path, s)
     edges = layout.edges(shapes.polygons)
-    ahead, behind = edges[:, layout.ahead], edges[:, layout.behind]
-    right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
-    angles = np.arctan2(right, np.sum(behind * ahead, axis=-1))
-    lengths = np.linalg.norm(edges, axis=-1)
+    lengths = length(edges)
     shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
-    angles = np.where(shorter < SHORTEST_EDGE, 0.0, angles)  # a point has no corners
+    # A point has no corners.
+    angles = np.where(shorter < SHORTEST_EDGE, 0.0, exterior_angles(layout, edges))
     if np.min(angles) < FLATTEST:
         k = int(np.argmin(np.min(angles, axis=0)))
         first = int(np.argmax(angles[:, k] < FLATTEST))
-        raise InfeasibleError(
-            [
-                Violation(
-                    "convexity",
-                    math.degrees(float(np.min(angles))),
-                    math.degrees(FLATTEST),
-                    "min",
-                    "deg",
-                    (f"p{layout.clasps[k]}",),
-                    f"from {s[first]:.0%} of the way on",
-                    "the straight way is shut: go by a polygon in between, in two morphs",
-                )
-            ]
+        found = math.degrees(float(np.min(angles)))
+        flat = Violation(
+            "convexity",
+            found,
+            math.degrees(FLATTEST),
+            "min",
+            "deg",
+            (f"p{layout.clasps[k]}",),
+            f"from {s[first]:.0%} of the path on",
+            "the straight path is blocked: go by a polygon in between, in two morphs",
         )
+        raise InfeasibleError([flat])
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
-        raise InfeasibleError(
-            [
-                Violation(
-                    "legs",
-                    float(legs[j, at, end]),
-                    SHORTEST_LEG,
-                    "min",
-                    "m",
-                    (f"{'qr'[end]}{at}",),
-                    f"at {s[j]:.0%} of the way",
-                    f"cable {at} leaves {legs[j, at][layout.has_leg[at]].sum():.6g} m there",
-                )
-            ]
+        left = legs[j, at][layout.has_leg[at]].sum()
+        short = Violation(
+            "legs",
+            float(legs[j, at, end]),
+            SHORTEST_LEG,
+            "min",
+            "m",
+            (f"{'qr'[end]}{at}",),
+            f"at {s[j]:.0%} of the path",
+            f"cable {at} leaves {left:.6g} m there",
         )
+        raise InfeasibleError([short])
 
 
 def check_loads(path: Path, limits: Limits) -> None:
-    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the way."""
+    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path."""
     s = np.linspace(0.0, 1.0, LOAD_PROBES)
-    flat = path.flat(s)
-    demands = Demands.of(path.team, limits, flat, drone_jets(path.team, flat))
-    names = path.team.drone_names
-    for name, unit, ratios, scale, remedy in (
-        ("thrust", "N", demands.at_rest()[0], demands.max_thrust, "give the drone more thrust"),
-        (
-            "tilt",
-            "deg",
-            demands.at_rest()[1],
-            np.full(len(names), math.degrees(limits.tilt)),
-            "allow more tilt, or use heavier drones",
-        ),
+    demands = Demands.along(path, limits, s)
+    thrust, tilt = demands.at_rest()
+    most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))
+    for name, unit, ratios, most, remedy in (
+        ("thrust", "N", thrust, demands.max_thrust, "give the drone more thrust"),
+        ("tilt", "deg", tilt, most_tilt, "allow more tilt, or use heavier drones"),
     ):
         j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
         if ratios[j, i] >= demands.share:
-            raise InfeasibleError(
-                [
-                    Violation(
-                        name,
-                        float(ratios[j, i] * scale[i]),
-                        float(demands.share * scale[i]),
-                        "max",
-                        unit,
-                        (names[i],),
-                        f"at rest, {s[j]:.0%} of the way on, 0.1 % of it being kept to move by",
-                        f"{remedy}, or lower team.tension",
-                    )
-                ]
+            broken = Violation(
+                name,
+                float(ratios[j, i] * most[i]),
+                float(demands.share * most[i]),
+                "max",
+                unit,
+                (path.team.drone_names[i],),
+                f"at rest, {s[j]:.0%} of the path on, "
+                f"{1.0 - demands.share:.1%} of it being reserved to move by",
+                f"{remedy}, or lower team.tension",
             )
+            raise InfeasibleError([broken])

@@ -41,7 +41,7 @@ class RigidPath:
 
     @property
     def still(self) -> bool:
-        """Whether nothing is asked for."""
+        """Whether nothing moves."""
         return self.yaw == 0.0 and bool(np.max(np.abs(self.to - self.centroid)) < 1e-9)
 
     def flat(self, s: Array) -> FlatJets:

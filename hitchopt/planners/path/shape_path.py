@@ -34,9 +34,18 @@ def drones_along(path: Path, s: Array) -> DroneJets:
     return drone_jets(path.team, path.flat(s))
 
 
+def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the jets by s at s (J,) of drones, vertices, legs and tensions: (J, *shape, 4)."""
+    flat = path.flat(s)
+    drones = drone_jets(path.team, flat)
+    legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
+    legs *= path.team.layout.has_leg[..., None]  # exactly zero, not nearly
+    return drones.positions, flat.vertices, legs, flat.tensions
+
+
 @dataclass(frozen=True, eq=False)
 class LegLaw:
-    """How q-legs follow from what the edges leave of their cables: ``d = length + share · slack``.
+    """Law of the q-legs by the slack of their cables: ``d = length + share · slack``.
 
     A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
 
@@ -104,29 +113,23 @@ class ShapePath:
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
 
 
-def legs_along(path: Path, s: Array) -> Array:
-    """Return ``d`` and ``e`` at s (J,), as (J, n, 2) [m].
-
-    Negative where a cable is too short; zero where a chain's end has no leg.
-    """
-    return shapes_along(path, s).legs
-
-
-def polygons_along(path: Path, s: Array) -> Array:
-    """Return the vertices in plan view at s (J,), as (J, points, 2) [m]."""
-    return shapes_along(path, s).polygons
-
-
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Polygons (J, points, 2) in plan view, and legs ``d``, ``e`` (J, n, 2) [m]."""
+    """Shapes at J points of a path.
+
+    Attributes
+    ----------
+    polygons: (J, points, 2) [m], in plan view.
+    legs: (J, n, 2) [m], ``d`` and ``e``: negative where a cable is too short, zero where a chain's
+        end has no leg.
+    """
 
     polygons: Array
     legs: Array
 
 
 def shapes_along(path: Path, s: Array) -> Shapes:
-    """Return what ``polygons_along`` and ``legs_along`` do, at once."""
+    """Return the shapes at s (J,)."""
     flat, layout = path.flat(s), path.team.layout
     edges = length(layout.edges(flat.vertices[..., 0]))
     legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)

@@ -8,12 +8,12 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.path.leg_law import with_legs_clear
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight import Flight
-from hitchopt.planners.timing.flown import fly_unhurried
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 
 STILL = 1e-9
-"""[m] A morph whose drones move by less is none."""
+"""[m] Distance within which a morph moves nothing."""
 
 
 def straight_morph(
@@ -24,13 +24,13 @@ def straight_morph(
 ) -> Flight | None:
     """Return the flight from one hitch to another, or None where they are the same.
 
-    Vertices go straight and legs change so that distances hold on the way. Whether all limits
+    Vertices go straight and legs change so that distances hold on the path. Whether all limits
     hold for all t is for the certificate to say.
 
     Raises
     ------
     InfeasibleError: the polygon loses its convexity, a leg or the thrust at rest gives out on the
-        way, or ``duration`` [s] is too short.
+        path, or ``duration`` [s] is too short.
     TimingError, WarpError: no timing was found.
     """
     if np.max(np.abs(end.drones - start.drones)) < STILL:
@@ -39,4 +39,4 @@ def straight_morph(
     check_shapes(path)
     path = with_legs_clear(path, requirements)
     check_loads(path, requirements.limits)
-    return fly_unhurried(path, requirements.limits, duration)
+    return fly(path, requirements.limits, duration)

@@ -1,4 +1,4 @@
-"""What a path demands of the drones: how motion along it turns into what their limits are of."""
+"""What motion along a path demands of the drones, in the quantities of their limits."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.model.evaluation import DroneJets, FlatJets
+from hitchopt.model.evaluation import drone_jets
+from hitchopt.planners.path.shape_path import Path
 from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 
 LIMIT_SHARE = 0.999
-"""Limits are planned at this share, for what happens between the points that are looked at."""
+"""Share of the limits that is planned at samples; the rest is for what happens between them."""
+
+FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
+"""Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
+certificate, which bounds them by other means."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +46,14 @@ class Demands:
     share: float = LIMIT_SHARE
 
     @classmethod
-    def of(cls, team: Team, limits: Limits, flat: FlatJets, drones: DroneJets) -> Demands:
-        """Return the demands of flat outputs and of the drones that follow from them."""
+    def along(cls, path: Path, limits: Limits, s: Array) -> Demands:
+        """Return the demands of a path at its points s (J,)."""
+        flat = path.flat(s)
+        drones = drone_jets(path.team, flat)
+        vertex_speed = np.max(length(flat.vertices[..., 1]), axis=1)
+        loads = loads_at_rest(path.team, drones.cable_forces)
         return cls(
-            drones.positions,
-            np.max(length(flat.vertices[..., 1]), axis=1),
-            loads_at_rest(team, drones.cable_forces),
-            team.mass,
-            team.max_thrust,
-            limits,
+            drones.positions, vertex_speed, loads, path.team.mass, path.team.max_thrust, limits
         )
 
     @property

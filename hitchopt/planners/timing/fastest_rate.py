@@ -1,7 +1,7 @@
 """The fastest squared rate of a clock under its rows: an interior-point method of banded systems.
 
 The rate is a cubic spline, so that every row sees four neighbouring coefficients and Newton's
-matrix has seven diagonals: a step costs as much as looking at the rows. Every iterate keeps all
+matrix has seven diagonals: a step costs as much as looking at the rows. Every iterate satisfies all
 rows strictly, so the last one is a solution whatever ended the search, and only how fast it is
 depends on that.
 """
@@ -24,25 +24,25 @@ Index = NDArray[np.intp]
 DEGREE = 3
 
 STEPS = 60
-"""Of Newton's method, at most; some 15 are usual."""
+"""Largest number of Newton steps; some 15 are usual."""
 
 GAP = 1e-5
-"""Of the duration: by how much less it could be, about, when the search ends."""
+"""Duality gap at which the search ends, as a share of the duration."""
 
 LEAST = 1e-4
-"""Of the coefficients: keeps the rate above zero between the samples as well."""
+"""Least coefficient: keeps the rate above zero between the samples as well."""
 
 INSIDE = 0.99
-"""Share of the way to the nearest bound that a step may go."""
+"""Largest share of the distance to the nearest bound that a step may take."""
 
 SHRINK = 1e-3
-"""Share of a slack that every step leaves."""
+"""Least share of a slack that every step leaves."""
 
 BACKTRACK, SMALLEST = 0.7, 1e-8
-"""By how much a step is shortened that breaks a row, and where that ends."""
+"""Factor by which a step is shortened that breaks a row, and the share at which that ends."""
 
 LEAST_LEFT = 0.1
-"""Of the gap after a step of the predictor: less is not believed."""
+"""Least share of the gap after the predictor's step that sets the centring."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class RateProgram:
         return float(np.sum(self.weights / np.sqrt(self.basis.at(coefficients)[:, 0])))
 
     def slack(self, coefficients: Array) -> Array | None:
-        """Return by how much rows and coefficients are kept (M · R + count,); None if not."""
+        """Return the slack (M · R + count,) of rows and coefficients; None if one is negative."""
         p = self.basis.at(coefficients)
         own = coefficients - LEAST
         if np.min(own) <= 0.0 or np.min(p[:, 0]) <= 0.0:
@@ -152,13 +152,13 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
         aim = max(gap * float(np.clip(left / gap, LEAST_LEFT, 1.0)) ** 3, 0.1 * GAP * duration)
         dc, dslack, dforce = newton.step(aim / len(slack))
         share = _share(slack, dslack)
-        kept = program.slack(c + share * dc)
-        while kept is None or np.any(kept < SHRINK * slack):
+        left_over = program.slack(c + share * dc)
+        while left_over is None or np.any(left_over < SHRINK * slack):
             share *= BACKTRACK
             if share < SMALLEST:
                 return c
-            kept = program.slack(c + share * dc)
-        c, slack = c + share * dc, kept
+            left_over = program.slack(c + share * dc)
+        c, slack = c + share * dc, left_over
         force = force + _share(force, dforce) * dforce
     return c
 

@@ -1,4 +1,4 @@
-"""Where a trajectory's pieces begin and end: close where its acceleration changes."""
+"""Breaks of a trajectory's pieces: close where its acceleration changes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from hitchopt.planners.timing.speed_profile import SpeedProfile
 Array = NDArray[np.float64]
 
 WIDEST = 1.0 / 12.0
-"""Of the whole time: no piece is longer."""
+"""Longest piece, as a share of the whole time."""
 
 PER_RAMP = 6.0
-"""Pieces in a change of the acceleration from one limit to the other."""
+"""Number of pieces in a change of the acceleration from one limit to the other."""
 
 SHORTEST = 5e-3
-"""[s] Shorter pieces lose more digits in their third derivatives than they win in speed."""
+"""[s] Shortest piece: shorter ones lose more digits in third derivatives than they gain speed."""
 
 MOST = 200
-"""Pieces of the first mesh, about; where more would be needed, all of them are wider."""
+"""Approximate number of pieces of the first mesh; where more would be needed, all are wider."""
 
 GRADING = 0.4
-"""By how much of its distance a piece may be longer than another."""
+"""Largest growth of pieces' lengths with their distance from one another."""
 
 SAME = 1e-9
 """Share of the whole time: places closer than this are one, which rounding alone tells apart."""
@@ -45,7 +45,7 @@ def time_mesh(profile: SpeedProfile, ramp: float, finer: int = 1) -> Array:
     places = np.concatenate([profile.times, profile.times + 0.5 * ramp, profile.times + ramp])
     t = np.unique(np.clip(np.append(places, np.linspace(0.0, whole, 801)), 0.0, whole))
     t = t[np.append(True, np.diff(t) > SAME * whole)]
-    # The acceleration jumps at t: it is looked at in between, where no rounding changes it.
+    # The acceleration jumps at t: it is evaluated in between, where no rounding changes it.
     middle = 0.5 * (t[1:] + t[:-1])
     change = np.abs(profile.acceleration(middle) - profile.acceleration(middle - ramp))
     busy = np.append(change > ACTIVE * np.max(change), False)

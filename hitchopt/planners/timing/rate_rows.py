@@ -150,7 +150,7 @@ class RateRows:
 
         Parameters
         ----------
-        convex: leave out what bends the wrong way.
+        convex: leave out the concave parts.
         """
         forms = self.Q if convex else self.Q - self.C
         total: Array = 2.0 * np.einsum("mr,mrij->mij", weights, forms)

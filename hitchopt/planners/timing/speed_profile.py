@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import toppra
@@ -13,7 +14,9 @@ from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
+from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
+from hitchopt.requirements import Limits
 
 Array = NDArray[np.float64]
 
@@ -23,8 +26,8 @@ RAYS = 64
 """Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
 
 CHUNK = 40_000
-"""Elements of a temporary array: rays are cast for as many points of the path at a time. The dozen
-of them fit in a core's cache, which makes it four times as fast."""
+"""Number of elements of a temporary array: rays are cast for as many points of the path at a time.
+The dozen arrays fit in a core's cache, which makes it four times as fast."""
 
 
 class TimingError(HitchoptError):
@@ -39,7 +42,7 @@ def path_grid(steps: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """The fastest way along a path without a jerk limit.
+    """The fastest motion along a path without a jerk limit.
 
     Attributes
     ----------
@@ -58,7 +61,7 @@ class SpeedProfile:
 
     @property
     def duration(self) -> float:
-        """From rest to rest [s]."""
+        """Duration from rest to rest [s]."""
         return float(self.times[-1])
 
     def acceleration(self, t: Array) -> Array:
@@ -93,7 +96,7 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
 
     Raises
     ------
-    TimingError: none exists, as where rest itself breaks a limit on the way.
+    TimingError: none exists, as where rest itself breaks a limit on the path.
     """
     rows = acceleration_rows(demands)
     # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
@@ -109,6 +112,14 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[1:-1] <= 0.0):
         raise TimingError("toppra found no speed profile from rest to rest on this path")
     return SpeedProfile(s, speed * np.sqrt(unit / length))
+
+
+def time_estimate(path: Path, limits: Limits, s: Array) -> float:
+    """Return the optimum [s] without a limit of jerk on the grid s (J,); infinite if none."""
+    try:
+        return fastest_profile(s, Demands.along(path, limits, s)).duration
+    except TimingError:
+        return math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +171,11 @@ def _cast(demands: Demands, u: Array, x: Array) -> Array:
     parts = []
     for first in range(0, len(u), size):
         span = slice(first, first + size)
-        part = Demands(
-            demands.drones[span],
-            demands.vertex_speed[span],
-            demands.loads[span],
-            demands.mass,
-            demands.max_thrust,
-            demands.limits,
+        part = replace(
+            demands,
+            drones=demands.drones[span],
+            vertex_speed=demands.vertex_speed[span],
+            loads=demands.loads[span],
         )
         parts.append(part.reach(u[span], x[span]))
     return np.concatenate(parts)

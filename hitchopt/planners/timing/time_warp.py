@@ -1,4 +1,4 @@
-"""A jerk limit on top of a time-optimal profile: slow time down and speed it up along the way.
+"""A jerk limit on top of a time-optimal profile: slow time down and speed it up along the path.
 
 The profile, smoothed, gives the path a first clock τ. Flying it by another clock t with
 ``dτ/dt = √x(τ)`` makes every derivative by t linear in ``(x, x', x'')`` up to powers of √x:
@@ -33,16 +33,16 @@ DemandsAt = Callable[[Array], Demands]
 """Demands of the path at given s."""
 
 SAMPLES = 5
-"""Per piece, where limits are looked at."""
+"""Number of samples per piece at which limits are evaluated."""
 
 NEAREST = 2
-"""Drones per sample and limit that are rows from the start."""
+"""Number of drones per sample and limit that are rows from the start."""
 
 ROUNDS = 6
-"""Of adding drones that were found to break a limit."""
+"""Maximum rounds of adding drones that break a limit."""
 
-TOLERANCE = 2e-4
-"""Relative; limits are planned at LIMIT_SHARE, which leaves more than this."""
+TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
+"""Relative tolerance of the limits; LIMIT_SHARE leaves more than this."""
 
 STEADY = 0.97
 """Share of a squared rate at which limits bind from which the search starts: inside of them."""
@@ -54,7 +54,7 @@ class WarpError(HitchoptError):
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """s as a function of time, by way of τ.
+    """s as a function of time, through τ.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
             break
         worst = np.argmax(ratios, axis=-1)[..., None]
         drones = np.concatenate([drones, worst], axis=-1)
-    # Whatever is still broken, the stretch that follows mends.
+    # What is still broken is slowed by the stretch that follows.
     return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
 
 

@@ -1,8 +1,8 @@
 """Signals that arrive while casadi is at work, answered after it and not lost.
 
 IPOPT's interface looks for signals itself, and when a handler raises, as Python's own does for
-Ctrl-C, takes that for a failed evaluation and goes on: who has asked for an end would get a plan
-all the same, of another way than without.
+Ctrl-C, takes that for a failed evaluation and goes on: an interrupted run would return a plan
+all the same, along another path than without.
 """
 
 from __future__ import annotations

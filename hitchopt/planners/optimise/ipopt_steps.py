@@ -1,0 +1,78 @@
+"""Steps of IPOPT from path to path, until one settles."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from hitchopt.planners.optimise.deferred_signals import answered_later
+from hitchopt.planners.optimise.knot_path import KnotPath
+from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
+from hitchopt.planners.optimise.search_task import Search, SolverStep
+from hitchopt.time_limit import check_time, time_left
+
+TOLERANCE = 1e-3
+"""Tolerance of the scaled conditions: paths are iterated and verified anyway."""
+
+LEAST_TIME = 1e-3
+"""[s] Least limit of time given to IPOPT, which must be positive."""
+
+SETTLED = 0.3
+"""Share of its stride: a step of the optimiser that moves no vertex by more is the last one."""
+
+_LAST: deque[ca.Function] = deque(maxlen=1)
+"""The last solver: casadi keeps a function's derivatives as long as it is referenced, and the next
+solver is built a third faster."""
+
+
+def iterates(
+    path: KnotPath, search: Search, step: SolverStep, most: int, settled: float = SETTLED
+) -> Iterator[KnotPath]:
+    """Yield the paths that one after another are reached in steps of the optimiser.
+
+    Every step has rows for the pairs that come near on it, along normals that fit. The iterator
+    ends where a step fails, or after one that moves no vertex by ``settled`` times its stride.
+    """
+    for _ in range(most):
+        moved = solve_program(build_program(path, search, step))
+        if moved is None:
+            return
+        far = float(np.max(np.abs(moved.polygons - path.polygons)))
+        path = moved
+        yield path
+        if far < settled * step.stride:
+            return
+
+
+def solve_program(program: MorphProgram) -> KnotPath | None:
+    """Return the path that IPOPT finds, or None where it does not converge.
+
+    The solver's status proves no more than that: distances are measured on the path.
+    """
+    left = time_left()
+    options = {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": program.iterations,
+        "tol": TOLERANCE,
+        "mu_strategy": "adaptive",
+        **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
+    }
+    solver = ca.nlpsol(
+        "path", "ipopt", program.expressions, {"print_time": False, "ipopt": options}
+    )
+    _LAST.append(solver)
+    with answered_later():
+        solution = solver(**program.numbers)
+    check_time()  # what has been cut short is no solution
+    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
+    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
+        return None
+    table = program.path.table()
+    inner = table[1:-1]
+    inner[:] = x[: inner.size].reshape(inner.shape)
+    return program.path.with_table(table)

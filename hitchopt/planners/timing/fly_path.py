@@ -1,0 +1,120 @@
+"""Flights along paths: piecewise polynomials of time, within all limits of motion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.geometry.vectors import length
+from hitchopt.planners.path.jets import chained, polynomials_through
+from hitchopt.planners.path.shape_path import Path, path_jets
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.flight_curves import Flight, check_duration
+from hitchopt.planners.timing.mesh import time_mesh
+from hitchopt.planners.timing.speed_profile import SpeedProfile, fastest_profile, path_grid
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
+from hitchopt.requirements import Limits
+from hitchopt.trajectory import PiecewisePolynomial
+
+Array = NDArray[np.float64]
+
+GRID = 160
+"""Number of steps of toppra's grid along the path."""
+
+MODEL_ERROR = 1e-6
+"""Largest relative error of a cable's length: a tenth of what a plan guarantees."""
+
+FINEST = 400
+"""Number of pieces at which refining for the sake of MODEL_ERROR ends."""
+
+SHORTEST_RAMP = 1e-5
+"""Shortest ramp of the acceleration, as a share of the duration: polynomials do not resolve ramps
+of microseconds in flights of a month."""
+
+SHORTEST_FLIGHT = 0.05
+"""[s] Shortest duration chosen: a move of micrometres would be over before its polynomials are
+above their rounding."""
+
+
+def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
+    """Return the flight along a path, from rest to rest.
+
+    Parameters
+    ----------
+    path: what is flown.
+    limits: of which none is broken where the polynomials are sampled.
+    duration: exact duration [s]; None for as fast as the limits allow, SHORTEST_FLIGHT at least.
+
+    Raises
+    ------
+    InfeasibleError: ``duration`` is shorter than the limits allow.
+    TimingError, WarpError: no timing was found.
+    """
+    grid = path_grid(GRID)
+    demands = Demands.along(path, limits, grid)
+    profile = fastest_profile(grid, demands)
+    ramp = max(_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
+    finer = 1
+    while True:
+        clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
+        flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, limits, s)))
+        if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
+            break
+        finer *= 2
+    slower = needed_stretch(path.team, limits, flight.drones, flight.vertices, flight.pulls)
+    fastest = slower * flight.duration
+    if duration is None:
+        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
+    check_duration(duration, fastest)
+    return flight.lasting(duration)
+
+
+def _ramp(profile: SpeedProfile, demands: Demands) -> float:
+    """Return how long the acceleration takes from one limit to the other [s].
+
+    Where the jerk never lets it reach its limits: as long as the largest speed that is reached
+    takes, or the longest path of a drone.
+    """
+    rates = length(demands.drones[..., 1])
+    speed = float(np.max(rates * profile.speed[:, None]))
+    steps = np.diff(profile.s)[:, None]
+    longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
+    limits = demands.limits
+    return min(
+        2.0 * limits.acceleration / limits.jerk,
+        2.0 * math.sqrt(speed / limits.jerk),
+        math.pow(32.0 * longest / limits.jerk, 1.0 / 3.0),
+    )
+
+
+def _polynomials(path: Path, clock: Clock) -> Flight:
+    """Return polynomials that meet value, velocity, acceleration and jerk at every break."""
+    breaks, progress = clock.breaks, clock.jets()
+    s = np.clip(progress[:, 0], 0.0, 1.0)
+    s[0], s[-1] = 0.0, 1.0
+    *parts, tensions = path_jets(path, s)
+
+    def timed(jets: Array) -> PiecewisePolynomial:
+        """Return the polynomials for jets by s (J, *shape, 4)."""
+        inner = progress.reshape(len(s), *(1,) * (jets.ndim - 2), 4)
+        return polynomials_through(breaks, chained(jets, inner))
+
+    steady = not np.any(tensions[..., 1:]) and np.all(tensions == tensions[0])
+    constant = PiecewisePolynomial.constant(breaks, tensions[0, :, 0])
+    drones, vertices, legs = map(timed, parts)
+    return Flight(drones, vertices, legs, constant if steady else timed(tensions))
+
+
+def _cable_error(path: Path, flight: Flight) -> float:
+    """Return the largest relative error of a cable's length at samples between the breaks."""
+    inner = (np.arange(5) + 0.5) / 5
+    breaks = flight.drones.breaks
+    t = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
+    p, drones = flight.vertices.at(t), flight.drones.at(t)
+    layout = path.team.layout
+    legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
+    cables = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
+    return float(np.max(np.abs(cables / path.team.cable_length - 1.0)))
