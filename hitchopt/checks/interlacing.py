@@ -16,14 +16,15 @@ from itertools import groupby
 
 import numpy as np
 
+from hitchopt.checks.bounds.bodies import neighbours
 from hitchopt.checks.bounds.cable_states import Wrong, contradicted, neighbouring
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
-from hitchopt.checks.bounds.free_phases import phase_parts
-from hitchopt.checks.bounds.hanging_crossing import neighbours
+from hitchopt.checks.bounds.phase_parts import phase_parts
 from hitchopt.checks.bounds.strands import entered
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import JOINT, CableState, Motion
+from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 
 NUMBERS = {
     CableState.GROUND: 0,
@@ -37,14 +38,12 @@ MOST_NAMED = 12
 """Pairs that ``where`` names at most."""
 
 
-def check(motion: Motion) -> Check | None:
+def _find(motion: Motion, _: float) -> Finding:
     """Return how many pairs of cables, or single ones, are not in the state that a phase states.
 
     ``where`` names the first phase in which that is so, the vertex of neighbours, both cables of
-    other pairs and single cables. None for a plan that has its hitch all of the time.
+    other pairs and single cables.
     """
-    if np.all(motion.formed):
-        return None
     layout = motion.team.layout
     found = list(_wrong(motion))
     pairs = np.concatenate([each.pairs for each in found])
@@ -57,7 +56,7 @@ def check(motion: Motion) -> Check | None:
         time = float(np.min(times))
         phase = next(each.phase for each in found if time in each.time)
         named.insert(0, f"phase {motion.phases.index(phase)} ({phase.name})")
-    return Check.of("interlacing", float(len(wrong)), 0.0, "max", "1", time, tuple(named))
+    return Finding(float(len(wrong)), time, tuple(named))
 
 
 def _wrong(motion: Motion) -> Iterator[Wrong]:
@@ -90,6 +89,8 @@ def _wrong(motion: Motion) -> Iterator[Wrong]:
             here = bad & (in_part == i)
             yield Wrong(pairs[here], met.time[here], part.phase)
             yield from contradicted(part)
+            if part.phase.state is CableState.GROUND:
+                continue  # drones keep off cables on the ground as seen from above
             inside = entered(part.motion)
             own = inside.drone // 2
             caught = np.minimum(own, inside.cable) * n + np.maximum(own, inside.cable)
@@ -105,3 +106,14 @@ def _names(layout: Layout, pair: int) -> tuple[str, ...]:
         shared |= (layout.ahead == j) & (layout.behind == i)
         return (f"p{layout.clasps[int(np.argmax(shared))]}",)
     return (f"cable {i}", f"cable {j}")
+
+
+RULE = CheckRule(
+    "interlacing",
+    "1",
+    "max",
+    lambda motion: None if np.all(motion.formed) else 0.0,
+    (Finder(_find, FREE_STATES | HITCHED_STATE),),
+    "place the drones so that cables need not pass each other on their way",
+    whole=True,
+)

@@ -76,8 +76,10 @@ def closeness_table(closest: Closeness) -> str:
     return rendered(table)
 
 
-def number(value: float) -> str:
-    """Return ``value`` in six significant digits; beyond all numbers it is infinite."""
+def number(value: float | None) -> str:
+    """Return ``value`` in six significant digits; infinite beyond all numbers, a dash for None."""
+    if value is None:
+        return "–"
     if abs(value) >= sys.float_info.max:
         return "inf" if value > 0 else "-inf"
     return f"{value:.6g}"

@@ -165,7 +165,7 @@ def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None
     for check in certificate.checks:
         if check.name == panel.check:
             factor = panel.factor if math.isfinite(panel.factor) else 1.0 / check.limit
-            value = check.worst * factor
+            value = check.bound * factor
             return (check.time, value) if abs(value) < ENDLESS else None
     return None
 

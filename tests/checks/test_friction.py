@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.checks import certify
+from hitchopt.checks import Check, certify
 from hitchopt.checks.bounds.friction_range import beyond_friction, wrapped
-from hitchopt.checks.equilibrium import check
+from hitchopt.checks.equilibrium import RULE
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -19,6 +19,13 @@ Array = NDArray[np.float64]
 
 FRICTION = 0.2
 POLYGON = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
+
+
+def check(motion: Motion) -> Check:
+    """Return the check of a motion that it applies to."""
+    found = RULE.check(motion)
+    assert found is not None
+    return found
 
 
 def team(friction: float) -> Team:

@@ -159,7 +159,7 @@ def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPat
         )
         listed.clear()
         for looked_at in (separation, cable_clearance, crossing):
-            looked_at.check(motion)
+            looked_at.RULE.check(motion)
         return sum(listed)
 
     few, many = count(100), count(800)

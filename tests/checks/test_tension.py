@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify
-from hitchopt.checks.tension import LIMIT, check
+from hitchopt.checks.tension import LIMIT, RULE
 from hitchopt.errors import FileError
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
@@ -32,6 +32,13 @@ Array = NDArray[np.float64]
 PROBLEMS = Path(__file__).parents[2] / "problems"
 DENSITY = 0.008
 SQUARE = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
+
+
+def check(motion: Motion) -> Check:
+    """Return the check of a motion that it applies to."""
+    found = RULE.check(motion)
+    assert found is not None
+    return found
 
 
 def plan_of(name: str) -> Motion:

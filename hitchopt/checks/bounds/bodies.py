@@ -24,7 +24,7 @@ PART_NAMES = ("q-leg", "edge", "r-leg")
 def positions(motion: Motion) -> tuple[Array, Array]:
     """Return the polynomials of the drones (pieces, 2n, 3, N+1) and points (pieces, P, 3, N+1) [m].
 
-    Both in the larger of their degrees.
+    Both have the larger of their degrees.
     """
     order = max(motion.drones.degree, motion.vertices.degree)
     return (
@@ -34,27 +34,26 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 
 
 def leg_vectors(motion: Motion) -> Array:
-    """(pieces, 2n, 3, N+1) [m]: from its vertex to each drone, in the order q0, r0, q1, …."""
+    """Return (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
 
 
 def pull_vectors(motion: Motion) -> Array:
-    """(pieces, 2n, 3, N+1) [m]: to each drone, along the straight piece of cable that it ends."""
+    """Return (pieces, 2n, 3, N+1) [m] to each drone along the straight piece of cable it ends."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.pulled_to]
 
 
 def edge_vectors(motion: Motion) -> Array:
-    """(pieces, n, 3, N+1) [m]: ``p_{k+1} - p_k``."""
+    """Return the edges ``p_{k+1} - p_k`` (pieces, n, 3, N+1) [m]."""
     _, vertices = positions(motion)
     return motion.team.layout.edges(vertices, axis=1)
 
 
 def drone_points(motion: Motion) -> Bodies:
     """Return the drones as points, in the degree of the cable parts where there are any."""
-    drones = positions(motion)[0]
-    return Bodies(drones[:, :, None])
+    return Bodies(positions(motion)[0][:, :, None])
 
 
 def cable_parts(motion: Motion) -> Bodies:
@@ -72,6 +71,14 @@ def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
     k, kind = np.divmod(parts, 3)
     before, following = layout.starts[k], layout.ends[k]
     return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
+
+
+def neighbours(layout: Layout, i: Indices, j: Indices) -> NDArray[np.bool_]:
+    """Return which cables share a clasp."""
+    n = layout.robots
+    apart = (j - i) % n
+    ring: NDArray[np.bool_] = (apart == 1) | (apart == n - 1)
+    return ring if layout.closed else np.abs(j - i) == 1
 
 
 def part_name(part: int) -> str:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
-from hitchopt.checks.bounds.free_phases import PhasePart
-from hitchopt.checks.bounds.hanging_clearance import ground_clearance
+from hitchopt.checks.bounds.hanging_clearance import above_ground
+from hitchopt.checks.bounds.phase_parts import PhasePart
 from hitchopt.checks.cable_length import LIMIT
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
@@ -83,7 +83,7 @@ def contradicted(part: PhasePart) -> Iterator[Wrong]:
         level = motion.drones.coefficients[:, :, :2]
         moved = np.ptp(level, axis=(0, -1)).reshape(n, -1)
         wrong.append(alone[np.any(moved > STILL, axis=1)])
-        if ground_clearance(motion).holds:
+        if above_ground(motion):
             wrong.append(alone)
     elif state is CableState.CLASPING:
         wrong.append(_not_clasped(motion))

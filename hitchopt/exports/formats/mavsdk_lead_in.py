@@ -119,7 +119,7 @@ def lead_in(task: Task) -> LeadIn:
             (
                 Violation(
                     c.name,
-                    c.worst,
+                    c.bound,
                     c.limit,
                     c.sense,
                     c.unit,
@@ -141,14 +141,14 @@ def _check(task: Task, share: PiecewisePolynomial, ground: Array, height: Array)
     points[:, :, 2] += height[None, :, None] * share.coefficients
     curves = PiecewisePolynomial(share.breaks, points)
     rising = Motion.single(Swarm(len(ground)), replace(motion.requirements, arena=None), curves, ())
-    found = separation.check(rising)
+    found = separation.RULE.check(rising)
     if found is None:
         return None
     names = motion.team.drone_names
     where = tuple(names[int(drone[1:])] for drone in found.where)
     reach = float(np.max(np.abs(task.room.points(points[[0, -1], ..., 0]))))
     rounding = 2.0 * 3.0**0.5 * DIGITS * reach * float(np.max(motion.requirements.separation.scale))
-    worst = found.worst - rounding
+    worst = found.bound - rounding
     return Check.of(found.name, worst, found.limit, found.sense, found.unit, found.time, where)
 
 
