@@ -10,16 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import cable_parts, drone_points
+from hitchopt.checks.bounds.bodies import cable_parts, closest, drone_points
 from hitchopt.checks.bounds.hanging_clearance import distance_to_drones, height_above_ground
 from hitchopt.checks.bounds.hanging_links import foreign, plan_chords, plan_points
-from hitchopt.checks.bounds.proximity import smallest_distance
-from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
-from hitchopt.checks.certificate import within
+from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
+from hitchopt.trajectory.extremum import Extremum
 
 GROUND = "ground"
 """Stands for the drone in ``where``."""
@@ -38,14 +37,10 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
         counted: NDArray[np.bool_] = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
         return counted
 
-    size = magnitude(motion)
-    aim = within(limit, "min", size, 0.5)
-    found = smallest_distance(
-        motion.drones.breaks, drone_points(motion), parts, apart, position_margin(motion), aim
-    )
+    found = closest(motion, drone_points(motion), parts, apart, limit)
     drone, body = divmod(found.item, len(parts))
     where = (motion.team.drone_names[drone], f"cable {layout.parts[body] // 3}")
-    return Finding(found.worst, found.time, where, size)
+    return Finding(found.worst, found.time, where, magnitude(motion))
 
 
 def _to_hanging(motion: Motion, _: float) -> Finding:
@@ -54,25 +49,19 @@ def _to_hanging(motion: Motion, _: float) -> Finding:
     ``where`` names the drone (or ``ground``) and the cable.
     """
     found = min(distance_to_drones(motion), height_above_ground(motion), key=lambda e: e.worst)
-    drone, cable = divmod(found.item, motion.team.robots)
-    where = ((*motion.team.drone_names, GROUND)[drone], f"cable {cable}")
-    return Finding(found.worst, found.time, where, magnitude(motion))
+    return _named(motion, found)
 
 
 def _seen_from_above(motion: Motion, limit: float) -> Finding:
     """Return the smallest level distance of a drone to the chord of a cable not its own."""
-    size = magnitude(motion)
-    found = smallest_distance(
-        motion.drones.breaks,
-        plan_points(motion),
-        plan_chords(motion),
-        foreign,
-        position_margin(motion),
-        within(limit, "min", size, 0.5),
-    )
+    return _named(motion, closest(motion, plan_points(motion), plan_chords(motion), foreign, limit))
+
+
+def _named(motion: Motion, found: Extremum) -> Finding:
+    """Return what has been found with the drone, or the ground, and the cable named."""
     drone, cable = divmod(found.item, motion.team.robots)
-    where = (motion.team.drone_names[drone], f"cable {cable}")
-    return Finding(found.worst, found.time, where, size)
+    where = ((*motion.team.drone_names, GROUND)[drone], f"cable {cable}")
+    return Finding(found.worst, found.time, where, magnitude(motion))
 
 
 RULE = CheckRule(

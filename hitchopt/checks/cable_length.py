@@ -73,9 +73,9 @@ def _bound(blocks: tuple[Array, ...]) -> Estimate:
 def _errors(lengths: Array, stored: tuple[Array, ...]) -> Array:
     """Return the error of the sum, and those of stored legs (cells, 1 or 3, coefficients)."""
     excess: Array = np.sum(lengths, axis=1, keepdims=True) - 1.0
-    if not stored:
-        return excess
-    return np.abs(np.concatenate([excess, stored[0] - lengths[:, :2]], axis=1))
+    if stored:
+        excess = np.abs(np.concatenate([excess, stored[0] - lengths[:, :2]], axis=1))
+    return excess
 
 
 RULE = CheckRule(

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, broken_limit
+from hitchopt.errors import HitchoptError, InputError, Violation, broken_limit
 
 FORMAT = "hitchopt-certificate/1"
 
@@ -87,6 +87,12 @@ class Check:
         least = within(limit, sense, size)
         holds = worst >= least if sense == "min" else worst <= least
         return cls(name, bool(holds), worst, float(limit), sense, unit, float(time), where)
+
+    def violation(self, when: str, remedy: str) -> Violation:
+        """Return the check, which does not hold, as a violation."""
+        return Violation(
+            self.name, self.bound, self.limit, self.sense, self.unit, self.where, when, remedy
+        )
 
     @property
     def bound(self) -> float:

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import cable_parts, neighbours, part_name, part_points
+from hitchopt.checks.bounds.bodies import cable_parts, closest, neighbours, part_name, part_points
 from hitchopt.checks.bounds.hanging_links import plan_chords
-from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
-from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
-from hitchopt.checks.certificate import within
+from hitchopt.checks.bounds.proximity import Allowed, Bodies, every_pair
+from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.motion.motion import CableState, Motion
@@ -44,12 +43,7 @@ def _taut(motion: Motion, limit: float) -> Finding:
 
 def _hanging(motion: Motion, limit: float) -> Finding:
     """Return the smallest distance of two cables from above; ``where`` names both."""
-
-    def every(i: Indices, _: Indices) -> NDArray[np.bool_]:
-        return np.ones(np.shape(i), dtype=np.bool_)
-
-    names = [f"cable {k}" for k in range(motion.team.robots)]
-    return _closest(motion, plan_chords(motion), every, limit, names)
+    return _closest(motion, plan_chords(motion), every_pair, limit, _cable_names(motion))
 
 
 def _clasped(motion: Motion, limit: float) -> Finding:
@@ -58,19 +52,19 @@ def _clasped(motion: Motion, limit: float) -> Finding:
     def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
         return ~neighbours(motion.team.layout, i, j)
 
-    names = [f"cable {k}" for k in range(motion.team.robots)]
-    return _closest(motion, plan_chords(motion), apart, limit, names)
+    return _closest(motion, plan_chords(motion), apart, limit, _cable_names(motion))
+
+
+def _cable_names(motion: Motion) -> list[str]:
+    return [f"cable {k}" for k in range(motion.team.robots)]
 
 
 def _closest(
     motion: Motion, bodies: Bodies, allowed: Allowed, limit: float, names: Sequence[str]
 ) -> Finding:
-    size = magnitude(motion)
-    aim = within(limit, "min", size, 0.5)
-    margin = position_margin(motion)
-    found = smallest_distance(motion.drones.breaks, bodies, None, allowed, margin, aim)
+    found = closest(motion, bodies, None, allowed, limit)
     where = tuple(names[i] for i in sorted(divmod(found.item, len(names))))
-    return Finding(found.worst, found.time, where, size)
+    return Finding(found.worst, found.time, where, magnitude(motion))
 
 
 RULE = CheckRule(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import drone_points
-from hitchopt.checks.bounds.proximity import Bodies, smallest_distance
+from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
@@ -24,7 +24,7 @@ def _find(motion: Motion, limit: float) -> Finding:
         motion.drones.breaks,
         drones,
         None,
-        lambda i, _: np.ones(len(i), dtype=np.bool_),
+        every_pair,
         ROUNDING * size,
         within(limit, "min", size, 0.5),
     )

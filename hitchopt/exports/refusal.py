@@ -51,13 +51,7 @@ def violations_of(
 def _violation(check: Check, planned: Check) -> Violation:
     lost = abs(check.bound - planned.bound)
     unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
-    return Violation(
-        check.name,
-        check.bound,
-        check.limit,
-        check.sense,
-        check.unit,
-        check.where,
+    return check.violation(
         f"at t = {check.time:.4g} s (the plan keeps {planned.bound:.6g}{unit}, "
         f"the export loses {lost:.3g}{unit})",
         SLOWER if RULE_OF[check.name].derivative else CLEARER,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError
 from hitchopt.motion.motion import Phase
 from hitchopt.requirements import Separation
 
@@ -26,13 +26,7 @@ def infeasible(
     """
     return InfeasibleError(
         [
-            Violation(
-                check.name,
-                check.bound,
-                check.limit,
-                check.sense,
-                check.unit,
-                check.where,
+            check.violation(
                 _metres(check, separation) + (when or _moment(check, phases)),
                 _remedy(check, phases),
             )

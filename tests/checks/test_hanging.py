@@ -36,8 +36,8 @@ def test_no_sample_of_a_drone_or_the_ground_is_closer_to_a_cable(seed: int) -> N
     smallest = min(float(np.min(apart)), float(to_ground))
     found = cable_clearance.RULE.check(motion)
     assert found is not None
-    assert found.worst <= smallest + 1e-9
-    assert found.worst >= smallest - CLOSE
+    assert found.bound <= smallest + 1e-9
+    assert found.bound >= smallest - CLOSE
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,12 +53,12 @@ def test_the_ground_is_the_arenas_floor(seed: int) -> None:
     found = cable_clearance.RULE.check(motion)
     assert found is not None
     assert found.where[0] == "ground"
-    assert lowest - CLOSE <= found.worst <= lowest + 1e-9
+    assert lowest - CLOSE <= found.bound <= lowest + 1e-9
     lower = cable_clearance.RULE.check(
         replace(motion, requirements=replace(motion.requirements, arena=None))
     )
     assert lower is not None
-    assert lower.worst == pytest.approx(found.worst + 0.8, abs=2e-3)
+    assert lower.bound == pytest.approx(found.bound + 0.8, abs=2e-3)
 
 
 @pytest.mark.parametrize("name", ["take-off", "land"])
@@ -79,7 +79,7 @@ def test_cables_on_the_ground_are_looked_at_from_above(name: str) -> None:
     found = cable_clearance.RULE.check(motion)
     assert found is not None
     smallest = float(np.min(gaps))
-    assert found.worst <= smallest + 1e-9
+    assert found.bound <= smallest + 1e-9
     assert found.worst == pytest.approx(smallest, abs=2e-3)
 
 
@@ -208,6 +208,6 @@ def test_a_drone_in_a_cable_is_told_with_time_and_names() -> None:
     found = cable_clearance.RULE.check(motion)
     assert found is not None
     assert not found.holds
-    assert found.worst < 1e-2
+    assert found.bound < 1e-2
     assert found.where == ("q1", "cable 0")
     assert found.time == pytest.approx(2.0, abs=0.1)

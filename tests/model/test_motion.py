@@ -93,7 +93,7 @@ def test_the_worst_of_several_spans_is_told() -> None:
     worse = certify(replace(motion, vertices=PiecewisePolynomial(BREAKS, vertices)))
     assert not worse["cable_length"].holds
     assert worse["cable_length"].time <= BREAKS[1]
-    assert worse["convexity"].worst > 0.0
+    assert worse["convexity"].bound > 0.0
 
 
 def test_the_most_pressing_check_depends_on_its_sense() -> None:

@@ -10,11 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.proximity import Bodies
+from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
+from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
+from hitchopt.checks.certificate import within
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Extremum
 
 Array = NDArray[np.float64]
 
@@ -79,6 +82,15 @@ def neighbours(layout: Layout, i: Indices, j: Indices) -> NDArray[np.bool_]:
     apart = (j - i) % n
     ring: NDArray[np.bool_] = (apart == 1) | (apart == n - 1)
     return ring if layout.closed else np.abs(j - i) == 1
+
+
+def closest(
+    motion: Motion, first: Bodies, second: Bodies | None, allowed: Allowed, limit: float
+) -> Extremum:
+    """Return the smallest distance of allowed pairs, close enough to compare it with a limit."""
+    aim = within(limit, "min", magnitude(motion), 0.5)
+    margin = position_margin(motion)
+    return smallest_distance(motion.drones.breaks, first, second, allowed, margin, aim)
 
 
 def part_name(part: int) -> str:

@@ -20,6 +20,7 @@ from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length,
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells
+from hitchopt.trajectory.splitting import on_breaks
 
 Array = NDArray[np.float64]
 
@@ -179,9 +180,5 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
         return drones
     piece = np.repeat(np.arange(drones.pieces), counts)
     first = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    lower, upper = first / counts[piece], (first + 1) / counts[piece]
-    parts = bernstein.restrict(
-        drones.coefficients[piece], lower[:, None, None], upper[:, None, None]
-    )
-    starts = drones.breaks[piece] + lower * drones.durations[piece]
-    return PiecewisePolynomial(np.append(starts, drones.breaks[-1]), parts)
+    starts = drones.breaks[piece] + first / counts[piece] * drones.durations[piece]
+    return on_breaks(drones, np.append(starts, drones.breaks[-1]))

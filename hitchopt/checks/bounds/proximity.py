@@ -70,6 +70,11 @@ class Bodies:
         return int(self.corners.shape[1])
 
 
+def every_pair(first: Indices, _: Indices) -> NDArray[np.bool_]:
+    """Allow all pairs."""
+    return np.ones(len(first), dtype=np.bool_)
+
+
 def smallest_distance(
     breaks: Array,
     first: Bodies,

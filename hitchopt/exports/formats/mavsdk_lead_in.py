@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import separation
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError
 from hitchopt.exports.formats.format import Task, pull_of
 from hitchopt.exports.formats.mavsdk_receiver import BLEND, LATE, Receiver
 from hitchopt.hitch import Swarm
@@ -114,16 +114,9 @@ def lead_in(task: Task) -> LeadIn:
     share = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
     lead = LeadIn(rows, duration, share, ground, height, _check(task, share, ground, height))
     if lead.check is not None and not lead.check.holds:
-        c = lead.check
         raise InfeasibleError(
             (
-                Violation(
-                    c.name,
-                    c.bound,
-                    c.limit,
-                    c.sense,
-                    c.unit,
-                    c.where,
+                lead.check.violation(
                     "while the drones rise straight up from the ground to their first places",
                     "begin with the drones beside one another, or choose another format",
                 ),
