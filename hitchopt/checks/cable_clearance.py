@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.bodies import cable_parts, closest, drone_points
 from hitchopt.checks.bounds.hanging_clearance import distance_to_drones, height_above_ground
 from hitchopt.checks.bounds.hanging_links import foreign, plan_chords, plan_points
+from hitchopt.checks.bounds.phase_parts import phase_parts
 from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.broadphase import Indices
@@ -46,10 +47,15 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
 def _to_hanging(motion: Motion, _: float) -> Finding:
     """Return the smallest distance of a drone, or of the ground, to a hanging cable not its own.
 
-    ``where`` names the drone (or ``ground``) and the cable.
+    ``where`` names the drone (or ``ground``) and the cable. Each phase is searched on its own: a
+    search stops within millimetres, so that what it finds depends on the span of time.
     """
-    found = min(distance_to_drones(motion), height_above_ground(motion), key=lambda e: e.worst)
-    return _named(motion, found)
+    found = [
+        search(part.motion)
+        for part in phase_parts(motion)
+        for search in (distance_to_drones, height_above_ground)
+    ]
+    return _named(motion, min(found, key=lambda extremum: extremum.worst))
 
 
 def _seen_from_above(motion: Motion, limit: float) -> Finding:

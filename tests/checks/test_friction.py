@@ -86,7 +86,7 @@ def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
     t = np.linspace(0.0, leaned.duration, 20_001)
     found = check(leaned)
     assert found.holds
-    assert np.max(residuals(leaned, t)) <= found.worst
+    assert np.max(residuals(leaned, t)) <= found.bound
     ratio, most = np.moveaxis(ratios(leaned, t), -1, 0)
     assert np.all((ratio <= most) & (ratio >= 1.0 / most))
     assert np.ptp(ratio) > 0.05  # there is something to hold against it
@@ -115,7 +115,7 @@ def test_more_than_friction_gives_is_unbalanced_by_as_much(leaned: Motion, frict
     found = check(motion)
     assert not found.holds
     worst = float(np.max(beyond))
-    assert worst <= found.worst <= worst * 1.001 + 1e-6
+    assert worst <= found.bound <= worst * 1.001 + 1e-6
     when, cable, end = np.unravel_index(np.argmax(beyond), beyond.shape)
     assert found.where == (f"p{(cable + end) % 4}",)
     assert found.time == pytest.approx(t[when], abs=0.05)
@@ -129,7 +129,7 @@ def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
     found = check(tampered)
     t = np.linspace(0.0, leaned.duration, 4_001)
     assert not found.holds
-    assert np.max(residuals(tampered, t)) <= found.worst
+    assert np.max(residuals(tampered, t)) <= found.bound
     assert found.worst == pytest.approx(0.02, rel=0.3)
     assert found.where == ("p3",)
 
@@ -167,7 +167,7 @@ def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
     c[:, 1] *= 0.1
     weak = replace(leaned, tensions=PiecewisePolynomial(leaned.tensions.breaks, c))
     sampled = np.max(residuals(weak, np.linspace(0.0, leaned.duration, 20_001)))
-    assert sampled <= check(weak).worst <= 1.001 * sampled
+    assert sampled <= check(weak).bound <= 1.001 * sampled
 
 
 def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:

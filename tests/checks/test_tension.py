@@ -290,7 +290,7 @@ def test_a_stated_range_begins_and_ends_with_the_teams_tension() -> None:
     for change in (scaled(1e-6), scaled(2.0)):
         found = check(pulling(motion, change))
         assert not found.holds
-        assert found.worst > 0.3
+        assert found.bound > 0.3
     half = (replace(motion.phases[0], end=1.0), Phase("morph", 1, 1.0, 2.0, tension=(0.3, 0.5)))
     found = check(replace(motion, phases=half))
     assert found.worst == pytest.approx(0.06, abs=2e-6)
@@ -363,7 +363,7 @@ def test_legs_may_pull_with_what_friction_makes_of_the_range() -> None:
                 worst = max(worst, float(np.max(P - T * held)), float(np.max(T / held - P)))
         assert worst > 0.01
         found = check(changed)
-        assert worst <= found.worst <= worst * 1.001 + 1e-6
+        assert worst <= found.bound <= worst * 1.001 + 1e-6
         assert found.where[0] in team.drone_names
     within = replace(changed, team=rough(team))
     assert check(within).holds
