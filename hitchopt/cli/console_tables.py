@@ -54,7 +54,7 @@ def certificate_table(certificate: Certificate) -> str:
             f"{relation} {number(check.limit)}",
             Text("" if check.unit == "1" else check.unit),
             Text(_names(check.where)),
-            f"{check.time:.3f} s" if math.isfinite(check.time) else "",
+            f"{check.time:.3f} s" if check.worst is not None and math.isfinite(check.time) else "",
             Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
         )
     return rendered(table)

@@ -42,7 +42,7 @@ def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
     usual = rest(ho.Limits(), ho.Separation(), None)
     legs = np.linalg.norm(HITCH.drones - HITCH.vertices[TEAM.layout.anchors], axis=1)
     exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].bound)}
-    scale = usual["separation"].worst
+    scale = usual["separation"].bound
     separation = ho.Separation(radius=0.12 * scale, cable=usual["cable_clearance"].bound)
     wall = ho.Arena(np.min(HITCH.drones, axis=0), np.max(HITCH.drones, axis=0) + [0, 0, 1])
     met = rest(ho.Limits(**exact), separation, wall)
