@@ -81,7 +81,7 @@ RULE = CheckRule(
         Finder(_to_hanging, FREE_STATES - {CableState.GROUND}, exported=True),
     ),
     "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.cable",
+    "other leg lengths, or a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     Ease.LENGTH,

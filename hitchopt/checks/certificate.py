@@ -1,10 +1,10 @@
-"""What a certificate says: a list of checks, each with its worst value over all of the time."""
+"""Certificates: a list of checks, each with its worst value over all of the time."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ class CertificateError(HitchoptError):
 
 
 def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
-    """Return the number that keeps a limit to the last digit; what is not beyond it holds.
+    """Return the limit with its tolerance: what is not beyond it holds.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Check:
     Attributes
     ----------
     name: as in the certificate's table (README).
-    holds: whether ``worst`` keeps the limit, within ``TOLERANCE``.
+    holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
     worst: bounds the quantity for all t, rounding included; None where nothing was counted.
     limit: in the same unit.
     sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
@@ -112,9 +112,9 @@ def _nothing(sense: str) -> float:
     return math.inf if sense == "min" else -math.inf
 
 
-def most_pressing(checks: Sequence[Check]) -> Check | None:
+def most_pressing(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several spans of time; None without any."""
-    return max(checks, key=lambda check: check.pressure, default=None)
+    return max(filter(None, checks), key=lambda check: check.pressure, default=None)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial
 
 LIMIT = 1e-6
-"""[m], [m/s], [m/s²]: below anything that a drone could tell from none."""
+"""[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
 
 
 def _find(motion: Motion, _: float) -> Finding:

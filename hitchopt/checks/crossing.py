@@ -11,7 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import cable_parts, closest, neighbours, part_name, part_points
+from hitchopt.checks.bounds.bodies import (
+    cable_parts,
+    clasped_pairs,
+    closest,
+    pair_of,
+    part_name,
+    part_points,
+)
 from hitchopt.checks.bounds.hanging_links import plan_chords
 from hitchopt.checks.bounds.proximity import Allowed, Bodies, every_pair
 from hitchopt.checks.bounds.rounding_margins import magnitude
@@ -48,9 +55,10 @@ def _hanging(motion: Motion, limit: float) -> Finding:
 
 def _clasped(motion: Motion, limit: float) -> Finding:
     """Return the same of cables that share no clasp."""
+    layout = motion.team.layout
 
     def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
-        return ~neighbours(motion.team.layout, i, j)
+        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
     return _closest(motion, plan_chords(motion), apart, limit, _cable_names(motion))
 
@@ -78,6 +86,6 @@ RULE = CheckRule(
         Finder(_clasped, frozenset({CableState.CLASPING, CableState.TIGHTENING}), exported=True),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
-    "share them otherwise, or lower separation.crossing",
+    "choose other leg lengths, or lower separation.crossing",
     "place the robots farther apart, or lower separation.crossing",
 )

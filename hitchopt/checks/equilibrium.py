@@ -49,7 +49,7 @@ def _find(motion: Motion, _: float) -> Finding:
     found = largest(Cells.over(motion.drones.breaks, [rows, _pulls(motion)]), bound)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
-        beyond = beyond_friction(motion, motion.leg_tensions)
+        beyond = beyond_friction(motion)
         if beyond.worst > worst:
             worst, time, point = beyond.worst, beyond.time, layout.anchors[beyond.item]
     return Finding(worst, time, (f"p{point}",))

@@ -1,4 +1,4 @@
-"""Check ``legs``: every drone keeps off its vertex."""
+"""Check ``legs``: every drone stays off its vertex."""
 
 from __future__ import annotations
 

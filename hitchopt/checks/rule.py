@@ -44,7 +44,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Finder:
-    """How a check's quantity is found while cables are in certain states.
+    """A function that finds a check's quantity while cables are in certain states.
 
     Attributes
     ----------
@@ -117,13 +117,5 @@ class CheckRule:
 
     def _check(self, found: Finding, limit: float) -> Check:
         limit = limit if found.limit is None else found.limit
-        return Check.of(
-            self.name,
-            found.worst,
-            limit,
-            self.sense,
-            self.unit,
-            found.time,
-            found.where,
-            found.size,
-        )
+        given = (found.worst, limit, self.sense, self.unit, found.time, found.where, found.size)
+        return Check.of(self.name, *given)

@@ -39,7 +39,7 @@ RULE = CheckRule(
     lambda motion: 1.0 if motion.team.drones > 1 else None,
     (Finder(_find, exported=True),),
     "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.radius",
+    "other leg lengths, or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     Ease.LENGTH,

@@ -1,4 +1,4 @@
-"""Check ``thrust``: no drone is asked for more than its motors give."""
+"""Check ``thrust``: no drone needs more than its motors give."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def _find(motion: Motion, _: float) -> Finding:
     """Return the largest thrust of the drone that is nearest to its own ``max_thrust``.
 
-    ``worst`` and ``limit`` are that drone's; the check holds if all drones keep theirs.
+    ``worst`` and ``limit`` are that drone's; the check holds if all drones satisfy theirs.
     """
     limits = motion.team.max_thrust
     cells, bound = thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion))

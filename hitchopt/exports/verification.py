@@ -112,10 +112,7 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
         results.append([rule.check(judged, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    worst = [
-        most_pressing([check for check in checks if check is not None])
-        for checks in zip(*results, strict=True)
-    ]
+    worst = [most_pressing(checks) for checks in zip(*results, strict=True)]
     return Verdict(
         end,
         max(deviations[0], key=lambda d: d.worst),

@@ -154,7 +154,7 @@ def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed:
         tensions=swinging(leaned.tensions, 0.97, 1.03),
     )
     assert motion.leg_tensions is not None
-    found = beyond_friction(motion, motion.leg_tensions)
+    found = beyond_friction(motion)
     ratio, most = np.moveaxis(ratios(motion, np.linspace(0.0, motion.duration, 40_001)), -1, 0)
     worst = float(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
     assert worst <= found.worst <= worst * 1.001 + 1e-6
@@ -202,7 +202,7 @@ def test_tensions_that_rise_from_zero_are_the_legs_own_or_hold_nothing(leaned: M
             leg_tensions=PiecewisePolynomial(breaks, pulls),
         )
         assert motion.leg_tensions is not None
-        found = beyond_friction(motion, motion.leg_tensions).worst
+        found = beyond_friction(motion).worst
         assert found == beyond if beyond else found < 1e-9
 
 

@@ -76,12 +76,15 @@ def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
     return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
 
 
-def neighbours(layout: Layout, i: Indices, j: Indices) -> NDArray[np.bool_]:
-    """Return which cables share a clasp."""
-    n = layout.robots
-    apart = (j - i) % n
-    ring: NDArray[np.bool_] = (apart == 1) | (apart == n - 1)
-    return ring if layout.closed else np.abs(j - i) == 1
+def clasped_pairs(layout: Layout) -> Indices:
+    """Return the pairs of cables (clasps,) that hold each other: ``i * n + j`` with i < j."""
+    return pair_of(layout, layout.ahead, layout.behind)
+
+
+def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
+    """Return pairs of cables as ``i * n + j`` with i <= j."""
+    pairs: Indices = np.minimum(first, second) * layout.robots + np.maximum(first, second)
+    return pairs
 
 
 def closest(
