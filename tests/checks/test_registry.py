@@ -13,7 +13,7 @@ from open_chain_cases import random_chain
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.certificate import describe
 from hitchopt.checks.registry import RULE_OF, RULES
-from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.requirements import Arena
@@ -92,3 +92,39 @@ def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
         assert "q0" in describe(check)
     some = Check.of("x", 3.0, 3.0, sense, "m", 0.0, ())
     assert max((nothing, some), key=lambda each: each.pressure) is some
+
+
+def test_rules_say_what_exports_carry_and_what_eases_them() -> None:
+    hitched = {"separation", "cable_clearance", "cable_length", "speed", "thrust", "tilt"}
+    hitched |= {"arena", "keep_out"}
+    free = hitched - {"cable_length"} | {"crossing", "span"}
+    single = free - {"cable_clearance", "crossing", "span"}
+    for state in CableState:
+        carried = {
+            rule.name
+            for rule in RULES
+            for finder in rule.finders
+            if finder.exported and state in finder.states
+        }
+        formed = state is CableState.HITCHED
+        assert carried == (hitched if formed else single if state is CableState.NONE else free)
+    assert {rule.name: rule.derivative for rule in RULES if rule.derivative} == {
+        "speed": 1,
+        "acceleration": 2,
+        "jerk": 3,
+        "vertex_speed": 1,
+        "thrust": 2,
+        "tilt": 2,
+    }
+    eased = {ease: {rule.name for rule in RULES if rule.ease is ease} for ease in Ease}
+    assert eased[Ease.TIME] == {"speed", "acceleration", "jerk", "vertex_speed"}
+    assert eased[Ease.TENSION] == {"thrust", "tilt"}
+    assert eased[Ease.LENGTH] == {
+        "separation",
+        "cable_clearance",
+        "legs",
+        "span",
+        "cable_length",
+    }
+    whole = {rule.name for rule in RULES if rule.whole}
+    assert whole == {"tension", "continuity", "interlacing", "duration"}
