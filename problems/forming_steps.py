@@ -18,6 +18,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.states import States, states_at
 from hitchopt.view.plan_view import PATH_COLOUR
 from hitchopt.view.style import COLOURS, INK, marker
@@ -124,7 +125,7 @@ def _cables(team: Team, state: States) -> list[Array]:
 
 def _frame(axes: Any, motion: Motion) -> None:
     """Give all panels the same limits: those of the hitch and of the cables below it."""
-    formed = motion.spans(formed=True)[0]
+    formed = motion.spans(HITCHED_STATE)[0]
     places = formed.drones.coefficients[0, ..., 0]
     middle = np.mean(places, axis=0)
     reach = 1.02 * float(np.max(np.linalg.norm(places - middle, axis=1)))

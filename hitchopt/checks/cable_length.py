@@ -1,4 +1,10 @@
-"""Check ``cable_length``: legs and edge use up the cable, and the stored legs are the true ones."""
+"""Check ``cable_length``: legs and edge use up the cable, and the stored legs are the true ones.
+
+While clasped cables are drawn out, none may be torn before the hitch exists. From the second swap
+on neighbours hold each other, so that a cable no longer runs straight between its drones: their
+distance (``span``) says too little. Every cable then has to reach around the plan's vertices, which
+stand for where the clasps may lie: where it does for some places of the clasps, no cable is taut.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +13,9 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
-from hitchopt.checks.certificate import Check
-from hitchopt.motion.motion import Motion
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
@@ -17,43 +24,70 @@ Array = NDArray[np.float64]
 LIMIT = 1e-4
 """Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up."""
 
+EXPORTED = 1e-3
+"""Relative: what files that hold millimetres can keep of a plan's 1e-4."""
 
-def check(motion: Motion) -> Check:
+
+def _used_up(motion: Motion, _: float) -> Finding:
     """Return the largest relative error of a cable's length; ``where`` names the cable.
 
     The largest of ``|leg + edge + leg - L| / L`` and of how far the plan's own ``d_k`` and ``e_k``
     are from the distances that they stand for, over L as well.
     """
-    n = motion.team.robots
+    length = motion.team.cable_length
+    return _largest(motion, [motion.legs.coefficients / length[:, None, None]])
+
+
+def _reaching(motion: Motion, _: float) -> Finding:
+    """Return by how much a clasped cable is too short, over its length; ``where`` names it."""
+    return _largest(motion, [])
+
+
+def _largest(motion: Motion, stored: list[Array]) -> Finding:
     length = motion.team.cable_length
     legs = leg_vectors(motion)
-    per_cable = legs.reshape(len(legs), n, 2, *legs.shape[2:])
+    per_cable = legs.reshape(len(legs), len(length), 2, *legs.shape[2:])
     vectors = np.concatenate([per_cable, edge_vectors(motion)[:, :, None]], axis=2)
-    rows = vectors.reshape(len(legs), n, 9, -1) / length[:, None, None]
-    stored = motion.legs.coefficients / length[:, None, None]
+    rows = vectors.reshape(len(legs), len(length), 9, -1) / length[:, None, None]
     margin = 4.0 * position_margin(motion) / length  # of three lengths, and of their sum
-    found = largest(Cells.over(motion.drones.breaks, [rows, stored], margin), _bound)
-    where = (f"cable {found.item}",)
-    return Check.of("cable_length", found.worst, LIMIT, "max", "1", found.time, where)
+    found = largest(Cells.over(motion.drones.breaks, [rows, *stored], margin), _bound)
+    return Finding(found.worst, found.time, (f"cable {found.item}",))
 
 
 def _bound(blocks: tuple[Array, ...]) -> Estimate:
-    vectors, stored = blocks
-    vectors = vectors.reshape(len(vectors), 3, 3, -1)
+    """Bound by how much three lengths sum to more than 1; with stored legs, errors of any sign."""
+    vectors, stored = blocks[0].reshape(len(blocks[0]), 3, 3, -1), blocks[1:]
     lengths = enclosure.norm(vectors)
-    order = max(bernstein.degree(lengths.coefficients), bernstein.degree(stored))
+    order = max(bernstein.degree(part) for part in (lengths.coefficients, *stored))
     parts = bernstein.elevate(lengths.coefficients, order)
-    sums = np.sum(parts, axis=1, keepdims=True) - 1.0
-    errors = np.concatenate([sums, bernstein.elevate(stored, order) - parts[:, :2]], axis=1)
-    radius = np.stack(
-        [np.sum(lengths.radius, axis=1), lengths.radius[:, 0], lengths.radius[:, 1]], axis=1
-    )
-    reach = np.abs(errors) + radius[..., None]
-    bound = np.max(reach, axis=(1, 2))
+    reach = _errors(parts, tuple(bernstein.elevate(legs, order) for legs in stored))
+    reach[:, 0] += np.sum(lengths.radius, axis=1)[:, None]
+    reach[:, 1:] += lengths.radius[:, : reach.shape[1] - 1, None]
     x = np.argmax(np.max(reach, axis=1), axis=-1) / max(1, order)
     there = np.linalg.norm(bernstein.evaluate(vectors, x[:, None, None]), axis=-1)
-    given = bernstein.evaluate(stored, x[:, None])
-    value = np.maximum(
-        np.abs(np.sum(there, axis=-1) - 1.0), np.max(np.abs(given - there[:, :2]), axis=-1)
-    )
-    return Estimate(bound, value, x)
+    given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
+    value = np.max(_errors(there[..., None], given), axis=(1, 2))
+    return Estimate(np.max(reach, axis=(1, 2), initial=0.0), np.maximum(value, 0.0), x)
+
+
+def _errors(lengths: Array, stored: tuple[Array, ...]) -> Array:
+    """Return the error of the sum, and those of stored legs (cells, 1 or 3, coefficients)."""
+    excess: Array = np.sum(lengths, axis=1, keepdims=True) - 1.0
+    if stored:
+        excess = np.abs(np.concatenate([excess, stored[0] - lengths[:, :2]], axis=1))
+    return excess
+
+
+RULE = CheckRule(
+    "cable_length",
+    "1",
+    "max",
+    LIMIT,
+    (
+        Finder(_used_up, HITCHED_STATE, exported=True),
+        Finder(_reaching, frozenset({CableState.TIGHTENING})),
+    ),
+    free_remedy="use a longer cable, or a smaller polygon",
+    ease=Ease.LENGTH,
+    exported_limit=EXPORTED,
+)

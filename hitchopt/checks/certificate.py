@@ -1,20 +1,20 @@
-"""What a certificate says: a list of checks, each with its worst value over all of the time."""
+"""Certificates: a list of checks, each with its worst value over all of the time."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, broken_limit
+from hitchopt.errors import HitchoptError, InputError, Violation, broken_limit
 
 FORMAT = "hitchopt-certificate/1"
 
 
 TOLERANCE = 1e-9
-"""Of a limit, or of the largest length or the unit of what it is of: checks hold within that."""
+"""Relative to a limit, or to the largest length that enters: checks hold within that."""
 
 
 class CertificateError(HitchoptError):
@@ -22,7 +22,7 @@ class CertificateError(HitchoptError):
 
 
 def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
-    """Return the number that keeps a limit to the last digit; what is not beyond it holds.
+    """Return the limit with its tolerance: what is not beyond it holds.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ class Check:
     Attributes
     ----------
     name: as in the certificate's table (README).
-    holds: whether ``worst`` keeps the limit, within ``TOLERANCE``.
-    worst: bounds the quantity for all t, rounding included.
+    holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
+    worst: bounds the quantity for all t, rounding included; None where nothing was counted.
     limit: in the same unit.
     sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
     unit: such as ``m`` or ``ratio``.
@@ -53,7 +53,7 @@ class Check:
 
     name: str
     holds: bool
-    worst: float
+    worst: float | None
     limit: float
     sense: str
     unit: str
@@ -77,23 +77,44 @@ class Check:
 
         ``size`` is the largest length that enters the quantity, in its unit, as ``within`` has it.
         What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
+        An infinity that holds is that of nothing, so there is no ``worst`` and no place.
         """
         largest = sys.float_info.max
+        if worst == _nothing(sense):
+            return cls(name, True, None, float(limit), sense, unit, float(time), ())
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
-        kept = within(limit, sense, size)
-        holds = worst >= kept if sense == "min" else worst <= kept
+        least = within(limit, sense, size)
+        holds = worst >= least if sense == "min" else worst <= least
         return cls(name, bool(holds), worst, float(limit), sense, unit, float(time), where)
 
+    def violation(self, when: str, remedy: str) -> Violation:
+        """Return the check, which does not hold, as a violation."""
+        return Violation(
+            self.name, self.bound, self.limit, self.sense, self.unit, self.where, when, remedy
+        )
 
-def most_pressing(checks: Sequence[Check]) -> Check | None:
-    """Return, of one quantity's checks over several spans of time, the worst; None of none."""
+    @property
+    def bound(self) -> float:
+        """The worst value; an infinity that holds where nothing was counted."""
+        return _nothing(self.sense) if self.worst is None else self.worst
 
-    def beyond(check: Check) -> float:
-        excess = check.worst - check.limit
-        return -excess if check.sense == "min" else excess
+    @property
+    def pressure(self) -> float:
+        """How near the quantity comes to its limit; drones may have different ones."""
+        if self.sense == "min":
+            return self.limit - self.bound
+        return self.bound / self.limit if self.limit > 0.0 else self.bound - self.limit
 
-    return max(checks, key=beyond, default=None)
+
+def _nothing(sense: str) -> float:
+    """Return the extreme value of an empty set."""
+    return math.inf if sense == "min" else -math.inf
+
+
+def most_pressing(checks: Iterable[Check | None]) -> Check | None:
+    """Return the worst of one quantity's checks over several spans of time; None without any."""
+    return max(filter(None, checks), key=lambda check: check.pressure, default=None)
 
 
 @dataclass(frozen=True)
@@ -137,20 +158,7 @@ class Certificate:
             "format": FORMAT,
             "certified": self.certified,
             "duration": self.duration,
-            "checks": [
-                {
-                    "name": c.name,
-                    "holds": c.holds,
-                    "worst": c.worst,
-                    "limit": c.limit,
-                    "sense": c.sense,
-                    "unit": c.unit,
-                    "time": c.time,
-                    "where": list(c.where),
-                    "method": c.method,
-                }
-                for c in self.checks
-            ],
+            "checks": [{**asdict(check), "where": list(check.where)} for check in self.checks],
         }
 
     @classmethod
@@ -167,6 +175,6 @@ class Certificate:
 def describe(check: Check) -> str:
     """Return one sentence on a check that does not hold."""
     broken = broken_limit(
-        check.name, check.worst, check.limit, check.sense, check.unit, check.where
+        check.name, check.bound, check.limit, check.sense, check.unit, check.where
     )
     return f"{broken}, t = {check.time:.4g} s"

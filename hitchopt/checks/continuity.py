@@ -6,23 +6,24 @@ import numpy as np
 
 from hitchopt.checks.bounds.bodies import PART_NAMES
 from hitchopt.checks.bounds.rounding_margins import derivative_margin, position_margin
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial
 
 LIMIT = 1e-6
-"""[m], [m/s], [m/s²]: below anything that a drone could tell from none."""
+"""[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, _: float) -> Finding:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
-    Of drones, and of vertices and legs while the hitch exists; the unit is given as m, whichever of
-    the three it is. A jump of a vector is measured by its norm. ``where`` names the drone, the
-    vertex or the leg.
+    Drones are looked at, and vertices and legs while the hitch exists; the unit is given as m,
+    whichever of the three it is. A jump of a vector is measured by its norm. ``where`` names the
+    drone, the vertex or the leg.
     """
     parts = [(motion.drones, motion.team.drone_names)]
-    for span in motion.spans(formed=True):
+    for span in motion.spans(HITCHED_STATE):
         legs = span.legs
         each = legs.coefficients.reshape(legs.pieces, -1, 1, legs.degree + 1)
         cables = range(span.team.robots)
@@ -50,4 +51,7 @@ def check(motion: Motion) -> Check:
             if jump[joint, item] > worst:
                 worst, time = float(jump[joint, item]), float(part.breaks[joint + 1])
                 where = (names[item],)
-    return Check.of("continuity", worst, LIMIT, "max", "m", time, where)
+    return Finding(worst, time, where)
+
+
+RULE = CheckRule("continuity", "m", "max", LIMIT, (Finder(_find),), whole=True)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.bodies import edge_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 
@@ -24,7 +25,7 @@ BACKWARD = -180.0
 """[deg] The smallest angle there is; also that of an edge without direction."""
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, _: float) -> Finding:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
     A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
@@ -54,7 +55,7 @@ def check(motion: Motion) -> Check:
     if worst > BACKWARD and room < min(worst, 0.0):
         worst, time = room, float(motion.vertices.breaks[0])
         where = () if layout.closed else places[-1]
-    return Check.of("convexity", worst, 0.0, "min", "deg", time, where)
+    return Finding(worst, time, where)
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
@@ -99,3 +100,13 @@ def _angles_at(rows: Array) -> Array:
     along, right = (product[..., 0] for product in _products(rows[..., None]))
     lengths = np.minimum(np.hypot(rows[..., 0], rows[..., 1]), np.hypot(rows[..., 2], rows[..., 3]))
     return np.where(lengths > NO_DIRECTION, np.degrees(np.arctan2(right, along)), BACKWARD)
+
+
+RULE = CheckRule(
+    "convexity",
+    "deg",
+    "min",
+    0.0,
+    (Finder(_find, HITCHED_STATE),),
+    "go by a polygon in between, in two morphs",
+)

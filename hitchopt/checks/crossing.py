@@ -1,25 +1,40 @@
-"""Check ``crossing``: taut cable parts that share no clasp stay apart."""
+"""Check ``crossing``: cable parts that share no clasp stay apart.
+
+Hanging cables keep off each other as seen from above, where they are straight lines: in space they
+are no closer. Neighbours that are being clasped, or let go, are free to touch.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import cable_parts, part_name, part_points
-from hitchopt.checks.bounds.proximity import smallest_distance
-from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
-from hitchopt.checks.certificate import Check, within
+from hitchopt.checks.bounds.bodies import (
+    cable_parts,
+    clasped_pairs,
+    closest,
+    pair_of,
+    part_name,
+    part_points,
+)
+from hitchopt.checks.bounds.hanging_links import plan_chords
+from hitchopt.checks.bounds.proximity import Allowed, Bodies, every_pair
+from hitchopt.checks.bounds.rounding_margins import magnitude
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.broadphase import Indices
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.phases import HITCHED_STATE
 
 
-def check(motion: Motion) -> Check:
+def _taut(motion: Motion, limit: float) -> Finding:
     """Return the smallest distance of two parts that share no clasp; ``where`` names both.
 
     The two legs of one cable count among them: they cross where both pass a star tip. All parts of
-    a chain of two cables share its one clasp: ``where`` is empty then.
+    a chain of two cables share its one clasp: nothing is counted then.
     """
-    parts, layout = cable_parts(motion), motion.team.layout
+    layout = motion.team.layout
 
     def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
         first_i, last_i = part_points(layout.parts[i], layout)
@@ -29,10 +44,48 @@ def check(motion: Motion) -> Check:
         )
         return ~shared
 
-    limit, size = motion.requirements.separation.crossing, magnitude(motion)
-    aim = within(limit, "min", size, 0.5)
-    margin = position_margin(motion)
-    found = smallest_distance(motion.drones.breaks, parts, None, apart, margin, aim)
-    pair = sorted(divmod(found.item, len(parts))) if found.item >= 0 else []
-    where = tuple(part_name(int(layout.parts[i])) for i in pair)
-    return Check.of("crossing", found.worst, limit, "min", "m", found.time, where, size)
+    names = [part_name(int(part)) for part in layout.parts]
+    return _closest(motion, cable_parts(motion), apart, limit, names)
+
+
+def _hanging(motion: Motion, limit: float) -> Finding:
+    """Return the smallest distance of two cables from above; ``where`` names both."""
+    return _closest(motion, plan_chords(motion), every_pair, limit, _cable_names(motion))
+
+
+def _clasped(motion: Motion, limit: float) -> Finding:
+    """Return the same of cables that share no clasp."""
+    layout = motion.team.layout
+
+    def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
+        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+
+    return _closest(motion, plan_chords(motion), apart, limit, _cable_names(motion))
+
+
+def _cable_names(motion: Motion) -> list[str]:
+    return [f"cable {k}" for k in range(motion.team.robots)]
+
+
+def _closest(
+    motion: Motion, bodies: Bodies, allowed: Allowed, limit: float, names: Sequence[str]
+) -> Finding:
+    found = closest(motion, bodies, None, allowed, limit)
+    where = tuple(names[i] for i in sorted(divmod(found.item, len(names))))
+    return Finding(found.worst, found.time, where, magnitude(motion))
+
+
+RULE = CheckRule(
+    "crossing",
+    "m",
+    "min",
+    lambda motion: motion.requirements.separation.crossing,
+    (
+        Finder(_taut, HITCHED_STATE),
+        Finder(_hanging, frozenset({CableState.GROUND, CableState.FREE}), exported=True),
+        Finder(_clasped, frozenset({CableState.CLASPING, CableState.TIGHTENING}), exported=True),
+    ),
+    "shorten the legs that meet (a shorter cable or a larger polygon), "
+    "choose other leg lengths, or lower separation.crossing",
+    "place the robots farther apart, or lower separation.crossing",
+)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 
 
-def check(motion: Motion) -> Check | None:
-    """Return the plan's duration; None where no limit is set.
+def _find(motion: Motion, _: float) -> Finding:
+    """Return the plan's duration, without a margin: the difference of two stored numbers."""
+    return Finding(motion.duration, float(motion.drones.breaks[-1]))
 
-    No margin: it is one difference of two stored numbers.
-    """
-    if motion.requirements.limits.duration is None:
-        return None
-    end = float(motion.drones.breaks[-1])
-    limit = motion.requirements.limits.duration
-    return Check.of("duration", motion.duration, limit, "max", "s", end, ())
+
+RULE = CheckRule(
+    "duration",
+    "s",
+    "max",
+    lambda motion: motion.requirements.limits.duration,
+    (Finder(_find),),
+    "raise limits.duration, or the limits of motion",
+    whole=True,
+)

@@ -11,8 +11,9 @@ from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION, lowered
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
@@ -22,10 +23,10 @@ LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
 
 SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
-"""Of q̂_k, u_k, r̂_{k-1} and u_{k-1} in the balance."""
+"""Signs of q̂_k, u_k, r̂_{k-1} and u_{k-1} in the balance."""
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, _: float) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1}``; ``where`` names the
@@ -48,11 +49,10 @@ def check(motion: Motion) -> Check:
     found = largest(Cells.over(motion.drones.breaks, [rows, _pulls(motion)]), bound)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
-        beyond = beyond_friction(motion, motion.leg_tensions)
+        beyond = beyond_friction(motion)
         if beyond.worst > worst:
             worst, time, point = beyond.worst, beyond.time, layout.anchors[beyond.item]
-    where = (f"p{point}",)
-    return Check.of("equilibrium", worst, LIMIT, "max", "1", time, where)
+    return Finding(worst, time, (f"p{point}",))
 
 
 def _pulls(motion: Motion) -> Array:
@@ -113,3 +113,6 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
 def _over(force: Array, tension: Array) -> Array:
     ratio: Array = np.divide(force, tension, out=np.full_like(force, np.inf), where=tension > 0.0)
     return ratio
+
+
+RULE = CheckRule("equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE),))

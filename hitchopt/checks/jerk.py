@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from hitchopt.checks.bounds.rates import largest_rate
-from hitchopt.checks.certificate import Check
-from hitchopt.motion.motion import Motion
+from hitchopt.checks.bounds.rates import rate_rule
 
-
-def check(motion: Motion) -> Check:
-    """Return the largest jerk of any drone, which ``where`` names."""
-    limit = motion.requirements.limits.jerk
-    found = largest_rate(motion.drones, 3, limit)
-    where = (motion.team.drone_names[found.item],)
-    return Check.of("jerk", found.worst, limit, "max", "m/s³", found.time, where, 0.0)
+RULE = rate_rule("jerk", "m/s³", 3)
+"""The largest jerk of any drone, which ``where`` names."""

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
-from hitchopt.checks.certificate import Check, within
+from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
@@ -18,15 +19,11 @@ from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
 Array = NDArray[np.float64]
 
 
-def check(motion: Motion) -> Check | None:
-    """Return the smallest distance of any drone to a prism, zero within; None without prisms."""
-    if not motion.requirements.keep_out:
-        return None
-    limit = motion.requirements.separation.radius
+def _find(motion: Motion, limit: float) -> Finding:
+    """Return the smallest distance of any drone to a prism, zero within."""
     found = smallest_clearance(motion.drones, motion.requirements.keep_out, limit)
     where = (motion.team.drone_names[found.item],)
-    size = magnitude(motion)
-    return Check.of("keep_out", found.worst, limit, "min", "m", found.time, where, size)
+    return Finding(found.worst, found.time, where, magnitude(motion))
 
 
 def smallest_clearance(
@@ -76,3 +73,13 @@ def _bound(prism: Prism) -> Callable[[tuple[Array, ...]], Estimate]:
         return Estimate(lowest, np.min(lengths, axis=0), x.astype(np.float64))
 
     return bound
+
+
+RULE = CheckRule(
+    "keep_out",
+    "m",
+    "min",
+    lambda motion: motion.requirements.separation.radius if motion.requirements.keep_out else None,
+    (Finder(_find, exported=True),),
+    "move the keep-out volumes, fly farther from them, or lower separation.radius",
+)

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from hitchopt.checks.bounds.rates import largest_rate
-from hitchopt.checks.certificate import Check
-from hitchopt.motion.motion import Motion
+from hitchopt.checks.bounds.rates import rate_rule
 
-
-def check(motion: Motion) -> Check:
-    """Return the largest speed of any drone, which ``where`` names."""
-    limit = motion.requirements.limits.speed
-    found = largest_rate(motion.drones, 1, limit)
-    where = (motion.team.drone_names[found.item],)
-    return Check.of("speed", found.worst, limit, "max", "m/s", found.time, where, 0.0)
+RULE = rate_rule("speed", "m/s", 1, exported=True)
+"""The largest speed of any drone, which ``where`` names."""

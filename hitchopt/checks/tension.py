@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.friction_range import angles_at, wrapped, wrapping_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION, thrust_at, thrust_cells
-from hitchopt.checks.certificate import Check, most_pressing
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.motion.tensions import ranged_phases, stated_tensions
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
@@ -26,7 +27,7 @@ STILL = 1e-9
 """[m] What stays within this of one place rests."""
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, _: float) -> Finding:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists every cable pulls with the team's tension, but for three ranges.
@@ -48,18 +49,17 @@ def check(motion: Motion) -> Check:
     if np.any(motion.formed):
         found += [_outside(motion), _off_at_ends(motion)]
         found += [_pulls_outside(motion)] if motion.leg_tensions is not None else []
-    worst = most_pressing(found)
-    return found[0] if worst is None else worst
+    return max(found, key=lambda each: each.worst)
 
 
-def _check(motion: Motion, worst: float, time: float, item: int) -> Check:
-    """Return the check with an item of the cables, then the drones, named."""
+def _named(motion: Motion, worst: float, time: float, item: int) -> Finding:
+    """Return the finding with an item of the cables, then the drones, named."""
     names = (*(f"cable {k}" for k in range(motion.team.robots)), *motion.team.drone_names)
     where = (names[item],) if worst > 0.0 else ()
-    return Check.of("tension", worst, LIMIT, "max", "N", time, where)
+    return Finding(worst, time, where)
 
 
-def _jump_of_pulls(motion: Motion) -> Check:
+def _jump_of_pulls(motion: Motion) -> Finding:
     """Return the largest jump of a cable's tension or of a leg's pull."""
     ends = []
     for end in (0, -1):
@@ -72,7 +72,7 @@ def _jump_of_pulls(motion: Motion) -> Check:
     return _largest_jump(motion, jumps, 0)
 
 
-def _jump_of_thrusts(motion: Motion) -> Check:
+def _jump_of_thrusts(motion: Motion) -> Finding:
     """Return the largest jump of a drone's thrust, by its norm."""
     if motion.drones.pieces == 1:
         return _largest_jump(motion, np.zeros((0, 1)), 0)
@@ -90,23 +90,23 @@ def _jump_of_thrusts(motion: Motion) -> Check:
     return _largest_jump(motion, jumps, motion.team.robots)
 
 
-def _largest_jump(motion: Motion, jumps: Array, first: int) -> Check:
+def _largest_jump(motion: Motion, jumps: Array, first: int) -> Finding:
     """Return the largest of jumps (pieces - 1, items), whose first item has the name ``first``."""
     if jumps.size == 0:
-        return _check(motion, 0.0, float(motion.drones.breaks[0]), 0)
+        return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
     joint, item = np.unravel_index(int(np.argmax(jumps)), jumps.shape)
     time = float(motion.drones.breaks[joint + 1])
-    return _check(motion, float(jumps[joint, item]), time, first + int(item))
+    return _named(motion, float(jumps[joint, item]), time, first + int(item))
 
 
-def _outside(motion: Motion) -> Check:
+def _outside(motion: Motion) -> Finding:
     """Return how far a cable's tension is outside of its range at most."""
     tension = motion.tensions.coefficients
     blocks = [tension[:, :, None], _ranges(motion)[..., None]]
     return _farthest(motion, blocks, 0)
 
 
-def _pulls_outside(motion: Motion) -> Check:
+def _pulls_outside(motion: Motion) -> Finding:
     """Return how far a leg's pull is outside of what friction makes of the range at most."""
     pulls = motion.pulls.coefficients
     ranges = np.repeat(_ranges(motion), 2, axis=1)
@@ -114,13 +114,13 @@ def _pulls_outside(motion: Motion) -> Check:
     return _farthest(motion, blocks, motion.team.robots)
 
 
-def _farthest(motion: Motion, blocks: list[Array], first: int) -> Check:
+def _farthest(motion: Motion, blocks: list[Array], first: int) -> Finding:
     margin = ROUNDING * np.max(np.abs(blocks[0]))
     cells = Cells.over(motion.drones.breaks, blocks, margin)
     cells = cells.take(np.repeat(motion.formed, blocks[0].shape[1]))
     friction, noise = motion.team.cable_friction, position_margin(motion)
     found = largest(cells, partial(_bound, friction=friction, noise=noise))
-    return _check(motion, found.worst, found.time, first + found.item)
+    return _named(motion, found.worst, found.time, first + found.item)
 
 
 def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate:
@@ -146,7 +146,7 @@ def _ranges(motion: Motion) -> Array:
     return ranges
 
 
-def _off_at_ends(motion: Motion) -> Check:
+def _off_at_ends(motion: Motion) -> Finding:
     """Return how far tensions are from the team's where phases that state a range begin or end."""
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     c, team = motion.tensions.coefficients, motion.team.tension
@@ -156,7 +156,7 @@ def _off_at_ends(motion: Motion) -> Check:
         joints = np.flatnonzero(changes) + shift
         off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
     joint, cable = np.unravel_index(int(np.argmax(off)), off.shape)
-    return _check(motion, float(off[joint, cable]), float(motion.drones.breaks[joint]), int(cable))
+    return _named(motion, float(off[joint, cable]), float(motion.drones.breaks[joint]), int(cable))
 
 
 def _ramps(motion: Motion) -> Mask:
@@ -190,3 +190,8 @@ def _latest(mask: Mask) -> NDArray[np.intp]:
     """Return (pieces, …) the index of the latest piece so far for which the mask holds, or -1."""
     pieces = np.arange(len(mask))[:, None]
     return np.maximum.accumulate(np.where(mask, pieces, -1), axis=0)
+
+
+RULE = CheckRule(
+    "tension", "N", "max", LIMIT, (Finder(_find, FREE_STATES | HITCHED_STATE),), whole=True
+)

@@ -1,4 +1,4 @@
-"""Check ``thrust``: no drone is asked for more than its motors give."""
+"""Check ``thrust``: no drone needs more than its motors give."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
-from hitchopt.checks.certificate import Check, within
+from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
@@ -17,17 +18,17 @@ from hitchopt.trajectory.extremum import Estimate, largest
 Array = NDArray[np.float64]
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, _: float) -> Finding:
     """Return the largest thrust of the drone that is nearest to its own ``max_thrust``.
 
-    ``worst`` and ``limit`` are that drone's; the check holds if all drones keep theirs.
+    ``worst`` and ``limit`` are that drone's; the check holds if all drones satisfy theirs.
     """
     limits = motion.team.max_thrust
     cells, bound = thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion))
     found = largest(cells, bound, within(1.0, "max", share=0.5))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
-    return Check.of("thrust", found.worst * limit, limit, "max", "N", found.time, where)
+    return Finding(found.worst * limit, found.time, where, limit=limit)
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
@@ -37,3 +38,16 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     there = thrust_at(blocks, x)
     value = np.linalg.norm(there.vectors, axis=-1) + there.pull
     return Estimate(np.max(norms, axis=-1) + thrust.radius, value, x)
+
+
+RULE = CheckRule(
+    "thrust",
+    "N",
+    "max",
+    lambda motion: float(np.max(motion.team.max_thrust)),
+    (Finder(_find, exported=True),),
+    "give the drone more thrust, or lower team.tension",
+    "give the drone more thrust, or lower team.cable_density",
+    Ease.TENSION,
+    derivative=2,
+)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
-from hitchopt.checks.certificate import Check, within
+from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
@@ -21,15 +22,13 @@ UPSIDE_DOWN = 180.0
 """[deg] The largest angle there is; also that of a thrust of no direction."""
 
 
-def check(motion: Motion) -> Check:
+def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
     cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
-    limit = math.degrees(motion.requirements.limits.tilt)
     aim = within(limit, "max", share=0.5)
     found = largest(cells, partial(_bound, noise=position_margin(motion)), aim)
     where = (motion.team.drone_names[found.item],)
-    worst = min(found.worst, UPSIDE_DOWN)
-    return Check.of("tilt", worst, limit, "max", "deg", found.time, where)
+    return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
@@ -70,3 +69,16 @@ def _spread(radius: Array, length: Array) -> Array:
     ratio = np.divide(radius, length, out=np.ones_like(length), where=length > radius)
     turned: Array = np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
     return turned
+
+
+RULE = CheckRule(
+    "tilt",
+    "deg",
+    "max",
+    lambda motion: math.degrees(motion.requirements.limits.tilt),
+    (Finder(_find, exported=True),),
+    "raise limits.tilt_deg, or lower team.tension",
+    "raise limits.tilt_deg, or lower team.cable_density",
+    Ease.TENSION,
+    derivative=2,
+)

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from hitchopt.checks.bounds.rates import largest_rate
-from hitchopt.checks.certificate import Check
-from hitchopt.motion.motion import Motion
+from hitchopt.checks.bounds.rates import rate_rule
 
-
-def check(motion: Motion) -> Check:
-    """Return the largest speed of any vertex, which ``where`` names (such as ``p1``)."""
-    limit = motion.requirements.limits.vertex_speed
-    found = largest_rate(motion.vertices, 1, limit)
-    where = (motion.team.point_names[found.item],)
-    return Check.of("vertex_speed", found.worst, limit, "max", "m/s", found.time, where, 0.0)
+RULE = rate_rule("vertex_speed", "m/s", 1, vertices=True)
+"""The largest speed of any vertex while the hitch exists; ``where`` names it (such as ``p1``)."""

@@ -53,14 +53,16 @@ def certificate_table(certificate: Certificate) -> str:
             f"{relation} {number(check.limit)}",
             Text("" if check.unit == "1" else check.unit),
             Text(_names(check.where)),
-            f"{check.time:.3f} s" if math.isfinite(check.time) else "",
+            f"{check.time:.3f} s" if check.worst is not None and math.isfinite(check.time) else "",
             Text("yes" if check.holds else "NO", style="green" if check.holds else "bold red"),
         )
     return rendered(table)
 
 
-def number(value: float) -> str:
-    """Return ``value`` in six significant digits; the largest floats mean infinity."""
+def number(value: float | None) -> str:
+    """Return ``value`` in six significant digits; infinite beyond all numbers, a dash for None."""
+    if value is None:
+        return "–"
     if abs(value) >= sys.float_info.max:
         return "inf" if value > 0 else "-inf"
     return f"{value:.6g}"

@@ -33,7 +33,7 @@ def say_report(report: Report) -> None:
     if math.isfinite(flight.acceleration):
         say(f"  acceleration  {_against(flight.acceleration, flight.acceleration_limit)} m/s²")
     for check in flight.own:
-        say(f"  {check.name:<13} {check.worst:.4g} of {check.limit:g} {check.unit}, the show's own")
+        say(f"  {check.name:<13} {check.bound:.4g} of {check.limit:g} {check.unit}, the show's own")
     if math.isfinite(flight.separation):
         say(f"  separation    {flight.separation:.4g}, 1 where ellipsoids touch")
     jumps = ", ".join(

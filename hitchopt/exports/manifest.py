@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -67,10 +66,6 @@ def write_manifest(path: Path, content: dict[str, Any]) -> None:
     ------
     OSError: the file cannot be written.
     """
-    largest = sys.float_info.max
-    for check in content.get("checks", ()):
-        for key in ("worst", "limit"):
-            check[key] = min(max(check[key], -largest), largest)
     text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8", newline="\n")
 

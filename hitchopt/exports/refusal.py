@@ -6,16 +6,23 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.exports.formats.format import Format, Task
 from hitchopt.exports.verification import Verdict
 from hitchopt.motion.cutting import stretched
 
 FACTORS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1)
-"""Of slower flights that are tried, in this order."""
+"""Stretches of time that are tried, in this order."""
+
+SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
+"""Remedy for checks that a slower flight eases."""
+
+CLEARER = "plan with more room there, or choose another format"
+"""Remedy for the others."""
 
 MOST_DRONES = 100
-"""Of larger teams nobody waits for the trials."""
+"""Largest team for which slower flights are tried: trials of larger ones take too long."""
 
 
 def violations_of(
@@ -42,26 +49,13 @@ def violations_of(
 
 
 def _violation(check: Check, planned: Check) -> Violation:
-    lost = abs(check.worst - planned.worst)
+    lost = abs(check.bound - planned.bound)
     unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
-    return Violation(
-        check.name,
-        check.worst,
-        check.limit,
-        check.sense,
-        check.unit,
-        check.where,
-        f"at t = {check.time:.4g} s (the plan keeps {planned.worst:.6g}{unit}, "
+    return check.violation(
+        f"at t = {check.time:.4g} s (the plan keeps {planned.bound:.6g}{unit}, "
         f"the export loses {lost:.3g}{unit})",
-        REMEDIES.get(check.name, "plan with more room there, or choose another format"),
+        SLOWER if RULE_OF[check.name].derivative else CLEARER,
     )
-
-
-REMEDIES = dict.fromkeys(
-    ("speed", "thrust", "tilt"),
-    "fly it slower with --stretch, plan below the limit, or choose another format",
-)
-"""Of the checks that a slower flight eases."""
 
 
 def with_slower(
@@ -79,7 +73,7 @@ def with_slower(
     trial: exports a task somewhere else, or raises InfeasibleError.
     progress: called with what is being done now.
     """
-    mendable = any(v.constraint in REMEDIES for v in error.violations)
+    mendable = any(v.remedy == SLOWER for v in error.violations)
     if not mendable or len(task.names) > MOST_DRONES:
         return error
     for factor in FACTORS:

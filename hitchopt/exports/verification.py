@@ -6,27 +6,16 @@ So every ``worst`` speaks of what is flown, for all t, in the same way as the pl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks import (
-    arena,
-    cable_clearance,
-    cable_length,
-    keep_out,
-    separation,
-    span,
-    speed,
-    thrust,
-    tilt,
-)
-from hitchopt.checks.bounds import hanging_clearance, hanging_crossing
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.checks.certificate import Check, most_pressing
+from hitchopt.checks.registry import RULES
 from hitchopt.errors import FileError
 from hitchopt.exports.frame import Room
 from hitchopt.exports.recording import Recording, lasted
@@ -37,50 +26,8 @@ from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 
 Array = NDArray[np.float64]
 
-CABLE_LENGTH = 1e-3
-"""Relative: what files that hold millimetres can keep of a plan's 1e-4."""
-
-FLOOR = 1e-4
-"""[m] By which exported curves may pass a wall, as those of a drone at rest on it do."""
-
-DRONES: dict[str, Callable[[Motion], Check | None]] = {
-    "separation": separation.check,
-    "speed": speed.check,
-    "thrust": thrust.check,
-    "tilt": tilt.check,
-    "arena": arena.check,
-    "keep_out": keep_out.check,
-}
-
-HITCH: dict[str, Callable[[Motion], Check | None]] = {
-    "cable_clearance": cable_clearance.check,
-    "cable_length": cable_length.check,
-}
-"""While the hitch exists."""
-
-FREE: dict[str, Callable[[Motion], Check | None]] = {
-    "cable_clearance": hanging_clearance.check,
-    "crossing": hanging_crossing.check,
-    "span": span.check,
-}
-"""While the cables hang free."""
-
-ORDER = (
-    "separation",
-    "cable_clearance",
-    "crossing",
-    "speed",
-    "thrust",
-    "tilt",
-    "arena",
-    "keep_out",
-    "cable_length",
-    "span",
-)
-"""The checks of what is flown, as they are listed."""
-
-NEED_ACCELERATION = ("thrust", "tilt")
-"""Checks that straight lines between samples say nothing of."""
+FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
+"""Rules of the checks of what is flown, as they are listed."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
@@ -115,7 +62,7 @@ class Verdict:
     ----------
     duration: of what is flown [s].
     position, velocity: deviations from the plan [m], [m/s].
-    checks: those of ORDER that the format carries.
+    checks: those of FLOWN that the format carries.
     not_carried: what the format cannot carry, in words.
     """
 
@@ -146,8 +93,8 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
     FileError: drones that are not the plan's, or less than all of its time.
     """
     index = _order(recording, names)
-    carried = [name for name in ORDER if recording.smooth > 0 or name not in NEED_ACCELERATION]
-    results: dict[str, list[Check]] = {name: [] for name in carried}
+    carried = [rule for rule in FLOWN if rule.derivative <= recording.smooth + 1]
+    results: list[list[Check | None]] = []
     deviations: tuple[list[Deviation], list[Deviation]] = ([], [])
     end = 0.0
     for window in recording.windows():
@@ -162,11 +109,10 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
         ):
             found.append(deviation)
         judged = replace(planned, drones=flown)
-        for name in carried:
-            results[name] += _checked(name, judged)
+        results.append([rule.check(judged, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    worst = [most_pressing(checks) for checks in results.values()]
+    worst = [most_pressing(checks) for checks in zip(*results, strict=True)]
     return Verdict(
         end,
         max(deviations[0], key=lambda d: d.worst),
@@ -177,9 +123,9 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
 
 
 def flown_checks(motion: Motion) -> dict[str, Check]:
-    """Return the checks of ORDER of the plan itself, by name."""
-    found = {name: most_pressing(_checked(name, motion)) for name in ORDER}
-    return {name: check for name, check in found.items() if check is not None}
+    """Return the checks of FLOWN of the plan itself, by name."""
+    found = [rule.check(motion, exported=True) for rule in FLOWN]
+    return {check.name: check for check in found if check is not None}
 
 
 def _order(recording: Recording, names: Sequence[str]) -> NDArray[np.intp]:
@@ -221,32 +167,3 @@ def _deviations(
         return Deviation(found.worst, found.time, names[found.item])
 
     return named(position), named(velocity)
-
-
-def _checked(name: str, motion: Motion) -> list[Check]:
-    if name in DRONES:
-        check = DRONES[name](motion)
-        if check is None:
-            return []
-        return [_grounded(check)] if name == "arena" else [check]
-    found = [
-        checks[name](run)
-        for checks, formed in ((HITCH, True), (FREE, False))
-        if name in checks
-        for run in motion.spans(formed=formed)
-    ]
-    checks = [check for check in found if check is not None]
-    return [_loosened(c) if name == "cable_length" else c for c in checks]
-
-
-def _grounded(check: Check) -> Check:
-    """Who lands on the floor of an arena is written, and interpolated, to within FLOOR of it."""
-    c = check
-    if c.holds:
-        return c
-    return Check.of(c.name, c.worst, -FLOOR, c.sense, c.unit, c.time, c.where)
-
-
-def _loosened(check: Check) -> Check:
-    c = check
-    return Check.of(c.name, c.worst, CABLE_LENGTH, c.sense, c.unit, c.time, c.where)

@@ -3,43 +3,10 @@
 from __future__ import annotations
 
 from hitchopt.checks import Certificate, Check
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError
 from hitchopt.motion.motion import Phase
 from hitchopt.requirements import Separation
-
-REMEDIES = {
-    "separation": "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.radius",
-    "cable_clearance": "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.cable",
-    "crossing": "shorten the legs that meet (a shorter cable or a larger polygon), "
-    "share them otherwise, or lower separation.crossing",
-    "speed": "raise limits.speed",
-    "acceleration": "raise limits.acceleration",
-    "jerk": "raise limits.jerk",
-    "vertex_speed": "raise limits.vertex_speed",
-    "thrust": "give the drone more thrust, or lower team.tension",
-    "tilt": "raise limits.tilt_deg, or lower team.tension",
-    "legs": "use a longer cable, a smaller polygon, or a smaller limits.leg",
-    "span": "use a longer cable, a smaller polygon, or place the drones closer together",
-    "interlacing": "place the drones so that cables need not pass each other on their way",
-    "convexity": "go by a polygon in between, in two morphs",
-    "arena": "enlarge the arena, or keep the hitch farther from its walls",
-    "duration": "raise limits.duration, or the limits of motion",
-}
-"""Per check, what a user can change. Words of advice; what would do is computed in ``repair``."""
-
-FREE_REMEDIES = {
-    "separation": "place the drones farther apart, use longer cables or a larger polygon, "
-    "or allow a smaller separation.radius",
-    "cable_clearance": "place the robots farther apart, use longer cables or more height, "
-    "or allow a smaller separation.cable",
-    "crossing": "place the robots farther apart, or lower separation.crossing",
-    "thrust": "give the drone more thrust, or lower team.cable_density",
-    "tilt": "raise limits.tilt_deg, or lower team.cable_density",
-    "cable_length": "use a longer cable, or a smaller polygon",
-}
-"""The same while cables are free."""
 
 
 def infeasible(
@@ -59,13 +26,7 @@ def infeasible(
     """
     return InfeasibleError(
         [
-            Violation(
-                check.name,
-                check.worst,
-                check.limit,
-                check.sense,
-                check.unit,
-                check.where,
+            check.violation(
                 _metres(check, separation) + (when or _moment(check, phases)),
                 _remedy(check, phases),
             )
@@ -76,9 +37,8 @@ def infeasible(
 
 def _remedy(check: Check, phases: tuple[Phase, ...]) -> str:
     formed = [phase.formed for phase in phases if phase.start <= check.time <= phase.end]
-    if formed and not any(formed) and check.name in FREE_REMEDIES:
-        return FREE_REMEDIES[check.name]
-    return REMEDIES.get(check.name, "this plan must not be flown; please report it")
+    rule = RULE_OF[check.name]
+    return (rule.free_remedy if formed and not any(formed) else "") or rule.remedy
 
 
 def _metres(check: Check, separation: Separation) -> str:
@@ -86,7 +46,7 @@ def _metres(check: Check, separation: Separation) -> str:
     if check.name != "separation":
         return ""
     needed = 2.0 * separation.radius * check.limit
-    apart = check.worst * 2.0 * separation.radius
+    apart = check.bound * 2.0 * separation.radius
     return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 
 

@@ -85,7 +85,7 @@ def _wanted(team: Team, step: Form, requirements: Requirements) -> Hitch:
     if step.legs is not None:
         return spread
     cable = requirements.separation.cable
-    beside = certificate_at_rest(spread, requirements)["cable_clearance"].worst
+    beside = certificate_at_rest(spread, requirements)["cable_clearance"].bound
     for room in ROOM:
         if beside >= room * cable:
             break

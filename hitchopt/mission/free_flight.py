@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.hanging_clearance import ground_clearance
+from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.diagnosis import infeasible
@@ -142,7 +142,7 @@ def _motion(
         tensions,
         (phase,),
     )
-    if phase.state is CableState.GROUND and ground_clearance(motion).holds:
+    if phase.state is CableState.GROUND and above_ground(motion):
         return replace(motion, phases=(replace(phase, state=CableState.FREE),))
     return motion
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hitchopt.checks import Certificate, merged
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
@@ -26,9 +27,6 @@ from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 
 __all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
-
-RATES = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
-"""Checks that hold more easily where everything goes slower."""
 
 
 def solve_problem(
@@ -236,7 +234,7 @@ def _advised(
 def _advice(steps: Sequence[Step], i: int, check: str) -> str:
     if check == "duration":
         return ""
-    if isinstance(steps[i], FollowVertex) and check in RATES:
+    if isinstance(steps[i], FollowVertex) and RULE_OF[check].derivative:
         return "give the points more time"
     blends = any(getattr(step, "blend", False) for step in steps[max(0, i - 1) : i + 1])
     return "leave out blend" if blends else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.motion.phases import JOINT, CableState, Phase, check_phases
+from hitchopt.motion.phases import HITCHED_STATE, JOINT, CableState, Phase, check_phases
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
@@ -132,15 +132,24 @@ class Motion:
         return PiecewisePolynomial(self.drones.breaks, each)
 
     @property
-    def formed(self) -> NDArray[np.bool_]:
-        """(pieces,): whether the hitch exists on each piece.
-
-        Without phases it does, unless there are no cables.
-        """
+    def cable_states(self) -> frozenset[CableState]:
+        """States of the cables in the phases; of no phases, hitched or without cables."""
         if not self.phases:
-            return np.full(self.drones.pieces, self.team.has_cables)
-        here: NDArray[np.bool_] = np.array([p.formed for p in self.phases])[self.phase_of_piece]
-        return here
+            return frozenset({CableState.HITCHED if self.team.has_cables else CableState.NONE})
+        return frozenset(phase.state for phase in self.phases)
+
+    @property
+    def formed(self) -> NDArray[np.bool_]:
+        """(pieces,): whether the hitch exists on each piece."""
+        return self._in_states(HITCHED_STATE)
+
+    def _in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
+        """Return (pieces,) whether the cables are in one of the states on each piece."""
+        here = self.cable_states
+        if here <= states or here.isdisjoint(states):
+            return np.full(self.drones.pieces, here <= states)
+        found: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
+        return found[self.phase_of_piece]
 
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:
@@ -150,14 +159,12 @@ class Motion:
         here: NDArray[np.intp] = np.searchsorted(ends, middles)
         return here
 
-    def spans(self, *, formed: bool) -> tuple[Motion, ...]:
-        """Return the longest runs of pieces on which the hitch exists, or cables are free of it.
+    def spans(self, states: Set[CableState]) -> tuple[Motion, ...]:
+        """Return the longest runs of pieces on which the cables are in one of the states.
 
-        Each at its own times, as a motion of the phases that it overlaps. None without cables.
+        Each at its own times, as a motion of the phases that it overlaps.
         """
-        if not self.team.has_cables:
-            return ()
-        wanted = self.formed == formed
+        wanted = self._in_states(states)
         if np.all(wanted):
             return (self,)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))

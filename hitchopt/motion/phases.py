@@ -43,6 +43,15 @@ class CableState(StrEnum):
         return cls.HITCHED if formed else _STATES.get(name, cls.FREE)
 
 
+FREE_STATES = frozenset(
+    {CableState.GROUND, CableState.FREE, CableState.CLASPING, CableState.TIGHTENING}
+)
+"""States of cables without a hitch."""
+
+HITCHED_STATE = frozenset({CableState.HITCHED})
+"""The state in which the hitch exists, as a set."""
+
+
 _STATES = {
     **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
     **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),

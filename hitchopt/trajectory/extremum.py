@@ -103,6 +103,17 @@ class Cells:
         )
 
 
+def joined_cells(parts: Sequence[Cells]) -> Cells:
+    """Return the cells of all parts, in a row."""
+    return Cells(
+        tuple(np.concatenate(blocks) for blocks in zip(*(p.blocks for p in parts), strict=True)),
+        np.concatenate([p.item for p in parts]),
+        np.concatenate([p.start for p in parts]),
+        np.concatenate([p.end for p in parts]),
+        np.concatenate([p.margin for p in parts]),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """A bound and an attained value of every cell.

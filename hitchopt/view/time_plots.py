@@ -13,7 +13,9 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
+from hitchopt.checks import separation, speed, thrust
 from hitchopt.checks.certificate import Certificate
+from hitchopt.checks.rule import CheckRule
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.view.curves import Curves
 from hitchopt.view.style import DASHES, INK, LIMIT_COLOUR, legend_below, marker
@@ -46,18 +48,16 @@ class Panel:
     Attributes
     ----------
     label: its name and unit.
-    check: name of the certificate's check of it.
+    rule: the certificate's rule for it.
     values: the curve (samples,), in the label's unit.
     limit: its limit, in the same unit.
-    sense: ``min`` if the limit is a lower one, ``max`` if an upper one.
     factor: the label's unit over the certificate's; nan: values are shares of the limit.
     """
 
     label: str
-    check: str
+    rule: CheckRule
     values: Array
     limit: float
-    sense: str
     factor: float = 1.0
 
 
@@ -69,16 +69,16 @@ def panels(motion: Motion, curves: Curves) -> tuple[Panel, ...]:
     kinds = np.unique(motion.team.max_thrust)
     if len(kinds) == 1:
         limit = float(kinds[0])
-        thrust = Panel("largest\nthrust [N]", "thrust", limit * curves.thrust, limit, "max")
+        forces = Panel("largest\nthrust [N]", thrust.RULE, limit * curves.thrust, limit)
     else:
-        thrust = Panel("largest thrust\n/ its limit", "thrust", curves.thrust, 1.0, "max", math.nan)
-    speed = Panel(
-        "largest\nspeed [m/s]", "speed", curves.speed, motion.requirements.limits.speed, "max"
+        forces = Panel("largest thrust\n/ its limit", thrust.RULE, curves.thrust, 1.0, math.nan)
+    rates = Panel(
+        "largest\nspeed [m/s]", speed.RULE, curves.speed, motion.requirements.limits.speed
     )
     if len(motion.team.drone_names) < 2:
-        return (speed, thrust)
-    separation = Panel("smallest\nseparation [–]", "separation", curves.separation, 1.0, "min")
-    return (separation, speed, thrust)
+        return (rates, forces)
+    distances = Panel("smallest\nseparation [–]", separation.RULE, curves.separation, 1.0)
+    return (distances, rates, forces)
 
 
 def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
@@ -96,7 +96,7 @@ def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> 
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
     axes.set_ylim(0.0, top)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
-    forbidden = (0.0, panel.limit) if panel.sense == "min" else (panel.limit, top)
+    forbidden = (0.0, panel.limit) if panel.rule.sense == "min" else (panel.limit, top)
     axes.axhspan(
         *forbidden, facecolor="none", edgecolor=FORBIDDEN, hatch=HATCH, linewidth=0, zorder=0
     )
@@ -152,9 +152,9 @@ def draw_legend(axes: Axes) -> None:
 def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None:
     """Return time and value of the certificate's worst, in the panel's unit, if it has one."""
     for check in certificate.checks:
-        if check.name == panel.check:
+        if check.name == panel.rule.name:
             factor = panel.factor if math.isfinite(panel.factor) else 1.0 / check.limit
-            value = check.worst * factor
+            value = check.bound * factor
             return (check.time, value) if abs(value) < ENDLESS else None
     return None
 
@@ -190,6 +190,6 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
 def _shift(panel: Panel, value: float, top: float) -> float:
     """Return the offset [points] that separates the worst value's label from the limit's."""
     gap = (value - panel.limit) / top * HEIGHT
-    upward = gap > 0.0 if gap != 0.0 else panel.sense == "min"
+    upward = gap > 0.0 if gap != 0.0 else panel.rule.sense == "min"
     missing = max(LINE - abs(gap), 0.0)
     return missing if upward else -missing

@@ -40,7 +40,7 @@ ARENA = Arena([-40.0, -50.0, -1.0], [45.0, 40.0, 3.0])
 
 def measured(check: Check) -> float:
     """A check's worst value as the brute force counts it: thrust as a share of the largest."""
-    return check.worst / check.limit if check.name == "thrust" else check.worst
+    return check.bound / check.limit if check.name == "thrust" else check.bound
 
 
 def assert_sound_and_tight(motion: Motion, samples: int, gap: float = 1e-2) -> None:
@@ -197,7 +197,7 @@ def test_a_mirrored_hitch_turns_the_wrong_way_and_changes_nothing_else() -> None
     mirrored = certify(transformed(motion, np.diag([-1.0, 1.0, 1.0]), np.zeros(3)))
     assert_same(certificate, mirrored, but=("convexity",))
     assert certificate["convexity"].holds
-    assert mirrored["convexity"].worst < -70.0
+    assert mirrored["convexity"].bound < -70.0
 
 
 def test_numbering_changes_names_only() -> None:
@@ -254,7 +254,7 @@ def test_a_coefficient_moved_by_a_hundredth_of_a_millimetre_shows(axis: int, ind
     changed = [
         a.name
         for a, b in zip(before.checks, after.checks, strict=True)
-        if abs(a.worst - b.worst) > 1e-6 or a.holds != b.holds
+        if abs(a.bound - b.bound) > 1e-6 or a.holds != b.holds
     ]
     assert changed
     if index == 0:  # at a joint: it jumps

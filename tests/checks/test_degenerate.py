@@ -21,7 +21,7 @@ def certified(motion: Motion) -> Certificate:
     """Return the certificate, all of whose numbers a file can hold."""
     certificate = certify(motion)
     for check in certificate.checks:
-        assert math.isfinite(check.worst), check
+        assert check.worst is None or math.isfinite(check.worst), check
         assert math.isfinite(check.time), check
     return certificate
 
@@ -38,7 +38,7 @@ def test_a_drone_on_its_vertex_for_all_of_the_time(motion: Motion) -> None:
     assert certificate["legs"].where == ("q-leg 2",)
     for name in ("legs", "cable_length", "equilibrium", "cable_clearance"):
         assert not certificate[name].holds, name
-    assert certificate["thrust"].worst >= 0.132 * 9.81 + 0.4  # the pull may point anywhere
+    assert certificate["thrust"].bound >= 0.132 * 9.81 + 0.4  # the pull may point anywhere
 
 
 def test_a_drone_through_its_vertex_at_one_instant(motion: Motion) -> None:
@@ -48,7 +48,7 @@ def test_a_drone_through_its_vertex_at_one_instant(motion: Motion) -> None:
     share = np.linspace(1.0, -2.0, c.shape[-1])
     c[piece, 4] = own_vertex(motion)[piece] + leg[piece, :, :1] * share
     certificate = certified(with_drones(motion, c))
-    assert 0.0 <= certificate["legs"].worst < 1e-6
+    assert 0.0 <= certificate["legs"].bound < 1e-6
     third = motion.drones.breaks[piece] + motion.drones.durations[piece] / 3.0
     assert certificate["legs"].time == pytest.approx(third, abs=1e-4)
     assert not certificate["equilibrium"].holds
@@ -139,7 +139,7 @@ def test_coefficients_beyond_all_measure(motion: Motion, size: float) -> None:
 def test_numbers_that_are_none_never_hold(worst: float) -> None:
     check = Check.of("speed", worst, 1.0, "max", "m/s", 0.0, ())
     assert not check.holds
-    assert check.worst > 1e300
+    assert check.bound > 1e300
     low = Check.of("legs", -worst, 0.1, "min", "m", 0.0, ())
     assert not low.holds
-    assert low.worst < -1e300
+    assert low.bound < -1e300

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from free_cases import cable_points, free_motion, random_flight, through
 
-from hitchopt.checks import certify, span
-from hitchopt.checks.bounds import hanging_clearance, hanging_crossing
+from hitchopt.checks import cable_clearance, certify, crossing, span
 from hitchopt.checks.bounds.hanging_links import chains, cut
 from hitchopt.checks.bounds.thrust_enclosure import thrust_cells, thrust_enclosure
 from hitchopt.geometry import shortest_offset
@@ -35,10 +34,10 @@ def test_no_sample_of_a_drone_or_the_ground_is_closer_to_a_cable(seed: int) -> N
     apart[:, np.arange(8), own] = np.inf
     to_ground = np.min(points[..., 2])
     smallest = min(float(np.min(apart)), float(to_ground))
-    found = hanging_clearance.check(motion)
+    found = cable_clearance.RULE.check(motion)
     assert found is not None
-    assert found.worst <= smallest + 1e-9
-    assert found.worst >= smallest - CLOSE
+    assert found.bound <= smallest + 1e-9
+    assert found.bound >= smallest - CLOSE
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -51,15 +50,15 @@ def test_the_ground_is_the_arenas_floor(seed: int) -> None:
     motion = free_motion(team, drones, arena=arena)
     t = np.linspace(0.0, motion.duration, 3001)
     lowest = float(np.min(cable_points(motion.team, drones.at(t))[..., 2])) - 0.8
-    found = hanging_clearance.check(motion)
+    found = cable_clearance.RULE.check(motion)
     assert found is not None
     assert found.where[0] == "ground"
-    assert lowest - CLOSE <= found.worst <= lowest + 1e-9
-    lower = hanging_clearance.check(
+    assert lowest - CLOSE <= found.bound <= lowest + 1e-9
+    lower = cable_clearance.RULE.check(
         replace(motion, requirements=replace(motion.requirements, arena=None))
     )
     assert lower is not None
-    assert lower.worst == pytest.approx(found.worst + 0.8, abs=2e-3)
+    assert lower.bound == pytest.approx(found.bound + 0.8, abs=2e-3)
 
 
 @pytest.mark.parametrize("name", ["take-off", "land"])
@@ -77,10 +76,10 @@ def test_cables_on_the_ground_are_looked_at_from_above(name: str) -> None:
         gaps.append(
             np.linalg.norm(shortest_offset(differences(others[:, :, None], segment)), axis=-1)
         )
-    found = hanging_clearance.check(motion)
+    found = cable_clearance.RULE.check(motion)
     assert found is not None
     smallest = float(np.min(gaps))
-    assert found.worst <= smallest + 1e-9
+    assert found.bound <= smallest + 1e-9
     assert found.worst == pytest.approx(smallest, abs=2e-3)
 
 
@@ -91,16 +90,18 @@ def test_spans_and_crossings_against_samples(seed: int) -> None:
     t = np.linspace(0.0, motion.duration, 2001)
     pairs = drones.at(t).reshape(len(t), 4, 2, 3)
     longest = np.max(np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1) / team.cable_length)
-    assert span.check(motion).worst == pytest.approx(longest, rel=2e-4)
-    assert span.check(motion).worst >= longest - 1e-12
+    spanned = span.RULE.check(motion)
+    assert spanned is not None
+    assert spanned.bound == pytest.approx(longest, rel=2e-4)
+    assert spanned.bound >= longest - 1e-12
     i, j = np.triu_indices(4, 1)
     flat = pairs[..., :2]
     gaps = np.linalg.norm(shortest_offset(differences(flat[:, i], flat[:, j])), axis=-1)
-    apart = hanging_crossing.check(motion)
+    apart = crossing.RULE.check(motion)
     assert apart is not None
     assert np.min(gaps) - 2e-3 <= apart.worst <= np.min(gaps) + 1e-9
     neighbours = ((j - i) == 1) | ((j - i) == 3)
-    clasping = hanging_crossing.check(free_motion(team, drones, ("swap 1",)))
+    clasping = crossing.RULE.check(free_motion(team, drones, ("swap 1",)))
     assert clasping is not None
     assert clasping.worst <= np.min(gaps[:, ~neighbours]) + 1e-9
     assert clasping.worst >= np.min(gaps[:, ~neighbours]) - 2e-3
@@ -156,19 +157,19 @@ def test_no_leg_pulls_where_there_is_none(told: float) -> None:
 def test_moving_turning_and_mirroring_change_nothing() -> None:
     team, drones = random_flight(7)
     motion = free_motion(team, drones)
-    found = hanging_clearance.check(motion)
+    found = cable_clearance.RULE.check(motion)
     assert found is not None
     turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     for matrix, offset in ((turn, [5.0, -3.0, 0.0]), (np.diag([-1.0, 1.0, 1.0]), [0.0, 0.0, 0.0])):
         moved = np.einsum("ij,pdjk->pdik", matrix, drones.coefficients)
         moved = moved + np.array(offset)[:, None]
-        again = hanging_clearance.check(
+        again = cable_clearance.RULE.check(
             free_motion(team, PiecewisePolynomial(drones.breaks, moved))
         )
         assert again is not None
         assert again.worst == pytest.approx(found.worst, abs=1.1e-3)
         assert again.where == found.where
-    back = hanging_clearance.check(free_motion(team, drones.reversed()))
+    back = cable_clearance.RULE.check(free_motion(team, drones.reversed()))
     assert back is not None
     assert back.worst == pytest.approx(found.worst, abs=1.1e-3)
 
@@ -204,9 +205,9 @@ def test_a_drone_in_a_cable_is_told_with_time_and_names() -> None:
     last = first.copy()
     last[2:, 1] += 2.0
     motion = free_motion(team, through(np.array([0.0, 4.0]), np.stack([first, last])))
-    found = hanging_clearance.check(motion)
+    found = cable_clearance.RULE.check(motion)
     assert found is not None
     assert not found.holds
-    assert found.worst < 1e-2
+    assert found.bound < 1e-2
     assert found.where == ("q1", "cable 0")
     assert found.time == pytest.approx(2.0, abs=0.1)

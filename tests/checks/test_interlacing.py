@@ -62,7 +62,7 @@ def counts(drones: PiecewisePolynomial) -> dict[tuple[int, int], int]:
 
 
 def wrong(motion: Motion) -> set[str]:
-    found = interlacing.check(motion)
+    found = interlacing.RULE.check(motion)
     assert found is not None
     assert (found.worst == 0.0) is found.holds is (not found.where)
     return {name for name in found.where if not name.startswith("phase ")}
@@ -294,7 +294,7 @@ def test_chords_that_overlap_for_good_are_uncertain_at_once(
 
     def counted(cells: Any) -> Any:
         nonlocal looked_at
-        looked_at += len(cells.pair)
+        looked_at += len(cells)
         return apart(cells)
 
     monkeypatch.setattr(chord_crossings_module, "_apart", counted)

@@ -45,7 +45,7 @@ def exact_at_end(motion: Motion, order: int) -> Fraction:
 def test_derivatives_are_not_rounded_below_their_exact_values(order: int, name: str) -> None:
     for seed in SEEDS:
         motion = upward(seed)
-        exact, worst = exact_at_end(motion, order), certify(motion)[name].worst
+        exact, worst = exact_at_end(motion, order), certify(motion)[name].bound
         assert Fraction(worst) >= exact, seed
         assert worst == pytest.approx(float(exact), rel=1e-6)
 
@@ -55,7 +55,7 @@ def test_thrust_is_not_rounded_below_its_exact_value() -> None:
         motion = upward(seed)
         slack = PiecewisePolynomial.constant(motion.drones.breaks, np.zeros(3))
         force = Fraction(0.132) * (exact_at_end(motion, 2) + Fraction(9.81))
-        worst = certify(replace(motion, tensions=slack))["thrust"].worst
+        worst = certify(replace(motion, tensions=slack))["thrust"].bound
         assert Fraction(worst) >= force, seed
         assert worst == pytest.approx(float(force), rel=1e-6)
 
@@ -67,12 +67,12 @@ def test_distances_give_way_by_the_stated_share_of_the_coordinates(far: float) -
     magnitude = float(np.max(np.abs(motion.drones.coefficients)))
     x, p = motion.drones.coefficients[0, :, :, 0], motion.vertices.coefficients[0, :, :, 0]
     leg = min(math.dist(x[0], p[0]), math.dist(x[2], p[1]), math.dist(x[4], p[2]))
-    margin = leg - certificate["legs"].worst
+    margin = leg - certificate["legs"].bound
     assert margin == pytest.approx(ROUNDING * magnitude, rel=0.05, abs=1e-15)
     ratio = min(
         math.dist(x[i] / [0.24, 0.24, 0.6], x[j] / [0.24, 0.24, 0.6])
         for i in range(6)
         for j in range(i)
     )
-    margin = ratio - certificate["separation"].worst
+    margin = ratio - certificate["separation"].bound
     assert margin == pytest.approx(ROUNDING * magnitude / 0.24, rel=0.05, abs=1e-14)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify
-from hitchopt.checks.tension import LIMIT, check
+from hitchopt.checks.tension import LIMIT, RULE
 from hitchopt.errors import FileError
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
@@ -32,6 +32,13 @@ Array = NDArray[np.float64]
 PROBLEMS = Path(__file__).parents[2] / "problems"
 DENSITY = 0.008
 SQUARE = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
+
+
+def check(motion: Motion) -> Check:
+    """Return the check of a motion that it applies to."""
+    found = RULE.check(motion)
+    assert found is not None
+    return found
 
 
 def plan_of(name: str) -> Motion:
@@ -283,7 +290,7 @@ def test_a_stated_range_begins_and_ends_with_the_teams_tension() -> None:
     for change in (scaled(1e-6), scaled(2.0)):
         found = check(pulling(motion, change))
         assert not found.holds
-        assert found.worst > 0.3
+        assert found.bound > 0.3
     half = (replace(motion.phases[0], end=1.0), Phase("morph", 1, 1.0, 2.0, tension=(0.3, 0.5)))
     found = check(replace(motion, phases=half))
     assert found.worst == pytest.approx(0.06, abs=2e-6)
@@ -356,7 +363,7 @@ def test_legs_may_pull_with_what_friction_makes_of_the_range() -> None:
                 worst = max(worst, float(np.max(P - T * held)), float(np.max(T / held - P)))
         assert worst > 0.01
         found = check(changed)
-        assert worst <= found.worst <= worst * 1.001 + 1e-6
+        assert worst <= found.bound <= worst * 1.001 + 1e-6
         assert found.where[0] in team.drone_names
     within = replace(changed, team=rough(team))
     assert check(within).holds

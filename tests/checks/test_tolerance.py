@@ -41,16 +41,16 @@ def rest(limits: ho.Limits, separation: ho.Separation, arena: ho.Arena | None) -
 def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
     usual = rest(ho.Limits(), ho.Separation(), None)
     legs = np.linalg.norm(HITCH.drones - HITCH.vertices[TEAM.layout.anchors], axis=1)
-    exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].worst)}
-    scale = usual["separation"].worst
-    separation = ho.Separation(radius=0.12 * scale, cable=usual["cable_clearance"].worst)
+    exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].bound)}
+    scale = usual["separation"].bound
+    separation = ho.Separation(radius=0.12 * scale, cable=usual["cable_clearance"].bound)
     wall = ho.Arena(np.min(HITCH.drones, axis=0), np.max(HITCH.drones, axis=0) + [0, 0, 1])
     met = rest(ho.Limits(**exact), separation, wall)
     assert {"legs", "tilt", "separation", "cable_clearance", "arena"} <= {
         c.name for c in met.checks
     }
     assert met.certified, met.violated
-    assert met["legs"].worst < exact["leg"]  # a bound still, rounding included
+    assert met["legs"].bound < exact["leg"]  # a bound still, rounding included
     for name, value in exact.items():
         off = 1e-6 if name == "leg" else -1e-6
         broken = rest(ho.Limits(**{name: value * (1.0 + off)}), ho.Separation(), None)
@@ -106,7 +106,7 @@ def test_the_slowest_limits_are_planned(limits: dict[str, float]) -> None:
     polygon = ho.regular_polygon(3, 0.9)
     for plan in (ho.separate(swarm(limits=slow)), ho.morph(HITCH, polygon, limits=slow)):
         assert plan.certificate.certified
-        assert plan.certificate[name].worst <= limit
+        assert plan.certificate[name].bound <= limit
         ends = plan.motion.drones.at(np.array([0.0, plan.duration]))
         farthest = float(np.max(np.linalg.norm(ends[1] - ends[0], axis=-1)))
         least = farthest / limit if name == "speed" else 2.0 * math.sqrt(farthest / limit)

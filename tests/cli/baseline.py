@@ -45,8 +45,12 @@ def differences(found: Any, path: Path) -> list[str]:
         told.append(f"checks {sorted(here['worst'])} instead of {sorted(known['worst'])}")
     for name, value in known["worst"].items():
         now = here["worst"].get(name)
-        scale = max(abs(value), abs(limits.get(name) or 0.0), RELATIVE)
-        if now is not None and abs(now - value) > RELATIVE * scale:
+        if now is None or value is None:  # nothing was counted
+            same = now is value
+        else:
+            scale = max(abs(value), abs(limits.get(name) or 0.0), RELATIVE)
+            same = abs(now - value) <= RELATIVE * scale
+        if not same:
             told.append(f"{name} {now} instead of {value}")
     return told
 

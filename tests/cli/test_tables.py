@@ -49,7 +49,7 @@ def test_checks_are_shown_with_value_limit_place_and_verdict() -> None:
     assert ["check", "worst", "limit", "unit", "where", "when", "holds"] in rows
     assert ["separation", "1.0625", "≥ 1", "ratio", "q11, r3", "3.250 s", "yes"] in rows
     assert ["cable_clearance", "0.0875", "≥ 0.1", "m", "q11, cable 10", "4.500 s", "NO"] in rows
-    assert ["crossing", "inf", "≥ 0.05", "m", "0.000 s", "yes"] in rows
+    assert ["crossing", "–", "≥ 0.05", "m", "yes"] in rows
     assert "and 95 more" in table
 
 
@@ -64,6 +64,7 @@ def test_a_pipe_gets_neither_colours_nor_cuts() -> None:
 def test_numbers_have_six_digits() -> None:
     assert [number(x) for x in (1 / 3, 1e-7, 123456.7)] == ["0.333333", "1e-07", "123457"]
     assert [number(x) for x in (float("inf"), -1.7976931348623157e308)] == ["inf", "-inf"]
+    assert number(None) == "–"
 
 
 class Terminal(io.StringIO):

@@ -60,7 +60,7 @@ def test_our_exports_have_nothing_to_complain_of(name: str, tmp_path: Path) -> N
     assert found.kind == name
     assert found.frame == format_of(name).frames[0]
     assert len(found.facts) == 6
-    checks = {check.name: check.worst for check in part.verdict.checks}
+    checks = {check.name: check.bound for check in part.verdict.checks}
     assert found.flight.separation == pytest.approx(checks["separation"], rel=2e-3)
     speed = max(checks["speed"], SPEED if lead else 0.0)
     assert found.flight.speed == pytest.approx(speed, rel=2e-3)

@@ -152,7 +152,7 @@ def test_segments_are_long_enough_for_whole_millimetres(tmp_path: Path) -> None:
 def test_a_tight_limit_takes_more_points(tmp_path: Path) -> None:
     swarm = swarm_plan()
     (usual,) = exported(swarm, "skybrush", tmp_path / "usual")
-    planned = np.radians(flown_checks(swarm)["tilt"].worst)
+    planned = np.radians(flown_checks(swarm)["tilt"].bound)
     tight = replace(
         swarm,
         requirements=replace(

@@ -96,7 +96,7 @@ def test_where_limits_leave_little_room_legs_lean_less() -> None:
     assert tilts["free"] > tilts["plain"] + 0.1
     between = 0.5 * (tilts["free"] + tilts["plain"])
     tight = solved([inward], limits={"tilt_deg": between})
-    assert tight.certificate["tilt"].worst <= between
+    assert tight.certificate["tilt"].bound <= between
     shared = tight.phases[0].remark
     assert "limits leave room for no more" in shared
     ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
@@ -113,7 +113,7 @@ def test_where_limits_leave_no_room_the_remark_says_so() -> None:
 
 def test_where_friction_asks_for_more_than_legs_may_lean_they_lean_by_a_part_of_that() -> None:
     steps = [{"move_vertex": {"vertex": 0, "by": [0.0, -0.25], "duration": 6.0}}]
-    free, plain = (solved(steps, mu).certificate["tilt"].worst for mu in (2.0, 0.0))
+    free, plain = (solved(steps, mu).certificate["tilt"].bound for mu in (2.0, 0.0))
     tight = solved(steps, 2.0, limits={"tilt_deg": 0.7 * free + 0.3 * plain})
     found = re.search(rf"{LEANING} ([\d.]+)° \((\d+)% of what would do", tight.phases[0].remark)
     assert found is not None

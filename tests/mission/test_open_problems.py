@@ -72,7 +72,7 @@ def test_chains_of_any_size_are_planned_and_hold_at_dense_samples(n: int) -> Non
     used = np.linalg.norm(np.diff(p, axis=1), axis=-1)
     used += np.linalg.norm(x[:, 0::2] - p[:, :-1], axis=-1)
     used += np.linalg.norm(x[:, 1::2] - p[:, 1:], axis=-1)
-    assert np.max(np.abs(used / L - 1.0)) <= plan.certificate["cable_length"].worst <= 1e-4
+    assert np.max(np.abs(used / L - 1.0)) <= plan.certificate["cable_length"].bound <= 1e-4
     # The forces that setpoints.csv holds balance the cables' at every clasp.
     forces = s.cable_forces.reshape(len(x), n, 2, 3)
     edges = np.diff(p, axis=1)
@@ -80,7 +80,7 @@ def test_chains_of_any_size_are_planned_and_hold_at_dense_samples(n: int) -> Non
     for k in range(1, n):
         residual = -forces[:, k, 0] - forces[:, k - 1, 1] + pulls[:, k] - pulls[:, k - 1]
         size = np.max(np.linalg.norm(residual, axis=-1) / np.min(s.tensions[:, k - 1 : k + 1], 1))
-        assert size <= plan.certificate["equilibrium"].worst <= 5e-3
+        assert size <= plan.certificate["equilibrium"].bound <= 5e-3
     np.testing.assert_allclose(forces[:, 0, 0], pulls[:, 0], atol=1e-9)
     np.testing.assert_allclose(forces[:, -1, 1], -pulls[:, -1], atol=1e-9)
 

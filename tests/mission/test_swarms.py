@@ -166,7 +166,7 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     assert able[1] == pytest.approx(9.81 * math.sin(math.radians(5.0)), rel=1e-5)
     certificate = ho.separate(problem).certificate
     assert certificate.certified
-    assert certificate["tilt"].worst > 4.0
+    assert certificate["tilt"].bound > 4.0
     heavy = {**data, "team": {"drones": 2, "quadrotor": {"mass": 0.5}}}
     with pytest.raises(ho.InfeasibleError, match="thrust"):
         ho.solve(any_problem_from_dict(heavy))

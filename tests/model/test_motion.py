@@ -11,6 +11,7 @@ from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -56,7 +57,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
 def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[int, int]]) -> None:
     motion = resting(formed)
     np.testing.assert_array_equal(motion.formed, formed)
-    spans = motion.spans(formed=True)
+    spans = motion.spans(HITCHED_STATE)
     assert [(s.drones.breaks[0], s.drones.breaks[-1]) for s in spans] == [
         (BREAKS[a], BREAKS[b]) for a, b in runs
     ]
@@ -64,7 +65,7 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
         assert span.phases == motion.phases[a:b]
         assert np.all(span.formed)
         np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
-    others = motion.spans(formed=False)
+    others = motion.spans(FREE_STATES)
     assert sum(s.duration for s in (*spans, *others)) == pytest.approx(motion.duration)
 
 
@@ -92,7 +93,7 @@ def test_the_worst_of_several_spans_is_told() -> None:
     worse = certify(replace(motion, vertices=PiecewisePolynomial(BREAKS, vertices)))
     assert not worse["cable_length"].holds
     assert worse["cable_length"].time <= BREAKS[1]
-    assert worse["convexity"].worst > 0.0
+    assert worse["convexity"].bound > 0.0
 
 
 def test_the_most_pressing_check_depends_on_its_sense() -> None:

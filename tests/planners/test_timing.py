@@ -24,6 +24,7 @@ from hitchopt.planners.timing.speed_profile import (
     path_grid,
 )
 from hitchopt.planners.timing.stretch import needed_stretch
+from problems.random_morph import random_convex_polygon
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
 

@@ -126,8 +126,8 @@ def test_thrust_is_a_share_where_drones_differ() -> None:
     assert {"limit 1", "worst 0.6"} <= {text.get_text() for text in axes.texts}
 
 
-@pytest.mark.parametrize("worst", [float("inf"), sys.float_info.max, float("nan")])
-def test_a_worst_without_bound_is_not_drawn(worst: float) -> None:
+@pytest.mark.parametrize("worst", [None, float("inf"), sys.float_info.max, float("nan")])
+def test_a_worst_without_bound_is_not_drawn(worst: float | None) -> None:
     check = Check("separation", True, worst, 1.0, "min", "ratio", 0.0, ())
     axes = draw_summary(make_motion(3), Certificate(3.1, (check,))).axes[1]
     assert not any("worst" in text.get_text() for text in axes.texts)

@@ -10,11 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.proximity import Bodies
+from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
+from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
+from hitchopt.checks.certificate import within
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Extremum
 
 Array = NDArray[np.float64]
 
@@ -24,7 +27,7 @@ PART_NAMES = ("q-leg", "edge", "r-leg")
 def positions(motion: Motion) -> tuple[Array, Array]:
     """Return the polynomials of the drones (pieces, 2n, 3, N+1) and points (pieces, P, 3, N+1) [m].
 
-    Both in the larger of their degrees.
+    Both have the larger of their degrees.
     """
     order = max(motion.drones.degree, motion.vertices.degree)
     return (
@@ -34,27 +37,26 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 
 
 def leg_vectors(motion: Motion) -> Array:
-    """(pieces, 2n, 3, N+1) [m]: from its vertex to each drone, in the order q0, r0, q1, …."""
+    """Return (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
 
 
 def pull_vectors(motion: Motion) -> Array:
-    """(pieces, 2n, 3, N+1) [m]: to each drone, along the straight piece of cable that it ends."""
+    """Return (pieces, 2n, 3, N+1) [m] to each drone along the straight piece of cable it ends."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.pulled_to]
 
 
 def edge_vectors(motion: Motion) -> Array:
-    """(pieces, n, 3, N+1) [m]: ``p_{k+1} - p_k``."""
+    """Return the edges ``p_{k+1} - p_k`` (pieces, n, 3, N+1) [m]."""
     _, vertices = positions(motion)
     return motion.team.layout.edges(vertices, axis=1)
 
 
 def drone_points(motion: Motion) -> Bodies:
     """Return the drones as points, in the degree of the cable parts where there are any."""
-    drones = positions(motion)[0]
-    return Bodies(drones[:, :, None])
+    return Bodies(positions(motion)[0][:, :, None])
 
 
 def cable_parts(motion: Motion) -> Bodies:
@@ -72,6 +74,26 @@ def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
     k, kind = np.divmod(parts, 3)
     before, following = layout.starts[k], layout.ends[k]
     return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
+
+
+def clasped_pairs(layout: Layout) -> Indices:
+    """Return the pairs of cables (clasps,) that hold each other: ``i * n + j`` with i < j."""
+    return pair_of(layout, layout.ahead, layout.behind)
+
+
+def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
+    """Return pairs of cables as ``i * n + j`` with i <= j."""
+    pairs: Indices = np.minimum(first, second) * layout.robots + np.maximum(first, second)
+    return pairs
+
+
+def closest(
+    motion: Motion, first: Bodies, second: Bodies | None, allowed: Allowed, limit: float
+) -> Extremum:
+    """Return the smallest distance of allowed pairs, close enough to compare it with a limit."""
+    aim = within(limit, "min", magnitude(motion), 0.5)
+    margin = position_margin(motion)
+    return smallest_distance(motion.drones.breaks, first, second, allowed, margin, aim)
 
 
 def part_name(part: int) -> str:

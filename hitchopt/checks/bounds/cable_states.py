@@ -1,4 +1,4 @@
-"""What a phase's motion says against the state of the cables that the phase states.
+"""Contradictions between a phase's polynomials and the state of the cables that the phase states.
 
 Each state brings rules of its own, so a plan must not choose them: where the rules of another state
 would be due, the polynomials contradict the one that is stated.
@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
+from hitchopt.checks.bounds.bodies import clasped_pairs, edge_vectors, leg_vectors
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
-from hitchopt.checks.bounds.free_phases import PhasePart
-from hitchopt.checks.bounds.hanging_clearance import ground_clearance
+from hitchopt.checks.bounds.hanging_clearance import above_ground
+from hitchopt.checks.bounds.phase_parts import PhasePart
 from hitchopt.checks.cable_length import LIMIT
 from hitchopt.geometry.broadphase import Indices
-from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import bernstein
 
@@ -55,13 +54,6 @@ class Wrong:
         return cls(pairs, np.full(len(pairs), time), phase)
 
 
-def neighbouring(layout: Layout) -> Indices:
-    """(clasps,): the pair of cables that holds each other at each clasp."""
-    i, j = np.minimum(layout.ahead, layout.behind), np.maximum(layout.ahead, layout.behind)
-    pairs: Indices = i * layout.robots + j
-    return pairs
-
-
 def contradicted(part: PhasePart) -> Iterator[Wrong]:
     """Yield the cables and pairs of a phase without a hitch that are not in its state.
 
@@ -83,7 +75,7 @@ def contradicted(part: PhasePart) -> Iterator[Wrong]:
         level = motion.drones.coefficients[:, :, :2]
         moved = np.ptp(level, axis=(0, -1)).reshape(n, -1)
         wrong.append(alone[np.any(moved > STILL, axis=1)])
-        if ground_clearance(motion).holds:
+        if above_ground(motion):
             wrong.append(alone)
     elif state is CableState.CLASPING:
         wrong.append(_not_clasped(motion))
@@ -95,7 +87,7 @@ def contradicted(part: PhasePart) -> Iterator[Wrong]:
 def _not_clasped(motion: Motion) -> Indices:
     """Return the neighbouring pairs whose drones do not turn about each other."""
     layout = motion.team.layout
-    pairs = neighbouring(layout)
+    pairs = clasped_pairs(layout)
     met = chord_crossings(motion.drones)
     if not np.any(np.isin(met.first * layout.robots + met.second, pairs)):
         return pairs

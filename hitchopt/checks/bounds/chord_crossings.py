@@ -24,6 +24,7 @@ from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
+from hitchopt.trajectory.extremum import Cells, joined_cells
 
 Array = NDArray[np.float64]
 
@@ -54,92 +55,56 @@ class Crossings:
     time: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    """Cells (cells,) of pairs that may meet: ends q_i, r_i, q_j, r_j (cells, 4, 3, degree + 1)."""
-
-    pair: Indices
-    start: Array
-    end: Array
-    ends: Array
-
-    def take(self, index: NDArray[np.bool_] | Indices | slice) -> _Cells:
-        return _Cells(self.pair[index], self.start[index], self.end[index], self.ends[index])
-
-    def halves(self) -> _Cells:
-        left, right = bernstein.halve(self.ends.reshape(-1, self.ends.shape[-1]))
-        middle = 0.5 * (self.start + self.end)
-        return _Cells(
-            np.tile(self.pair, 2),
-            np.concatenate([self.start, middle]),
-            np.concatenate([middle, self.end]),
-            np.concatenate([left, right]).reshape(2 * len(self.pair), *self.ends.shape[1:]),
-        )
-
-
 def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
     """Return what the chords of drones q0, r0, q1, … of shape (2n, 3) [m] did."""
     cells = _candidates(drones)
     across, unclear = [cells.take(slice(0, 0))], [cells.take(slice(0, 0))]
     for _ in range(MAX_HALVINGS):
-        if len(cells.pair) == 0:
+        if len(cells) == 0:
             break
         check_time()
-        cells = cells.take(~_apart(cells))
-        crossing = _across(cells)
+        cells = cells.take(~_apart(cells.blocks[0]))
+        crossing = _across(cells.blocks[0])
         across.append(cells.take(crossing))
         cells = cells.take(~crossing)
-        touching = cells.take(_touching(cells))
+        touching = cells.take(_touching(cells.blocks[0]))
         unclear.append(touching)
-        cells = cells.take(~np.isin(cells.pair, touching.pair)).halves()
-    return _counted(drones.shape[0] // 2, _joined(across), _joined([*unclear, cells]))
+        cells = cells.take(~np.isin(cells.item, touching.item)).halves()
+    return _counted(drones.shape[0] // 2, joined_cells(across), joined_cells([*unclear, cells]))
 
 
-def _candidates(drones: PiecewisePolynomial) -> _Cells:
-    """Return one cell per piece and pair whose chords' boxes meet."""
+def _candidates(drones: PiecewisePolynomial) -> Cells:
+    """Return one cell per piece and pair ``i * n + j`` of chords whose boxes meet.
+
+    Its block holds the ends q_i, r_i, q_j, r_j (cells, 4, 3, degree + 1).
+    """
     n = drones.shape[0] // 2
     found = []
     for piece in range(drones.pieces):
         c = drones.coefficients[piece].reshape(n, 2, 3, -1)
         pairs = close_pairs(Boxes.around(c), None, 2.0 * APART)
-        start, end = drones.breaks[piece : piece + 2]
-        found.append(
-            _Cells(
-                pairs.first * n + pairs.second,
-                np.full(len(pairs), start),
-                np.full(len(pairs), end),
-                np.concatenate([c[pairs.first], c[pairs.second]], axis=1),
-            )
-        )
-    return _joined(found)
+        start, end = np.tile(drones.breaks[piece : piece + 2, None], len(pairs))
+        ends = np.concatenate([c[pairs.first], c[pairs.second]], axis=1)
+        item = pairs.first * n + pairs.second
+        found.append(Cells((ends,), item, start, end, np.zeros(len(pairs))))
+    return joined_cells(found)
 
 
-def _joined(cells: list[_Cells]) -> _Cells:
-    return _Cells(
-        np.concatenate([c.pair for c in cells]),
-        np.concatenate([c.start for c in cells]),
-        np.concatenate([c.end for c in cells]),
-        np.concatenate([c.ends for c in cells]),
-    )
-
-
-def _apart(cells: _Cells) -> NDArray[np.bool_]:
+def _apart(e: Array) -> NDArray[np.bool_]:
     """Return on which cells the chords certainly do not touch."""
-    e = cells.ends
     differences = np.stack([e[:, i] - e[:, j] for i in (0, 1) for j in (2, 3)], axis=1)
     bound = distance_bound((differences.reshape(len(e), 12, e.shape[-1]),)).bound
     sure: NDArray[np.bool_] = bound > APART
     return sure
 
 
-def _across(cells: _Cells) -> NDArray[np.bool_]:
+def _across(ends: Array) -> NDArray[np.bool_]:
     """Return on which cells, seen along one direction, each chord crosses the other for certain."""
-    half = bernstein.basis(np.array(0.5), bernstein.degree(cells.ends))
-    middle = cells.ends @ half
+    middle = ends @ bernstein.basis(np.array(0.5), bernstein.degree(ends))
     normal = np.cross(middle[:, 1] - middle[:, 0], middle[:, 3] - middle[:, 2])
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0.0)
-    qi, ri, qj, rj = (cells.ends[:, k] for k in range(4))
+    qi, ri, qj, rj = (ends[:, k] for k in range(4))
     sides = []
     for a, b, c, d in ((qi, ri, qj, rj), (qj, rj, qi, ri)):
         along = b - a
@@ -150,19 +115,18 @@ def _across(cells: _Cells) -> NDArray[np.bool_]:
     return crossing
 
 
-def _touching(cells: _Cells) -> NDArray[np.bool_]:
+def _touching(ends: Array) -> NDArray[np.bool_]:
     """Return on which cells the chords touch at mid time without crossing there.
 
     However short, a cell about that time is neither apart nor across: nothing more is learnt about
     such a pair, and chords that overlap for a while would be halved into 2**MAX_HALVINGS cells.
     """
-    half = bernstein.basis(np.array(0.5), bernstein.degree(cells.ends))
-    there = _Cells(cells.pair, cells.start, cells.end, (cells.ends @ half)[..., None])
+    there = (ends @ bernstein.basis(np.array(0.5), bernstein.degree(ends)))[..., None]
     return ~_apart(there) & ~_across(there)
 
 
 def _side(normal: Array, along: Array, to: Array) -> Array:
-    """Return (cells, m): coefficients of ``normal · (along × to)``."""
+    """Return the coefficients (cells, m) of ``normal · (along × to)``."""
     turned = np.stack(  # normal × along
         [
             normal[:, 1, None] * along[:, 2] - normal[:, 2, None] * along[:, 1],
@@ -183,16 +147,16 @@ def _strictly(coefficients: Array) -> Indices:
     return sign
 
 
-def _counted(n: int, across: _Cells, unclear: _Cells) -> Crossings:
+def _counted(n: int, across: Cells, unclear: Cells) -> Crossings:
     """Return the sums over all runs of cells, pair by pair."""
-    cells = across.take(np.lexsort((across.start, across.pair)))
-    new = (np.diff(cells.pair) != 0) | (cells.start[1:] > cells.end[:-1])
+    cells = across.take(np.lexsort((across.start, across.item)))
+    new = (np.diff(cells.item) != 0) | (cells.start[1:] > cells.end[:-1])
     edges = np.flatnonzero(new)
-    some = min(len(cells.pair), 1)
+    some = min(len(cells.item), 1)
     first = np.concatenate([np.zeros(some, dtype=np.intp), edges + 1])
-    final = np.concatenate([edges, np.full(some, len(cells.pair) - 1)])
-    before, after = _sign(cells.ends[first][..., 0]), _sign(cells.ends[final][..., -1])
-    pairs, run = np.unique(np.concatenate([cells.pair[first], unclear.pair]), return_inverse=True)
+    final = np.concatenate([edges, np.full(some, len(cells.item) - 1)])
+    before, after = _sign(cells.blocks[0][first][..., 0]), _sign(cells.blocks[0][final][..., -1])
+    pairs, run = np.unique(np.concatenate([cells.item[first], unclear.item]), return_inverse=True)
     count = np.zeros(len(pairs), dtype=np.intp)
     np.add.at(count, run[: len(first)], (after - before) // 2)
     certain = np.ones(len(pairs), dtype=np.bool_)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import drone_points
-from hitchopt.checks.bounds.proximity import Bodies, smallest_distance
+from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
+from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 
 Array = NDArray[np.float64]
 
@@ -113,37 +113,26 @@ def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
     if spans < 1:
         raise InputError("spans", spans, "at least 1", "48 are usual")
     scale = motion.requirements.separation.scale
-    points = drone_points(motion).corners[:, :, 0] * scale[:, None]  # (pieces, drones, 3, N+1)
     margin = position_margin(motion) * float(np.max(scale))
     breaks = motion.drones.breaks
     edges = np.linspace(breaks[0], breaks[-1], spans + 1)
+    drones = on_breaks(motion.drones, merged_breaks([edges, breaks]))
+    scaled = replace(drones, coefficients=drones.coefficients * scale[:, None])
     found = []
     for start, end in pairwise(edges):
-        times, inner = _restricted(breaks, points, float(start), float(end))
-        least = smallest_distance(times, Bodies(inner[:, :, None]), None, _all, margin)
+        part = scaled.taken(slice(*np.searchsorted(scaled.breaks, [start, end])))
+        bodies = Bodies(part.coefficients[:, :, None])
+        least = smallest_distance(part.breaks, bodies, None, every_pair, margin)
         i, j = sorted(divmod(least.item, len(names)))
         pair = (names[i], names[j])
         found.append(
             ClosestSpan(float(start), float(end), least.worst, least.value, pair, least.time)
         )
-    return Closeness(tuple(found), _pairs(motion, points, found, margin))
-
-
-def _restricted(breaks: Array, points: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return breaks and coefficients of what lies between two times."""
-    first = int(np.clip(np.searchsorted(breaks, start, side="right") - 1, 0, len(points) - 1))
-    last = int(np.clip(np.searchsorted(breaks, end, side="left"), first + 1, len(points)))
-    times = breaks[first : last + 1].copy()
-    h = np.diff(times)
-    lower = np.clip((start - times[:-1]) / h, 0.0, 1.0)
-    upper = np.clip((end - times[:-1]) / h, 0.0, 1.0)
-    inner = bernstein.restrict(points[first:last], lower[:, None, None], upper[:, None, None])
-    times[0], times[-1] = start, end
-    return times, inner
+    return Closeness(tuple(found), _pairs(motion, scaled, found, margin))
 
 
 def _pairs(
-    motion: Motion, points: Array, spans: list[ClosestSpan], margin: float
+    motion: Motion, scaled: PiecewisePolynomial, spans: list[ClosestSpan], margin: float
 ) -> tuple[ClosestPair, ...]:
     names = motion.team.drone_names
     index = {name: i for i, name in enumerate(names)}
@@ -154,14 +143,10 @@ def _pairs(
     pairs = []
     for pair in chosen:
         i, j = index[pair[0]], index[pair[1]]
-        offset = (points[:, i] - points[:, j])[:, None]
-        least = smallest(Cells.over(motion.drones.breaks, [offset], margin), distance_bound)
+        offset = (scaled.coefficients[:, i] - scaled.coefficients[:, j])[:, None]
+        least = smallest(Cells.over(scaled.breaks, [offset], margin), distance_bound)
         here = motion.drones.at(least.time)
         apart = float(np.linalg.norm(here[i] - here[j]))
         bound = max(least.worst, 0.0)
         pairs.append(ClosestPair(pair, bound, least.time, apart, counts[pair]))
     return tuple(sorted(pairs, key=lambda p: p.bound))
-
-
-def _all(first: NDArray[np.intp], _: NDArray[np.intp]) -> NDArray[np.bool_]:
-    return np.ones(len(first), dtype=np.bool_)

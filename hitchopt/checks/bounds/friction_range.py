@@ -10,30 +10,25 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
 
 Array = NDArray[np.float64]
 
 
-def beyond_friction(motion: Motion, leg_tensions: PiecewisePolynomial) -> Extremum:
+def beyond_friction(motion: Motion) -> Extremum:
     """Return by how much of the tension a drone's pull is more than friction allows, at most.
 
     A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
     ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
     to its edge. At a chain's ends it turns about nothing. Not positive, but for rounding, where
-    every pull keeps to that; ``item`` is the drone.
-
-    Parameters
-    ----------
-    motion: the plan.
-    leg_tensions: its legs' pulls, of shape (n, 2) [N].
+    every pull obeys that; ``item`` is the drone.
     """
-    pieces = motion.drones.pieces
-    order = max(leg_tensions.degree, motion.tensions.degree)
-    pulls = bernstein.elevate(leg_tensions.coefficients, order).reshape(pieces, -1, order + 1)
-    tension = np.repeat(bernstein.elevate(motion.tensions.coefficients, order), 2, axis=1)
-    both = np.stack([pulls, tension], axis=2)
+    order = max(motion.pulls.degree, motion.tensions.degree)
+    pulls, tensions = (
+        part.elevated(order).coefficients for part in (motion.pulls, motion.tensions)
+    )
+    both = np.stack([pulls, np.repeat(tensions, 2, axis=1)], axis=2)
     bound = partial(_bound, friction=motion.team.cable_friction, noise=position_margin(motion))
     return largest(Cells.over(motion.drones.breaks, [wrapping_vectors(motion), both]), bound)
 

@@ -1,32 +1,19 @@
-"""Check ``cable_clearance`` while there is no hitch: drones and the ground keep off hanging cables.
-
-A cable that hangs between its drones is a catenary. Taking off and landing, cables lie on the
-ground at least in part, in between their drones: then drones keep off as seen from above.
-"""
+"""Distances of drones, and of the ground, to hanging cables."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.checks.bounds.free_phases import PhasePart, free_phases
-from hitchopt.checks.bounds.hanging_links import (
-    LINKS,
-    boxes,
-    chains,
-    cut,
-    foreign,
-    plan_chords,
-    plan_points,
-)
-from hitchopt.checks.bounds.proximity import smallest_distance
+from hitchopt.checks.bounds.hanging_links import LINKS, chains, cut, drone_cable_cells
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
-from hitchopt.checks.certificate import Check, most_pressing, within
+from hitchopt.checks.certificate import within
 from hitchopt.geometry import shortest_offset
-from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, Search
 
@@ -36,94 +23,40 @@ TOLERANCE = 1e-3
 """[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
 off it: catenaries are no polynomials, and are closed in on only with the length of a cell."""
 
-GROUND = "ground"
-"""Stands for the drone in ``where``."""
+
+def above_ground(motion: Motion) -> bool:
+    """Return whether cables, if all hung free, would keep ``separation.cable`` off the ground."""
+    limit = motion.requirements.separation.cable
+    return height_above_ground(motion).worst >= within(limit, "min", magnitude(motion))
 
 
-def check(motion: Motion) -> Check | None:
-    """Return the smallest distance of a drone, or of the ground, to a hanging cable not its own.
-
-    ``where`` names the drone (or ``ground``) and the cable.
-
-    Parameters
-    ----------
-    motion: a span of time without a hitch.
-    """
-    found = [each for part in free_phases(motion) for each in _of_phase(part)]
-    return most_pressing(found)
-
-
-def _of_phase(part: PhasePart) -> list[Check]:
-    motion = part.motion
-    if part.grounded:
-        seen = smallest_distance(
-            motion.drones.breaks,
-            plan_points(motion),
-            plan_chords(motion),
-            foreign,
-            position_margin(motion),
-            within(motion.requirements.separation.cable, "min", magnitude(motion), 0.5),
-        )
-        return [_told(motion, seen)]
-    drones = cut(motion.drones)
-    return [_told(motion, _to_drones(motion, drones)), ground_clearance(motion)]
-
-
-def ground_clearance(motion: Motion) -> Check:
-    """Return the smallest height of a cable over the ground, all cables taken as hanging free."""
-    return _told(motion, _to_ground(motion, cut(motion.drones)))
-
-
-def _told(motion: Motion, found: Extremum) -> Check:
-    n, limit = motion.team.robots, motion.requirements.separation.cable
-    who, cable = divmod(found.item, n)
-    name = GROUND if who == 2 * n else motion.team.drone_names[who]
-    worst = max(found.worst, 0.0) if who < 2 * n else found.worst
-    where = (name, f"cable {cable}")
-    size = magnitude(motion)
-    return Check.of("cable_clearance", worst, limit, "min", "m", found.time, where, size)
-
-
-def _to_drones(motion: Motion, drones: PiecewisePolynomial) -> Extremum:
-    """Return the smallest distance of a drone to a foreign cable."""
-    team = motion.team
+def distance_to_drones(motion: Motion) -> Extremum:
+    """Return the smallest distance of a drone to a foreign cable; items ``drone * n + cable``."""
+    length, drones = motion.team.cable_length, cut(motion.drones)
     search = Search(_distance, relative=TOLERANCE, absolute=TOLERANCE)
     margin = position_margin(motion)
     for piece in range(drones.pieces):
         c = drones.coefficients[piece]
-        q, r = c[0::2], c[1::2]
-        cutoff = min(search.value, _attained(q, r, c, team.cable_length)) + margin
-        pairs = close_pairs(
-            Boxes(np.min(c, axis=-1), np.max(c, axis=-1)), boxes(q, r, team.cable_length), cutoff
-        )
-        pairs = pairs.take(foreign(pairs.first, pairs.second))
-        i, k = pairs.first, pairs.second
-        rows = np.concatenate([c[i], q[k], r[k]], axis=1)
-        times = np.tile(drones.breaks[piece : piece + 2, None], len(pairs))
-        search.add(
-            Cells(
-                (rows, team.cable_length[k][:, None, None]),
-                i * team.robots + k,
-                times[0],
-                times[1],
-                np.full(len(pairs), margin),
-            )
-        )
-    return search.finish()
+        cutoff = min(search.value, _attained(c[0::2], c[1::2], c, length)) + margin
+        search.add(drone_cable_cells(drones, piece, length, cutoff, margin))
+    found = search.finish()
+    return replace(found, worst=max(found.worst, 0.0))
 
 
-def _to_ground(motion: Motion, drones: PiecewisePolynomial) -> Extremum:
-    """Return the smallest height of a cable over the ground, negative below it."""
-    n = motion.team.robots
+def height_above_ground(motion: Motion) -> Extremum:
+    """Return the smallest height of a cable over the ground, negative below it.
+
+    Items count on from those of ``distance_to_drones``, the ground being one more drone.
+    """
+    n, drones = motion.team.robots, cut(motion.drones)
     c = drones.coefficients.copy()
     c[:, :, 2] -= motion.requirements.floor
     rows = np.concatenate([c[:, 0::2], c[:, 1::2]], axis=2)
     lengths = np.broadcast_to(motion.team.cable_length[:, None, None], (*rows.shape[:2], 1, 1))
     search = Search(_height, relative=TOLERANCE, absolute=TOLERANCE)
-    cells = Cells.over(drones.breaks, [rows, lengths], position_margin(motion))
-    item = 2 * n * n + cells.item
-    search.add(Cells(cells.blocks, item, cells.start, cells.end, cells.margin))
-    return search.finish()
+    search.add(Cells.over(drones.breaks, [rows, lengths], position_margin(motion)))
+    found = search.finish()
+    return replace(found, item=2 * n * n + found.item)
 
 
 def _distance(blocks: tuple[Array, ...]) -> Estimate:

@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Bodies
-from hitchopt.geometry.broadphase import Boxes, Indices
+from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.extremum import Cells
+from hitchopt.trajectory.splitting import on_breaks
 
 Array = NDArray[np.float64]
 
@@ -60,8 +62,8 @@ def chains(q: Array, r: Array, length: Array) -> Chains:
     evenly = np.broadcast_to(by_place, (BY_PLACE, len(length)))
     mu = np.sort(np.concatenate([by_length, evenly]), axis=0)  # (LINKS + 1, cells)
     level, skew = depth_terms(cable.sigma, mu)
-    way = (0.5 * (1.0 + mu)).T[..., None, None]
-    points = q[:, None] + way * offset[:, None]
+    share = (0.5 * (1.0 + mu)).T[..., None, None]
+    points = q[:, None] + share * offset[:, None]
     points[:, :, 2] -= (length * level).T[..., None] + skew.T[..., None] * offset[:, None, 2]
     lower, upper = steepness_range(offset, length)
     drift = np.maximum(upper - cable.sigma, cable.sigma - lower)
@@ -72,9 +74,9 @@ def chains(q: Array, r: Array, length: Array) -> Chains:
 
 
 def _bends(cable: Catenary, mu: Array) -> Array:
-    """(cells, LINKS) [m]: how far below its links, between points μ, each cable comes at mid time.
+    """Return (cells, LINKS) [m] how far each cable sags below its links, between points μ, midway.
 
-    In units of Λ / 2 sinh σ it is a hyperbolic cosine, farthest below its chord where it is
+    Measured in Λ / 2 sinh σ the cable is a hyperbolic cosine, farthest below its chord where it is
     parallel to it.
     """
     sigma = np.maximum(cable.sigma, SERIES)
@@ -147,17 +149,36 @@ def foreign(drones: Indices, cables: Indices) -> NDArray[np.bool_]:
     return apart
 
 
+def drone_cable_cells(
+    drones: PiecewisePolynomial, piece: int, length: Array, cutoff: float, margin: float = 0.0
+) -> Cells:
+    """Return one cell per drone and foreign cable that may come within ``cutoff`` [m] on a piece.
+
+    Items are ``drone * n + cable``; blocks are rows of drone, q and r, and the cables' lengths.
+    """
+    c = drones.coefficients[piece]
+    q, r = c[0::2], c[1::2]
+    around = Boxes(np.min(c, axis=-1), np.max(c, axis=-1))
+    pairs = close_pairs(around, boxes(q, r, length), cutoff)
+    pairs = pairs.take(foreign(pairs.first, pairs.second))
+    i, k = pairs.first, pairs.second
+    start, end = np.tile(drones.breaks[piece : piece + 2, None], len(pairs))
+    return Cells(
+        (np.concatenate([c[i], q[k], r[k]], axis=1), length[k][:, None, None]),
+        i * len(length) + k,
+        start,
+        end,
+        np.full(len(pairs), margin),
+    )
+
+
 def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
     """Return the same curves on pieces so short that no drone goes FARTHEST on any of them."""
-    way = np.max(np.linalg.norm(np.ptp(drones.coefficients, axis=-1), axis=-1), axis=1)
-    counts = np.maximum(1, np.ceil(way / FARTHEST)).astype(np.intp)
+    reach = np.max(np.linalg.norm(np.ptp(drones.coefficients, axis=-1), axis=-1), axis=1)
+    counts = np.maximum(1, np.ceil(reach / FARTHEST)).astype(np.intp)
     if np.all(counts == 1):
         return drones
     piece = np.repeat(np.arange(drones.pieces), counts)
     first = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    lower, upper = first / counts[piece], (first + 1) / counts[piece]
-    parts = bernstein.restrict(
-        drones.coefficients[piece], lower[:, None, None], upper[:, None, None]
-    )
-    starts = drones.breaks[piece] + lower * drones.durations[piece]
-    return PiecewisePolynomial(np.append(starts, drones.breaks[-1]), parts)
+    starts = drones.breaks[piece] + first / counts[piece] * drones.durations[piece]
+    return on_breaks(drones, np.append(starts, drones.breaks[-1]))

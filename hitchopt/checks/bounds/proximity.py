@@ -37,7 +37,7 @@ FEW = 6000
 """Pairs in all, up to which an index costs more than it saves."""
 
 GROUP = 32_768
-"""Of few bodies, pairs times pieces whose boxes are compared at a time."""
+"""Pairs times pieces, where bodies are few, whose boxes are compared at a time."""
 
 CHUNK = 8192
 """Pairs whose polynomials are laid out at a time."""
@@ -68,6 +68,11 @@ class Bodies:
 
     def __len__(self) -> int:
         return int(self.corners.shape[1])
+
+
+def every_pair(first: Indices, _: Indices) -> NDArray[np.bool_]:
+    """Allow all pairs."""
+    return np.ones(len(first), dtype=np.bool_)
 
 
 def smallest_distance(

@@ -7,16 +7,53 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
 
 Array = NDArray[np.float64]
 
 
+def rate_rule(
+    name: str, unit: str, order: int, *, vertices: bool = False, exported: bool = False
+) -> CheckRule:
+    """Return the rule that holds a derivative of drones, or of vertices, against ``Limits.name``.
+
+    Parameters
+    ----------
+    name, unit: of the check; its limit has the same name.
+    order: of the derivative by time.
+    vertices: whether vertices are checked, while the hitch exists, instead of drones.
+    exported: whether exported curves are checked too.
+    """
+
+    def find(motion: Motion, limit: float) -> Finding:
+        part, names = (
+            (motion.vertices, motion.team.point_names)
+            if vertices
+            else (motion.drones, motion.team.drone_names)
+        )
+        found = largest_rate(part, order, limit)
+        return Finding(found.worst, found.time, (names[found.item],), 0.0)
+
+    def limit_of(motion: Motion) -> float:
+        limit: float = getattr(motion.requirements.limits, name)
+        return limit
+
+    states = HITCHED_STATE if vertices else frozenset(CableState)
+    finder = Finder(find, states, exported)
+    remedy = f"raise limits.{name}"
+    return CheckRule(
+        name, unit, "max", limit_of, (finder,), remedy, ease=Ease.TIME, derivative=order
+    )
+
+
 def largest_rate(part: PiecewisePolynomial, order: int, limit: float = np.inf) -> Extremum:
     """Return the largest norm of a derivative by time of points ``part`` (items, 3).
 
-    It is bounded as closely as it takes to tell whether it keeps the limit.
+    It is bounded as closely as it takes to tell whether it satisfies the limit.
     A norm is convex, so it is largest at one of the Bernstein coefficients: nothing is squared.
     """
     derivative = part.differentiated(order)

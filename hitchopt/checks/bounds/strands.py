@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.free_phases import free_phases
-from hitchopt.checks.bounds.hanging_links import boxes, chains, cut, foreign
+from hitchopt.checks.bounds.hanging_links import chains, cut, drone_cable_cells
 from hitchopt.geometry import shortest_offset
-from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
+from hitchopt.geometry.broadphase import Indices
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Cells
+from hitchopt.trajectory.extremum import Cells, joined_cells
 
 Array = NDArray[np.float64]
 
@@ -51,51 +50,22 @@ class Entered:
 
 
 def entered(motion: Motion) -> Entered:
-    """Return which drones fly inside foreign cables, each pair once per phase.
-
-    Cables that lie on the ground in part are left out: drones keep off them as seen from above.
+    """Return which drones fly inside foreign cables, each pair once.
 
     Parameters
     ----------
-    motion: a span of time without a hitch.
+    motion: a phase without a hitch, no cable lying on the ground.
     """
-    n = motion.team.robots
-    items, times = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
-    for part in free_phases(motion):
-        if part.grounded:
-            continue
-        lost = _within(_candidates(part.motion))
-        pairs, first = np.unique(lost.item, return_index=True)
-        items.append(pairs)
-        times.append(lost.start[first])
-    drone, cable = np.divmod(np.concatenate(items), n)
-    return Entered(drone, cable, np.concatenate(times))
+    lost = _within(_candidates(motion))
+    pairs, first = np.unique(lost.item, return_index=True)
+    return Entered(*np.divmod(pairs, motion.team.robots), lost.start[first])
 
 
 def _candidates(motion: Motion) -> Cells:
     """Return one cell per piece and pair of a drone and a foreign cable whose boxes meet."""
     drones, length = cut(motion.drones), motion.team.cable_length
-    rows, item, start, end = [], [], [], []
-    for piece in range(drones.pieces):
-        c = drones.coefficients[piece]
-        q, r = c[0::2], c[1::2]
-        every = Boxes(np.min(c, axis=-1), np.max(c, axis=-1))
-        pairs = close_pairs(every, boxes(q, r, length), 2.0 * OFF)
-        pairs = pairs.take(foreign(pairs.first, pairs.second))
-        i, k = pairs.first, pairs.second
-        rows.append(np.concatenate([c[i], q[k], r[k]], axis=1))
-        item.append(i * len(length) + k)
-        start.append(np.full(len(pairs), drones.breaks[piece]))
-        end.append(np.full(len(pairs), drones.breaks[piece + 1]))
-    which = np.concatenate(item)
-    lengths = length[which % len(length)][:, None, None]
-    return Cells(
-        (np.concatenate(rows), lengths),
-        which,
-        np.concatenate(start),
-        np.concatenate(end),
-        np.zeros(len(which)),
-    )
+    near = [drone_cable_cells(drones, piece, length, 2.0 * OFF) for piece in range(drones.pieces)]
+    return joined_cells(near)
 
 
 def _within(cells: Cells) -> Cells:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import separation
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError
 from hitchopt.exports.formats.format import Task, pull_of
 from hitchopt.exports.formats.mavsdk_receiver import BLEND, LATE, Receiver
 from hitchopt.hitch import Swarm
@@ -114,16 +114,9 @@ def lead_in(task: Task) -> LeadIn:
     share = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
     lead = LeadIn(rows, duration, share, ground, height, _check(task, share, ground, height))
     if lead.check is not None and not lead.check.holds:
-        c = lead.check
         raise InfeasibleError(
             (
-                Violation(
-                    c.name,
-                    c.worst,
-                    c.limit,
-                    c.sense,
-                    c.unit,
-                    c.where,
+                lead.check.violation(
                     "while the drones rise straight up from the ground to their first places",
                     "begin with the drones beside one another, or choose another format",
                 ),
@@ -141,14 +134,14 @@ def _check(task: Task, share: PiecewisePolynomial, ground: Array, height: Array)
     points[:, :, 2] += height[None, :, None] * share.coefficients
     curves = PiecewisePolynomial(share.breaks, points)
     rising = Motion.single(Swarm(len(ground)), replace(motion.requirements, arena=None), curves, ())
-    found = separation.check(rising)
+    found = separation.RULE.check(rising)
     if found is None:
         return None
     names = motion.team.drone_names
     where = tuple(names[int(drone[1:])] for drone in found.where)
     reach = float(np.max(np.abs(task.room.points(points[[0, -1], ..., 0]))))
     rounding = 2.0 * 3.0**0.5 * DIGITS * reach * float(np.max(motion.requirements.separation.scale))
-    worst = found.worst - rounding
+    worst = found.bound - rounding
     return Check.of(found.name, worst, found.limit, found.sense, found.unit, found.time, where)
 
 

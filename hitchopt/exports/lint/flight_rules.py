@@ -46,7 +46,7 @@ def flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding,
         raise ValueError("a recording without windows")
     pressing = {name: most_pressing(checks) for name, checks in seen.checks.items()}
     worst = {name: check for name, check in pressing.items() if check is not None}
-    values = {name: check.worst for name, check in worst.items()}
+    values = {name: check.bound for name, check in worst.items()}
     flight = Flight(
         float(seen.last.breaks[-1]) - seen.start,
         values.get("speed", math.nan),
@@ -76,7 +76,7 @@ def _broken(worst: Mapping[str, Check]) -> Iterator[Finding]:
             yield error(
                 name,
                 ", ".join(check.where),
-                f"{check.worst:.4g}{unit} at t = {check.time:.4g} s is {relation} "
+                f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
                 f"{check.limit:.4g}{unit}; {REMEDIES.get(name, 'fly it more slowly')}",
             )
 

@@ -103,16 +103,16 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
     finite = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
     requirements = Requirements(Limits(speed=finite[0], acceleration=finite[1]), rules.separation)
     motion = Motion.single(Swarm(len(names)), requirements, window, ())
-    found: dict[str, Check | None] = {"speed": speed.check(motion)}
+    found: dict[str, Check | None] = {"speed": speed.RULE.check(motion)}
     if len(names) > 1 and loaded.together and not at_one_point(seen.first):
-        found["separation"] = separation.check(motion)
+        found["separation"] = separation.RULE.check(motion)
         least = loaded.own.bounds.get(DISTANCE)
         if least is not None:
             apart = replace(requirements, separation=Separation(0.5 * least, 0.5 * least))
             wider = replace(motion, requirements=apart)
-            found[DISTANCE] = _in_metres(separation.check(wider), least)
+            found[DISTANCE] = _in_metres(separation.RULE.check(wider), least)
     if loaded.recording.smooth > 0:
-        found["acceleration"] = acceleration.check(motion)
+        found["acceleration"] = acceleration.RULE.check(motion)
     for name, check in found.items():
         if check is not None:
             seen.checks.setdefault(name, []).append(_renamed(check, names))
@@ -135,7 +135,7 @@ def _in_metres(check: Check | None, least: float) -> Check | None:
     """Return a check of a ratio to the distance ``least`` [m] as one of that distance."""
     if check is None:
         return None
-    return Check.of(DISTANCE, check.worst * least, least, "min", "m", check.time, check.where)
+    return Check.of(DISTANCE, check.bound * least, least, "min", "m", check.time, check.where)
 
 
 def _renamed(check: Check, names: Sequence[str]) -> Check:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.rule import Ease
 from hitchopt.errors import InfeasibleError, Violation
 
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
 
-SPACE = frozenset({"separation", "cable_clearance", "legs", "span", "cable_length"})
-"""What longer legs mend."""
-
-RATES = frozenset({"speed", "acceleration", "jerk", "vertex_speed"})
-"""What going slower, or less far, mends."""
+SPACE, RATES, FORCES = (
+    frozenset(rule.name for rule in RULES if rule.ease is ease)
+    for ease in (Ease.LENGTH, Ease.TIME, Ease.TENSION)
+)
+"""Checks that longer legs, slower or shorter motion, and lower tensions ease."""
 
 TIMES = frozenset({"duration", PLAN_DURATION})
 

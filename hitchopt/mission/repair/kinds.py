@@ -13,7 +13,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.form_records import Form
 from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
-from hitchopt.mission.repair.constraints import RATES, SPACE, TIMES, broken_constraints
+from hitchopt.mission.repair.constraints import FORCES, RATES, SPACE, TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
     with_cables,
     with_outlines_scaled,
@@ -163,7 +163,6 @@ def _named(violations: Sequence[Violation], robots: int) -> list[int]:
 
 def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield lower tensions: of single cables that are named, where they differ, and of all."""
-    covers = frozenset({"thrust", "tilt"})
     tensions = problem.team.tension
     same = bool(np.all(tensions == tensions[0]))
     for k in [] if same else _named(violations, len(tensions)):
@@ -175,7 +174,7 @@ def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kin
             "one tension",
         )
         # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-        yield replace(lowered(one, covers | SPACE | {"crossing"}), family="one tension")
+        yield replace(lowered(one, FORCES | SPACE | {"crossing"}), family="one tension")
     if same:
         yield lowered(
             Quantity(
@@ -184,7 +183,7 @@ def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kin
                 "N",
                 lambda new: with_tensions(problem, np.full(len(tensions), new)),
             ),
-            covers,
+            FORCES,
         )
     else:
         yield lowered(
@@ -195,7 +194,7 @@ def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kin
                 lambda factor: with_tensions(problem, tensions * factor),
                 "all tensions",
             ),
-            covers,
+            FORCES,
         )
 
 

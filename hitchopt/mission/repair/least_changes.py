@@ -11,7 +11,15 @@ import numpy as np
 from hitchopt.errors import Violation
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
-from hitchopt.mission.repair.constraints import PLAN_DURATION, RATES, TIMES, beyond, needed, short
+from hitchopt.mission.repair.constraints import (
+    FORCES,
+    PLAN_DURATION,
+    RATES,
+    TIMES,
+    beyond,
+    needed,
+    short,
+)
 from hitchopt.mission.repair.editing import (
     seconds_of,
     with_arena,
@@ -79,7 +87,7 @@ def time_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Ki
                 partial(with_times, problem, i, step),
                 "times of its points",
             )
-            yield raised(times, RATES | {"thrust", "tilt"})
+            yield raised(times, RATES | FORCES)
             yield lowered(times, frozenset({PLAN_DURATION}))
         given = seconds_of(step)
         if given is None:

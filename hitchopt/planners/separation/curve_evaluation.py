@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.proximity import Bodies, smallest_distance
+from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
 from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING
 from hitchopt.checks.certificate import within
@@ -87,7 +87,7 @@ def _separation(
         unit.breaks,
         Bodies(scaled[:, :, None]),
         None,
-        lambda i, _: np.ones(len(i), dtype=np.bool_),
+        every_pair,
         ROUNDING * size,
         within(1.0, "min", size, 0.5),
     )

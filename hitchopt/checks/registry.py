@@ -1,0 +1,53 @@
+"""All checks, in the order in which a certificate lists them."""
+
+from __future__ import annotations
+
+from hitchopt.checks import (
+    acceleration,
+    arena,
+    cable_clearance,
+    cable_length,
+    continuity,
+    convexity,
+    crossing,
+    duration,
+    equilibrium,
+    interlacing,
+    jerk,
+    keep_out,
+    legs,
+    separation,
+    span,
+    speed,
+    tension,
+    thrust,
+    tilt,
+    vertex_speed,
+)
+
+RULES = (
+    separation.RULE,
+    cable_clearance.RULE,
+    crossing.RULE,
+    speed.RULE,
+    acceleration.RULE,
+    jerk.RULE,
+    vertex_speed.RULE,
+    thrust.RULE,
+    tilt.RULE,
+    legs.RULE,
+    cable_length.RULE,
+    span.RULE,
+    equilibrium.RULE,
+    convexity.RULE,
+    arena.RULE,
+    keep_out.RULE,
+    tension.RULE,
+    continuity.RULE,
+    interlacing.RULE,
+    duration.RULE,
+)
+"""One rule per check; a new check is one file and one line here."""
+
+RULE_OF = {rule.name: rule for rule in RULES}
+"""The rules by name."""

@@ -1,0 +1,130 @@
+"""One rule per check, and what a certificate says where nothing was counted."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from certificate_cases import random_motion
+from free_cases import free_motion, random_flight
+from open_chain_cases import random_chain
+
+from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks.certificate import describe
+from hitchopt.checks.registry import RULE_OF, RULES
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.phases import HITCHED_STATE
+from hitchopt.requirements import Arena
+
+
+def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:
+    assert list(RULE_OF) == [rule.name for rule in RULES]
+    for rule in RULES:
+        assert rule.sense in {"min", "max"}
+        assert rule.remedy
+        seen: set[CableState] = set()
+        for finder in rule.finders:
+            assert finder.states
+            assert seen.isdisjoint(finder.states), rule.name
+            seen |= finder.states
+
+
+def test_certificates_list_the_rules_that_apply_in_the_order_of_the_registry() -> None:
+    order = list(RULE_OF)
+    arena = Arena((-50.0, -50.0, -50.0), (50.0, 50.0, 50.0))
+    for motion in (random_motion(3, 1, arena=arena), free_motion(*random_flight(0))):
+        names = [check.name for check in certify(motion).checks]
+        assert names == sorted(names, key=order.index)
+        assert names == [rule.name for rule in RULES if rule.limit_of(motion) is not None]
+        for check in certify(motion).checks:
+            rule = RULE_OF[check.name]
+            assert (check.unit, check.sense) == (rule.unit, rule.sense)
+
+
+def test_a_new_rule_needs_only_a_finder() -> None:
+    """The worst of a rule is that of all spans in its states, held against its limit."""
+    looked_at: list[tuple[float, float]] = []
+
+    def find(motion: Motion, limit: float) -> Finding:
+        looked_at.append((float(motion.drones.breaks[0]), limit))
+        return Finding(float(motion.drones.breaks[0]), 1.0, ("q0",))
+
+    team, drones = random_flight(2, pieces=5)
+    motion = free_motion(team, drones, formed=(True, False, True, True, False))
+    rule = CheckRule("start", "s", "max", 1e-3, (Finder(find, HITCHED_STATE),))
+    check = rule.check(motion)
+    assert looked_at == [(drones.breaks[0], 1e-3), (drones.breaks[2], 1e-3)]
+    assert check is not None
+    assert (check.worst, check.holds, check.where) == (drones.breaks[2], False, ("q0",))
+    assert rule.check(free_motion(team, drones)) is None
+    assert rule.check(motion, exported=True) is None
+
+
+def test_where_nothing_was_counted_worst_is_null() -> None:
+    """All parts of a chain of two cables share its one clasp: no two of them may cross."""
+    certificate = certify(random_chain(2, 0))
+    check = certificate["crossing"]
+    assert check.worst is None
+    assert check.holds
+    assert check.where == ()
+    assert check.bound == math.inf
+    text = json.dumps(certificate.to_dict(), allow_nan=False)
+    told = {entry["name"]: entry["worst"] for entry in json.loads(text)["checks"]}
+    assert told["crossing"] is None
+    assert sum(worst is None for worst in told.values()) == 1
+    assert Certificate.from_dict(json.loads(text)) == certificate
+    assert certify(random_chain(3, 0))["crossing"].worst is not None
+
+
+@pytest.mark.parametrize("sense", ["min", "max"])
+def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
+    good = math.inf if sense == "min" else -math.inf
+    nothing = Check.of("x", good, 1.0, sense, "m", 2.0, ("q0",))
+    assert (nothing.worst, nothing.holds, nothing.where) == (None, True, ())
+    for bad in (-good, math.nan):
+        check = Check.of("x", bad, 1.0, sense, "m", 2.0, ("q0",))
+        assert not check.holds
+        assert check.worst is not None
+        assert math.isfinite(check.worst)
+        assert check.where == ("q0",)
+        assert "q0" in describe(check)
+    some = Check.of("x", 3.0, 3.0, sense, "m", 0.0, ())
+    assert max((nothing, some), key=lambda each: each.pressure) is some
+
+
+def test_rules_say_what_exports_carry_and_what_eases_them() -> None:
+    hitched = {"separation", "cable_clearance", "cable_length", "speed", "thrust", "tilt"}
+    hitched |= {"arena", "keep_out"}
+    free = hitched - {"cable_length"} | {"crossing", "span"}
+    single = free - {"cable_clearance", "crossing", "span"}
+    for state in CableState:
+        carried = {
+            rule.name
+            for rule in RULES
+            for finder in rule.finders
+            if finder.exported and state in finder.states
+        }
+        formed = state is CableState.HITCHED
+        assert carried == (hitched if formed else single if state is CableState.NONE else free)
+    assert {rule.name: rule.derivative for rule in RULES if rule.derivative} == {
+        "speed": 1,
+        "acceleration": 2,
+        "jerk": 3,
+        "vertex_speed": 1,
+        "thrust": 2,
+        "tilt": 2,
+    }
+    eased = {ease: {rule.name for rule in RULES if rule.ease is ease} for ease in Ease}
+    assert eased[Ease.TIME] == {"speed", "acceleration", "jerk", "vertex_speed"}
+    assert eased[Ease.TENSION] == {"thrust", "tilt"}
+    assert eased[Ease.LENGTH] == {
+        "separation",
+        "cable_clearance",
+        "legs",
+        "span",
+        "cable_length",
+    }
+    whole = {rule.name for rule in RULES if rule.whole}
+    assert whole == {"tension", "continuity", "interlacing", "duration"}
