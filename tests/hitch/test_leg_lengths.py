@@ -182,7 +182,7 @@ def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_ma
         return smallest + margin, gaps[len(pair) :]
 
     def distances(d: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(bodies.offsets(bodies.nodes(d[None])), axis=1)
+        return np.asarray(np.linalg.norm(bodies.offsets(bodies.nodes(d[None])), axis=1))
 
     apart = distances(reference) > 1e-6
     np.testing.assert_allclose(bounds(reference)[0][apart], distances(reference)[apart], atol=1e-6)
