@@ -1,4 +1,4 @@
-"""Leg sharing, against a search over a grid of all sharings."""
+"""Leg lengths, against a search over a grid of all slack splits, and the rows of their program."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,17 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_task import LegTask
+from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
+from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
 
 
 def margins(team: Team, points: np.ndarray, q_legs: np.ndarray) -> np.ndarray:
-    """Smallest distance over its limit of sharings (m, n), written out pair by pair."""
+    """Smallest distance over its limit of leg lengths (m, n), written out pair by pair."""
     n = len(points)
     following = np.roll(points, -1, axis=0)
     u = following - points
@@ -72,7 +75,7 @@ def test_spread_is_balanced_where_balanced_will_do() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 8), st.floats(-3.0, 3.0), st.integers(0, 7))
 @settings(max_examples=15)
-def test_moving_turning_renumbering_and_mirroring_move_the_sharing_along(
+def test_moving_turning_renumbering_and_mirroring_move_the_legs_along(
     seed: int, n: int, angle: float, shift: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -117,7 +120,7 @@ def test_an_arena_pushes_a_leg_back() -> None:
     assert np.max(np.abs(kept.q_legs - free.q_legs)) > 0.05
 
 
-def test_an_arena_too_small_for_any_sharing_still_gives_the_best_one() -> None:
+def test_an_arena_too_small_for_any_legs_still_gives_the_best_one() -> None:
     team = Team(3, 2.4)
     tight = Arena([-9.0, -9.0, 0.0], [9.0, 0.6, 3.0])
     hitch = Hitch.nearest(
@@ -154,3 +157,44 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_made() -> None:
+    rng = np.random.default_rng(4)
+    polygon = random_convex_polygon(5, 1.0, rng).translated([0.3, -0.7])
+    team = Team(5, float(np.max(polygon.edge_lengths)) + rng.uniform(0.6, 0.9, 5))
+    slack = team.cable_length - polygon.edge_lengths
+    reference = slack * rng.uniform(0.35, 0.65, 5)
+    arena = Arena([-9.0, -8.0, 0.0], [7.0, 6.0, 3.0])
+    requirements = Requirements(arena=arena)
+    task = LegTask(team, requirements, polygon.vertices[None], reference[None], 0.15, 1.5)
+    bodies = LegBodies(task, *leg_bounds(task))
+    program = leg_program(task, bodies, reference[None])
+    pair, _, _ = end_combinations(bodies.kind, bodies.first, bodies.second)
+    margin = np.where(bodies.kind == CROSSING, 1.005, 1.5) * bodies.limits[bodies.kind]
+    count = len(bodies.kind)
+    assert set(bodies.kind.tolist()) == {SEPARATION, CABLE, CROSSING}
+
+    def bounds(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gaps = np.asarray(program.A @ np.append(d, [0.0, 0.0])) - program.lower
+        smallest = np.full(count, np.inf)
+        np.minimum.at(smallest, pair, gaps[: len(pair)])
+        return smallest + margin, gaps[len(pair) :]
+
+    def distances(d: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.norm(bodies.offsets(bodies.nodes(d[None])), axis=1))
+
+    apart = distances(reference) > 1e-6
+    np.testing.assert_allclose(bounds(reference)[0][apart], distances(reference)[apart], atol=1e-6)
+    for _ in range(5):
+        d = slack * rng.uniform(0.2, 0.8, 5)
+        assert np.all(bounds(d)[0] <= distances(d) + 1e-6)
+        x = Hitch(team, polygon, 1.0, d).drones[:, :2]
+        room = np.concatenate([*(x - arena.lower[:2]).T, *(arena.upper[:2] - x).T])
+        np.testing.assert_allclose(bounds(d)[1], room, atol=1e-9)
+    slacks = program.A.toarray()[:, -2:]
+    crossing = bodies.kind[pair] == CROSSING
+    expected = np.where(crossing, [[0.0], [1.0]], [[1.0], [0.0]]).T
+    expected *= bodies.limits[bodies.kind[pair]][:, None]
+    np.testing.assert_array_equal(slacks[: len(pair)], expected)
+    np.testing.assert_array_equal(slacks[len(pair) :], np.tile([0.0, 1.0], (len(room), 1)))
