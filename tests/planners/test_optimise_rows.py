@@ -222,8 +222,8 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     start, end = ends(Team(4, [2.4, 2.5, 2.6, 2.4]), first, last)
     way = KnotPath.through("turned", start, end, guesses(first, last, 6)[1].polygons)
     columns, places = columns_of(4), instants(5, 4)
-    columns = np.concatenate([columns.q_legs, columns.r_legs])
-    legs, at_knots = (w[:, columns] for w in (way.at(places / 5.0).table(), way.table()))
+    both = np.concatenate([columns.q_legs, columns.r_legs])
+    legs, at_knots = (w[:, both] for w in (way.at(places / 5.0).table(), way.table()))
     limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
     bounds = search(
         None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
@@ -283,7 +283,8 @@ def test_rows_at_knots_are_the_slopes_of_distances_along_their_normals() -> None
     def apart(x: np.ndarray) -> np.ndarray:
         nodes = x.reshape(inner.shape)[:, columns.nodes]
         frame = others.frame[pair]
-        return np.sum(others.normal[pair] * (nodes[frame, a] - nodes[frame, b]), axis=1)
+        apart = others.normal[pair] * (nodes[frame, a] - nodes[frame, b])
+        return np.asarray(np.sum(apart, axis=1))
 
     x, direction = inner.ravel(), rng.normal(size=inner.size)
     slope = (apart(x + 1e-4 * direction) - apart(x - 1e-4 * direction)) / 2e-4
@@ -310,7 +311,7 @@ def test_the_static_tension_is_where_drones_that_carry_their_cables_reach_a_limi
     largest = static_tension(team, tilt)
     assert largest[0] != largest[1]  # the longer cable weighs more
     for k in range(4):
-        same = replace(team, tension=float(largest[k]))
+        same = replace(team, tension=np.full(4, largest[k]))
         hitch = ho.Hitch.balanced(same, regular_polygon(4, 1.2))
         thrust = loads_at_rest(same, hitch.cable_forces)[2 * k : 2 * k + 2]
         level = np.hypot(thrust[:, 0], thrust[:, 1])

@@ -23,9 +23,9 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
     Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them.
     """
     parts = [_on_piece(path, i) for i in range(path.vertices.pieces)]
-    curves = [joined(list(kind)) for kind in zip(*parts, strict=True)]
-    tensions = PiecewisePolynomial.constant(curves[0].breaks, path.team.tension)
-    return Flight(*curves, tensions).lasting(seconds)
+    drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
+    tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
+    return Flight(drones, vertices, legs, tensions).lasting(seconds)
 
 
 def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
@@ -34,7 +34,7 @@ def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
     own = ShapePath(path.team, track, path.legs)
     count = 1
     while True:
-        breaks = np.linspace(*track.breaks, count + 1)
+        breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
         parts = [polynomials_through(breaks, jets) for jets in path_jets(own, breaks)[:3]]
         probes = (breaks[:-1, None] + np.diff(breaks)[:, None] * PROBES).reshape(-1)
         drones, _, legs = (

@@ -54,7 +54,7 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
     The solver's status proves no more than that: distances are measured on the path.
     """
     left = time_left()
-    options = {
+    options: dict[str, int | float | str] = {
         "print_level": 0,
         "sb": "yes",
         "max_iter": program.iterations,
@@ -63,7 +63,7 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
     solver = ca.nlpsol(
-        "path", "ipopt", program.expressions, {"print_time": False, "ipopt": options}
+        "path", "ipopt", {**program.expressions}, {"print_time": False, "ipopt": options}
     )
     _LAST.append(solver)
     with answered_later():

@@ -30,8 +30,8 @@ class Draft:
 
     def bound(self, value: ca.MX, least: Array | float, most: Array | float) -> None:
         """Add rows that keep values (a column) between their bounds."""
-        ends = (np.broadcast_to(np.float64(end), value.numel()) for end in (least, most))
-        self._rows.append((value, *ends))
+        lower, upper = (np.zeros(value.numel()) + end for end in (least, most))
+        self._rows.append((value, lower, upper))
 
     def soft_bound(self, value: ca.MX, least: Array, now: Array, weight: float) -> None:
         """Add rows that keep values (a column) above their bounds, softly where they are not now.
