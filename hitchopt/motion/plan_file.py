@@ -163,10 +163,8 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         assignment = _assignment(**settings["assignment"]) if "assignment" in settings else None
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
     spans = [[phase.start, phase.end] for phase in phases]
-    apart = [float(motion.drones.breaks[0])]
-    if spans:  # that they follow one another is verified already
-        apart += [spans[0][0], spans[-1][1] - motion.duration]
-    if not spans or max(map(abs, apart)) > JOINT:
+    # A motion has verified that they follow one another and cover the pieces.
+    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
     return motion

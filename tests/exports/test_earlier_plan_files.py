@@ -11,7 +11,7 @@ import pytest
 
 from hitchopt.errors import FileError
 from hitchopt.motion.motion import CableState
-from hitchopt.motion.plan_file import read_plan, read_title
+from hitchopt.motion.plan_file import read_plan, read_title, write_plan
 
 LIMITS = {
     "speed": 1.1,
@@ -168,6 +168,24 @@ def test_single_drones_come_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(prism.polygon.vertices, outline)
     assert (prism.lower, prism.upper) == (0.1, 2.0)
     np.testing.assert_array_equal(motion.drones.coefficients, drones)
+
+
+def test_an_earlier_plan_that_is_written_again_is_the_same(tmp_path: Path) -> None:
+    outline = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+    walls = [{"polygon": outline, "lower": 0.1, "upper": 2.0}]
+    before = read_plan(hitch_file(tmp_path / "before.npz", keep_out=walls))
+    write_plan(tmp_path / "plan.npz", before, "again")
+    after = read_plan(tmp_path / "plan.npz")
+    assert read_title(tmp_path / "plan.npz") == "again"
+    assert after.phases == before.phases
+    assert after.assignment == before.assignment
+    assert before.assignment is not None
+    assert after.leg_tensions is not None
+    assert before.leg_tensions is not None
+    np.testing.assert_array_equal(after.leg_tensions.coefficients, before.leg_tensions.coefficients)
+    (prism,) = after.requirements.keep_out
+    np.testing.assert_array_equal(prism.polygon.vertices, outline)
+    assert (prism.lower, prism.upper) == (0.1, 2.0)
 
 
 def changed(**keys: Any) -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ import pytest
 from exported_plans import exported, hitch_plan, long_plan, swarm_plan
 
 from hitchopt.errors import FileError
+from hitchopt.exports import recording
 from hitchopt.exports.formats.mavsdk_lead_in import SPEED
 from hitchopt.exports.formats.poly_csv import write_poly_csv
 from hitchopt.exports.formats.registry import HOMES, format_of
@@ -110,6 +111,17 @@ def test_velocity_that_jumps_is_a_warning(tmp_path: Path) -> None:
     assert found.sound
     assert rules_of(found, WARNING) == {"jump", "end"}  # and it ends at -0.5 m/s
     assert found.flight.jumps[1] == pytest.approx(1.0)
+
+
+def test_jumps_between_windows_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    polys(tmp_path, ([1.0, 1.0, 1.0], [[0.0, 0.5], [0.8, 0.5], [1.3, 0.5]]))
+    whole = report(tmp_path)
+    monkeypatch.setattr(recording, "WINDOW", 1)
+    found = report(tmp_path)
+    assert found.flight.jumps == whole.flight.jumps
+    assert found.flight.jumps[0] == pytest.approx(0.3)
+    (jump,) = (f for f in found.findings if f.rule == "jump")
+    assert "t = 1 s" in jump.message
 
 
 def test_yaw_that_jumps_is_a_warning(tmp_path: Path) -> None:

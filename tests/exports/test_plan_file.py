@@ -315,6 +315,7 @@ def test_whether_the_hitch_is_formed_comes_back(motion: Motion, tmp_path: Path) 
         [[0.0, 0.5], [0.6, 1.0]],
         [[0.0, 0.6], [0.5, 1.0]],
         [[-0.5, 1.0]],
+        [[0.5, 1.0]],
         [[0.0, 1.5]],
         [],
     ],
@@ -333,6 +334,12 @@ def test_phases_cover_the_plan_once(motion: Motion, path: Path, spans: list[list
     result = CliRunner().invoke(main, ["check", str(path.parent)])
     assert result.exit_code == 2
     assert "phases = [" in result.output
+
+
+def test_breaks_begin_at_zero(path: Path) -> None:
+    rewritten(path, lambda arrays: arrays.update(breaks=arrays["breaks"] + 0.5))
+    with pytest.raises(FileError, match=r"phases = \["):
+        read_plan(path)
 
 
 def test_formed_is_yes_or_no(path: Path) -> None:

@@ -10,6 +10,7 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
@@ -67,6 +68,24 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
         np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
     others = motion.spans(FREE_STATES)
     assert sum(s.duration for s in (*spans, *others)) == pytest.approx(motion.duration)
+
+
+def test_slowed_motions_take_longer_with_all_of_their_phases() -> None:
+    motion = resting((True, False, True, True))
+    slow = motion.slowed(1.5)
+    np.testing.assert_allclose(slow.drones.breaks, 1.5 * BREAKS)
+    for phase, before in zip(slow.phases, motion.phases, strict=True):
+        assert phase == replace(before, start=1.5 * before.start, end=1.5 * before.end)
+    for name in ("vertices", "legs", "tensions"):
+        np.testing.assert_array_equal(getattr(slow, name).breaks, slow.drones.breaks)
+
+
+def test_cut_motions_begin_at_zero_with_the_phases_that_they_overlap() -> None:
+    motion = resting((True, False, True, True))
+    part = cut(motion, 1, 3)
+    np.testing.assert_allclose(part.drones.breaks, [0.0, 0.75, 1.5])
+    assert [phase.name for phase in part.phases] == ["part 1", "part 2"]
+    assert [(phase.start, phase.end) for phase in part.phases] == [(0.0, 0.75), (0.75, 1.5)]
 
 
 def broken(motion: Motion) -> set[str]:
