@@ -178,7 +178,10 @@ def test_documents_name_files_that_exist() -> None:
     named = {
         (document.name, path)
         for document in documents
-        for path in re.findall(r"`((?:hitchopt|tests|problems)/[\w./]*)`", document.read_text())
+        for path in re.findall(
+            r"`((?:hitchopt|tests|problems)/[\w./]*)`", document.read_text("utf-8")
+        )
     }
     assert len(named) > 10
-    assert not [entry for entry in sorted(named) if not (root / entry[1]).exists()]
+    missing = [" names ".join(entry) for entry in sorted(named) if not (root / entry[1]).exists()]
+    assert not missing, "\n".join(missing)
