@@ -284,9 +284,9 @@ def test_a_result_after_a_listener_has_raised_is_not_remembered() -> None:
 
     def work(progress: Progress | None) -> float:
         done.append(progress)
+        assert progress is not None
         with pytest.raises(TimeoutError):
-            if progress is not None:
-                progress("at work")
+            progress("at work")
         return 1.0
 
     def ends(message: str) -> None:
