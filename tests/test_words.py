@@ -41,6 +41,9 @@ HOOKS = frozenset(
 )
 """Methods that a library calls by their names."""
 
+CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"
+"""Strings that name a class or type, with or without its module."""
+
 
 @cache
 def tree(path: Path) -> ast.Module:
@@ -150,14 +153,14 @@ def _names(target: ast.expr) -> Iterator[ast.Name]:
 
 
 def used(path: Path) -> Iterator[str]:
-    """The names that a module reads, in strings such as ``module:Class`` too; not its imports."""
+    """The names that a module reads, in strings such as ``module:Class`` too; not imports."""
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id
         elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
             yield node.attr
-        elif isinstance(node, ast.Constant) and re.fullmatch(r"[\w.]+:\w+", str(node.value)):
-            yield str(node.value).partition(":")[2]
+        elif isinstance(node, ast.Constant) and re.fullmatch(CLASS_NAME, str(node.value)):
+            yield str(node.value).rpartition(":")[2]
 
 
 def test_nothing_public_is_unused_by_the_package() -> None:

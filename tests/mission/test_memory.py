@@ -269,6 +269,34 @@ def problem_from_swarm() -> ho.SwarmProblem:
     return found
 
 
+def test_what_was_used_last_is_dropped_last() -> None:
+    memory = Memory(max_outcomes=2)
+    for key in (b"a", b"b"):
+        memory.store(key, (key,))
+    assert memory.recall(b"a") == (b"a",)
+    memory.store(b"c", (b"c",))
+    assert memory.recall(b"b") is None
+    assert memory.recall(b"a") == (b"a",)
+
+
+def test_a_result_after_a_listener_has_raised_is_not_remembered() -> None:
+    done = []
+
+    def work(progress: Progress | None) -> float:
+        done.append(progress)
+        assert progress is not None
+        with pytest.raises(TimeoutError):
+            progress("at work")
+        return 1.0
+
+    def ends(message: str) -> None:
+        raise TimeoutError(message)
+
+    found = remembered(work, Memory())
+    assert [found(ends), found(ends)] == [1.0, 1.0]
+    assert len(done) == 2
+
+
 def test_the_variable_turns_it_off_at_any_time(monkeypatch: pytest.MonkeyPatch) -> None:
     counted = Counted()
     counted()
