@@ -26,7 +26,7 @@ MAX_SAMPLES = 50_000_000
 """More are refused before any memory is spent on them."""
 
 TIME_TOLERANCE = 1e-9
-"""[s] By how much a time may lie outside the plan: the rounding of sums of durations."""
+"""[s] Largest distance of a time from the plan: the rounding of sums of durations."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ RADIOED = 32.767
 """[m] Largest coordinate in formats of whole millimetres in 16 bits."""
 
 WATCHDOG = 0.5
-"""[s] Without a setpoint for so long a Crazyflie levels itself."""
+"""[s] Longest gap between setpoints before a Crazyflie levels itself."""
 
 SLOWEST = 30.0
 """[Hz] Lowest rate at which full states are usefully streamed."""

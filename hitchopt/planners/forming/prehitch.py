@@ -68,7 +68,7 @@ class PreHitch:
 
     @property
     def drones(self) -> Array:
-        """(2n, 3) [m]: before and after the swaps."""
+        """(2n, 3) [m]: places of the drones before and after the swaps."""
         return self.turns.drones(np.asarray(0.0))
 
 

@@ -131,7 +131,7 @@ class _Clasps:
 
     @cached_property
     def upright(self) -> Array:
-        """(J, clasps, 2) [rad]: between the legs and V, without friction."""
+        """(J, clasps, 2) [rad]: angles between the legs and V, without friction."""
         return self._angles(np.zeros_like(self.tensions))
 
     @property

@@ -58,7 +58,7 @@ class Grid:
 
     @cached_property
     def extraction(self) -> Array:
-        """(pieces, DEGREE + 1, DEGREE + 1): from a piece's coefficients to Bernstein ones.
+        """(pieces, DEGREE + 1, DEGREE + 1): maps a piece's coefficients to Bernstein ones.
 
         Piece m is shaped by the spline's coefficients m … m + DEGREE.
         """
@@ -84,7 +84,7 @@ class Grid:
 
     @cached_property
     def rates(self) -> tuple[Array, Array, Array]:
-        """(count - k, count) for k = 1, 2, 3: to the spline coefficients of the k-th derivative.
+        """(count - k, count) for k = 1, 2, 3: maps to the spline coefficients of the k-th derivative.
 
         A derivative lies within the hull of its coefficients.
         """

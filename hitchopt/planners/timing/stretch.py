@@ -79,7 +79,7 @@ def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
 
 @lru_cache
 def _spans(order: int) -> Array:
-    """(SPANS · ENCLOSING, order + 1): from coefficients on a piece to those on its spans."""
+    """(SPANS · ENCLOSING, order + 1): maps coefficients on a piece to those on its spans."""
     same = bernstein.elevate(np.eye(order + 1), ENCLOSING - 1)[:, None]
     starts = np.arange(SPANS) / SPANS
     spans: Array = bernstein.restrict(same, starts, starts + 1.0 / SPANS)
