@@ -55,7 +55,7 @@ RESTING_SAMPLE = 0.01
 REPORT_PERIOD = 50
 """Setpoints between two calls of ``progress``."""
 
-STANDING = BODY_HALF_HEIGHT + 0.005
+REST_HEIGHT = BODY_HALF_HEIGHT + 0.005
 """Height of the centre of a drone on the ground [m]."""
 
 
@@ -105,7 +105,7 @@ class _Run:
         ropes = ropes_of(team, settings, lengths)
         ground = settings.ground
         if ground is None:  # at 0, or such that even the lowest drone stands above it
-            ground = min(0.0, float(np.min(self._setpoints.positions[..., 2])) - STANDING)
+            ground = min(0.0, float(np.min(self._setpoints.positions[..., 2])) - REST_HEIGHT)
         world = World(ropes, team.mass, rigid=settings.body == "rigid", ground=ground)
         start = self._setpoints.positions[0] + self._disturbances.start_offset
         if task.formed[0]:

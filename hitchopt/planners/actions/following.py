@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 SAME_PLACE = 1e-6
 """[m] Largest distance of a point at t = 0 from the vertex."""
 
-STANDING = 1e-9
+STILL = 1e-9
 """[m] Distance of consecutive points below which the vertex stands still."""
 
 
@@ -68,16 +68,16 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    standing = gaps < STANDING
-    # A stretch ends where standing begins or ends.
-    changes = np.flatnonzero(standing[1:] | standing[:-1]) + 1
+    still = gaps < STILL
+    # A stretch ends where the vertex stops or starts.
+    changes = np.flatnonzero(still[1:] | still[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
     coefficients = np.empty((len(gaps), places.shape[1], 6))
     still = np.zeros(places.shape[1])
     rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
     for first, last in pairwise(bounds):
         span = slice(first, last)
-        if standing[first]:
+        if still[first]:
             coefficients[span] = places[span, :, None]
             continue
         knots = times[first : last + 1]
