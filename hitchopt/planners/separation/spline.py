@@ -84,7 +84,7 @@ class Grid:
 
     @cached_property
     def rates(self) -> tuple[Array, Array, Array]:
-        """Matrices (count - k, count), k = 1, 2, 3, to the spline coefficients of the k-th derivative.
+        """Matrices (count - k, count), k = 1, 2, 3, to coefficients of the k-th derivative.
 
         A derivative lies within the hull of its coefficients.
         """
