@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
 from hitchopt.errors import FileError
 from hitchopt.exports.directory import PLAN, SUMMARY, save_plan
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export
-from hitchopt.exports.options import Wish, export_motion
+from hitchopt.exports.plan_export import export_motion
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_title
 from hitchopt.motion.states import States, states_at
@@ -88,19 +89,7 @@ class Plan:
         )
 
     def export(
-        self,
-        format: str,
-        folder: Path | str,
-        *,
-        frame: str | None = None,
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
-        yaw: float = 0.0,
-        fleet: Path | str | None = None,
-        rate: float | None = None,
-        stretch: float = 1.0,
-        storage: str = "mcap",
-        ros_distro: str = "humble",
-        progress: Progress | None = None,
+        self, format: str, folder: Path | str, *, progress: Progress | None = None, **options: Any
     ) -> tuple[Export, ...]:
         """Write the plan as a fleet reads it; return what was written, one entry per part.
 
@@ -111,16 +100,18 @@ class Plan:
         format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
             parquet, npz or json.
         folder: made if it is missing; only files of an earlier export there are replaced.
-        frame: enu, nwu or ned; None for the format's usual one.
-        origin: where the plan's origin lies in the room, east, north and up (3,) [m].
-        yaw: how far the plan is turned there, counter-clockwise from above [rad].
-        fleet: a fleet file; None calls the drones as the plan does.
-        rate: samples a second [Hz], where the format samples; None for its usual rate.
-        stretch: how many times as slowly to fly, from 1 on.
-        storage: of a bag, mcap or sqlite3.
-        ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones read
-            bags for earlier ones.
         progress: called with what is being done now.
+        options: the keywords of ``ExportOptions``, all optional.
+
+            - frame: enu, nwu or ned; None for the format's usual one.
+            - origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
+            - yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
+            - fleet: path of a fleet file; None calls the drones as the plan does.
+            - rate: samples a second [Hz], where the format samples; None for its usual rate.
+            - stretch: factor of all durations, from 1 on.
+            - storage: storage format of a bag, mcap or sqlite3.
+            - ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones
+              read bags for earlier ones.
 
         Raises
         ------
@@ -129,8 +120,8 @@ class Plan:
             the plan, or it loses a limit; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage, ros_distro)
-        return export_motion(self.motion, self.title, wish, folder, progress)
+        chosen = ExportOptions(format, **options)
+        return export_motion(self.motion, self.title, chosen, folder, progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.

@@ -1,7 +1,7 @@
-"""What was exported, held against the plan: errors and certificate of the numbers in the files.
+"""Verification of exported numbers against the plan: their errors and their certificate.
 
-The drones are those that the files say, after rounding; vertices, legs and tensions are the plan's.
-So every ``worst`` speaks of what is flown, for all t, in the same way as the plan's certificate.
+Drones are read from the files, after rounding; vertices, legs and tensions are the plan's. So every
+``worst`` bounds what is flown, for all t, as in the plan's certificate.
 """
 
 from __future__ import annotations
@@ -26,61 +26,45 @@ from hitchopt.checks import (
 from hitchopt.checks.bounds import hanging_clearance, hanging_crossing
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
-from hitchopt.checks.certificate import Check, most_pressing
-from hitchopt.errors import FileError
-from hitchopt.exports.frame import Room
+from hitchopt.checks.certificate import Certificate, Check, most_pressing
+from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
+from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Extremum, largest
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 CABLE_LENGTH = 1e-3
-"""Relative: what files that hold millimetres can keep of a plan's 1e-4."""
+"""Relative limit of files that hold millimetres; a plan keeps 1e-4."""
 
 FLOOR = 1e-4
-"""[m] By which exported curves may pass a wall, as those of a drone at rest on it do."""
+"""Tolerance of walls [m]: rounded and interpolated curves pass a floor that drones rest on."""
 
-DRONES: dict[str, Callable[[Motion], Check | None]] = {
-    "separation": separation.check,
-    "speed": speed.check,
-    "thrust": thrust.check,
-    "tilt": tilt.check,
-    "arena": arena.check,
-    "keep_out": keep_out.check,
+RELAXED = {"cable_length": CABLE_LENGTH, "arena": -FLOOR}
+"""Limits of files instead of the plan's; that of the arena where the plan's own is broken."""
+
+CHECKS: dict[str, dict[bool | None, Callable[[Motion], Check | None]]] = {
+    "separation": {None: separation.check},
+    "cable_clearance": {True: cable_clearance.check, False: hanging_clearance.check},
+    "crossing": {False: hanging_crossing.check},
+    "speed": {None: speed.check},
+    "thrust": {None: thrust.check},
+    "tilt": {None: tilt.check},
+    "arena": {None: arena.check},
+    "keep_out": {None: keep_out.check},
+    "cable_length": {True: cable_length.check},
+    "span": {False: span.check},
 }
-
-HITCH: dict[str, Callable[[Motion], Check | None]] = {
-    "cable_clearance": cable_clearance.check,
-    "cable_length": cable_length.check,
-}
-"""While the hitch exists."""
-
-FREE: dict[str, Callable[[Motion], Check | None]] = {
-    "cable_clearance": hanging_clearance.check,
-    "crossing": hanging_crossing.check,
-    "span": span.check,
-}
-"""While the cables hang free."""
-
-ORDER = (
-    "separation",
-    "cable_clearance",
-    "crossing",
-    "speed",
-    "thrust",
-    "tilt",
-    "arena",
-    "keep_out",
-    "cable_length",
-    "span",
-)
-"""The checks of what is flown, as they are listed."""
+"""Checks of what is flown: of the drones alone (None), while the hitch exists (True), or while the
+cables hang free (False)."""
 
 NEED_ACCELERATION = ("thrust", "tilt")
-"""Checks that straight lines between samples say nothing of."""
+"""Checks that straight lines between samples say nothing about."""
+
+SLOWER_HELPS = ("speed", "thrust", "tilt")
+"""Checks that a slower flight eases."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
@@ -93,13 +77,13 @@ NOT_CARRIED = {
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far exported curves are from the plan's, at most over all of the time.
+    """The largest distance of exported curves from the plan's over all of the time.
 
     Attributes
     ----------
     worst: [m] or [m/s], a bound for all t.
     time: [s], where it is about attained.
-    drone: whose.
+    drone: name of the drone.
     """
 
     worst: float
@@ -109,13 +93,13 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be said of exported numbers.
+    """Errors and checks of exported numbers.
 
     Attributes
     ----------
-    duration: of what is flown [s].
+    duration: duration of what is flown [s].
     position, velocity: deviations from the plan [m], [m/s].
-    checks: those of ORDER that the format carries.
+    checks: those of CHECKS that the format carries.
     not_carried: what the format cannot carry, in words.
     """
 
@@ -127,18 +111,53 @@ class Verdict:
 
     @property
     def lost(self) -> tuple[Check, ...]:
-        """The checks that do not hold."""
+        """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
+    def violations(self, certificate: Certificate, accuracy: float) -> tuple[Violation, ...]:
+        """Return what is lost, each limit with the value that the plan keeps of it.
 
-def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]) -> Verdict:
+        Parameters
+        ----------
+        certificate: the plan's certificate.
+        accuracy: largest position error [m].
+        """
+        planned = {check.name: check for check in certificate.checks}
+        found = [_violation(check, planned[check.name]) for check in self.lost]
+        worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
+        if worst > accuracy:
+            remedy = "choose another format, such as csv, or a higher --rate where it samples"
+            where = (self.position.drone,)
+            error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
+            found.append(error)
+        return tuple(found)
+
+
+def _violation(check: Check, planned: Check) -> Violation:
+    c, lost = check, abs(check.worst - planned.worst)
+    unit = "" if c.unit in {"1", "ratio"} else f" {c.unit}"
+    when = (
+        f"at t = {c.time:.4g} s (the plan keeps {planned.worst:.6g}{unit}, "
+        f"the export loses {lost:.3g}{unit})"
+    )
+    remedy = (
+        "fly it slower with --stretch, plan below the limit, or choose another format"
+        if c.name in SLOWER_HELPS
+        else "plan with a wider margin there, or choose another format"
+    )
+    return Violation(c.name, c.worst, c.limit, c.sense, c.unit, c.where, when, remedy)
+
+
+def verify(
+    motion: Motion, recording: Recording, frame: ReferenceFrame, names: Sequence[str]
+) -> Verdict:
     """Return errors and checks of a recording that stands for the plan ``motion``.
 
     Parameters
     ----------
     motion: the plan, from t = 0 on.
     recording: what files say.
-    room: where the plan lies in their frame.
+    frame: where the plan lies in their axes.
     names: (D,) what the files call the plan's drones, in its order.
 
     Raises
@@ -146,9 +165,9 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
     FileError: drones that are not the plan's, or less than all of its time.
     """
     index = _order(recording, names)
-    carried = [name for name in ORDER if recording.smooth > 0 or name not in NEED_ACCELERATION]
-    results: dict[str, list[Check]] = {name: [] for name in carried}
-    deviations: tuple[list[Deviation], list[Deviation]] = ([], [])
+    carried = [name for name in CHECKS if recording.smooth > 0 or name not in NEED_ACCELERATION]
+    checks: list[list[Check]] = [[] for _ in carried]
+    deviations: list[tuple[Deviation, Deviation]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -156,38 +175,26 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
         end = float(window.breaks[-1])
         curves = PiecewisePolynomial(window.breaks, window.coefficients[:, index])
         planned = _planned(motion, window.breaks)
-        flown = on_breaks(room.in_plan(curves), planned.drones.breaks)
-        for found, deviation in zip(
-            deviations, _deviations(flown, planned.drones, motion.team.drone_names), strict=True
-        ):
-            found.append(deviation)
-        judged = replace(planned, drones=flown)
-        for name in carried:
-            results[name] += _checked(name, judged)
+        flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
+        deviations.append(_deviations(flown, planned.drones, motion.team.drone_names))
+        exported = replace(planned, drones=flown)
+        for name, results in zip(carried, checks, strict=True):
+            results.extend(checks_of(name, exported))
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    worst = [most_pressing(checks) for checks in results.values()]
-    return Verdict(
-        end,
-        max(deviations[0], key=lambda d: d.worst),
-        max(deviations[1], key=lambda d: d.worst),
-        tuple(check for check in worst if check is not None),
-        NOT_CARRIED[recording.smooth],
+    position, velocity = (
+        max(each, key=lambda d: d.worst) for each in zip(*deviations, strict=True)
     )
-
-
-def flown_checks(motion: Motion) -> dict[str, Check]:
-    """Return the checks of ORDER of the plan itself, by name."""
-    found = {name: most_pressing(_checked(name, motion)) for name in ORDER}
-    return {name: check for name, check in found.items() if check is not None}
+    worst = tuple(check for check in map(most_pressing, checks) if check is not None)
+    return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
 
 
 def _order(recording: Recording, names: Sequence[str]) -> NDArray[np.intp]:
     where = {name: i for i, name in enumerate(recording.names)}
     missing = [name for name in names if name not in where]
     if missing or len(where) != len(names):
-        told = f"{missing[0]} is missing" if missing else "there are more of them"
-        raise FileError(f"its drones are not those of the plan: {told}")
+        reason = f"{missing[0]} is missing" if missing else "there are more of them"
+        raise FileError(f"its drones are not those of the plan: {reason}")
     return np.array([where[name] for name in names], dtype=np.intp)
 
 
@@ -223,30 +230,18 @@ def _deviations(
     return named(position), named(velocity)
 
 
-def _checked(name: str, motion: Motion) -> list[Check]:
-    if name in DRONES:
-        check = DRONES[name](motion)
-        if check is None:
-            return []
-        return [_grounded(check)] if name == "arena" else [check]
+def checks_of(name: str, motion: Motion) -> list[Check]:
+    """Return the results of one of CHECKS, one for every span in which it applies."""
     found = [
-        checks[name](run)
-        for checks, formed in ((HITCH, True), (FREE, False))
-        if name in checks
-        for run in motion.spans(formed=formed)
+        check(run)
+        for formed, check in CHECKS[name].items()
+        for run in ((motion,) if formed is None else motion.spans(formed=formed))
     ]
-    checks = [check for check in found if check is not None]
-    return [_loosened(c) if name == "cable_length" else c for c in checks]
+    return [_relaxed(check) for check in found if check is not None]
 
 
-def _grounded(check: Check) -> Check:
-    """Who lands on the floor of an arena is written, and interpolated, to within FLOOR of it."""
+def _relaxed(check: Check) -> Check:
     c = check
-    if c.holds:
+    if c.name not in RELAXED or (c.name == "arena" and c.holds):
         return c
-    return Check.of(c.name, c.worst, -FLOOR, c.sense, c.unit, c.time, c.where)
-
-
-def _loosened(check: Check) -> Check:
-    c = check
-    return Check.of(c.name, c.worst, CABLE_LENGTH, c.sense, c.unit, c.time, c.where)
+    return Check.of(c.name, c.worst, RELAXED[c.name], c.sense, c.unit, c.time, c.where)

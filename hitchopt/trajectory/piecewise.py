@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import factorial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import bernstein
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 
@@ -89,6 +93,14 @@ class PiecewisePolynomial:
                     bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
                 )
         return cls(times, coefficients)
+
+    @classmethod
+    def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
+        """Return scipy's spline of values (*shape) over the span on which its basis is complete."""
+        k = spline.k
+        breaks = np.unique(spline.t[k : len(spline.t) - k])
+        x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(k)
+        return cls(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
 
     @property
     def pieces(self) -> int:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
@@ -151,3 +152,18 @@ def test_a_jet_is_the_derivatives_one_by_one() -> None:
     assert np.all(some(1).jet(t, 3)[..., 2] == 0.0)
     with pytest.raises(InputError, match="within"):
         part.jet(2.4, 2)
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+def test_splines_are_the_same_functions(degree: int) -> None:
+    x = np.array([0.5, 0.7, 1.1, 1.9, 2.0, 2.4, 3.0])
+    values = np.random.default_rng(5).normal(size=(len(x), 2, 3))
+    spline = make_interp_spline(x, values, k=degree)
+    part = PiecewisePolynomial.from_spline(spline)
+    assert (part.degree, part.shape) == (degree, (2, 3))
+    np.testing.assert_array_equal(part.breaks, np.unique(spline.t))
+    t = np.linspace(0.5, 3.0, 50)
+    for order in range(3):
+        np.testing.assert_allclose(part.at(t, order), spline(t, order), rtol=1e-9, atol=1e-9)
+    inner = BSpline(np.arange(10.0), np.eye(6), 3)  # its basis is complete from 3 to 6 only
+    np.testing.assert_array_equal(PiecewisePolynomial.from_spline(inner).breaks, [3, 4, 5, 6])

@@ -14,9 +14,8 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.formats.compressed import read_bytes
 from hitchopt.exports.formats.compressed_bytes import LARGEST, LONGEST, MILLI, decoded
-from hitchopt.exports.formats.memory_budget import BYTES
+from hitchopt.exports.formats.crazyflie_memory import BYTES
 from hitchopt.exports.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.exports.frame import AXES
 from hitchopt.exports.lint.findings import (
     ERROR,
     FARTHEST,
@@ -27,6 +26,7 @@ from hitchopt.exports.lint.findings import (
     Loaded,
 )
 from hitchopt.exports.recording import recording_of_curves
+from hitchopt.exports.reference_frame import AXES
 from hitchopt.requirements import Separation
 
 Array = NDArray[np.float64]

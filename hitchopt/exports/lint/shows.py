@@ -166,7 +166,7 @@ def table_file(path: Path) -> Loaded:
     kind = path.suffix.lower().removeprefix(".")
     if kind == "csv":
         from hitchopt.exports.formats.csv_table import read_csv
-        from hitchopt.exports.frame import AXES
+        from hitchopt.exports.reference_frame import AXES
 
         frame = path.stem.rpartition("_")[2]
         recording = read_csv(path, frame if frame in AXES else "")

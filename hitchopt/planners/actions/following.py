@@ -13,7 +13,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import legs_kept_by_vertex, vertex_movers
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     coefficients = np.empty((len(gaps), places.shape[1], 6))
     still = np.zeros(places.shape[1])
     rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
-    x = bernstein.nodes(5)
     for first, last in pairwise(bounds):
         span = slice(first, last)
         if standing[first]:
@@ -88,8 +87,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
             k=5,
             bc_type=(rest, rest),  # type: ignore[arg-type]
         )
-        at = knots[:-1, None] - knots[0] + np.diff(knots)[:, None] * x
-        coefficients[span] = bernstein.interpolate(np.moveaxis(spline(at), 1, -1))
+        coefficients[span] = PiecewisePolynomial.from_spline(spline).coefficients
         coefficients[span, :, 0] = places[first:last]
         coefficients[span, :, -1] = places[first + 1 : last + 1]
     return PiecewisePolynomial(times, coefficients)

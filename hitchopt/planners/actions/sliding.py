@@ -81,9 +81,7 @@ def _spline(s: Array, fractions: Array, at_rest: bool) -> PiecewisePolynomial:
     rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
     ends = (rest, rest) if at_rest else None
     spline = make_interp_spline(s, fractions, k=5, bc_type=ends)  # type: ignore[arg-type]
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
+    return PiecewisePolynomial.from_spline(spline)
 
 
 def _few_sliding(path: ShapePath, changed: ShapePath) -> ShapePath:

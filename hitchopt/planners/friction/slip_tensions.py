@@ -22,7 +22,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Separation
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -91,10 +91,7 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
     wanted = friction * clasps.wrapped * rates / both
     wanted *= share * clasps.bearable(wanted)[..., None]
     wanted[:AT_REST] = wanted[-AT_REST:] = 0.0
-    spline = BSpline(knots, wanted, DEGREE)
-    x = inner[:-1, None] + np.diff(inner)[:, None] * bernstein.nodes(DEGREE)
-    coefficients = bernstein.interpolate(np.moveaxis(spline(x), 1, -1))
-    return PiecewisePolynomial(start + inner, coefficients)
+    return PiecewisePolynomial.from_spline(BSpline(start + knots, wanted, DEGREE))
 
 
 def _at_clasps(layout: Layout, legs: Array) -> Array:

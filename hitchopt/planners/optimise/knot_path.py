@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, legs_along, polygons_along
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -87,8 +87,4 @@ class Way:
 def knot_spline(values: Array) -> PiecewisePolynomial:
     """Return the spline through values (J + 1, *shape) at evenly spaced s in [0, 1]."""
     s = np.linspace(0.0, 1.0, len(values))
-    spline = make_interp_spline(s, values, k=SPLINE_DEGREE)
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(SPLINE_DEGREE)
-    coefficients = bernstein.interpolate(np.moveaxis(spline(x), 1, -1))
-    return PiecewisePolynomial(breaks, coefficients)
+    return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))

@@ -15,7 +15,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.planners.timing.flight import GRID
 from hitchopt.planners.timing.flown import Flown
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -132,5 +132,4 @@ def _spline(s: Array, values: Array) -> PiecewisePolynomial:
     none = np.zeros(values.shape[1:])
     free = [(3, none), (4, none)]  # the stubs know of one condition an end, scipy of any
     spline = make_interp_spline(s, values, k=5, bc_type=(free, free))  # type: ignore[arg-type]
-    x = s[:-1, None] + np.diff(s)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(s, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
+    return PiecewisePolynomial.from_spline(spline)

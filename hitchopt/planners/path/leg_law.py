@@ -10,7 +10,7 @@ from hitchopt.hitch.leg_lengths import measured, share
 from hitchopt.hitch.leg_task import SharingTask
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,4 @@ def _task(
 
 def _spline(s: Array, fractions: Array) -> PiecewisePolynomial:
     """Return the quintic spline through the fractions (J, n): smooth up to the snap."""
-    spline = make_interp_spline(s, fractions, k=5)
-    breaks = np.unique(spline.t)
-    x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(5)
-    return PiecewisePolynomial(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
+    return PiecewisePolynomial.from_spline(make_interp_spline(s, fractions, k=5))

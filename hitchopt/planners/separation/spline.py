@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -62,13 +62,10 @@ class Grid:
 
         Piece m is shaped by the spline's coefficients m … m + DEGREE.
         """
-        nodes = bernstein.nodes(DEGREE)
-        h = np.diff(self.breaks)
-        values = self.sampled(self.breaks[:-1, None] + h[:, None] * nodes)
+        each = PiecewisePolynomial.from_spline(BSpline(self.knots, np.eye(self.count), DEGREE))
         index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
-        local = np.take_along_axis(values, index[:, None, :], axis=2)
-        swapped: Array = bernstein.interpolate(np.swapaxes(local, 1, 2))
-        return np.swapaxes(swapped, 1, 2)
+        local: Array = np.take_along_axis(each.coefficients, index[..., None], axis=1)
+        return np.swapaxes(local, 1, 2)
 
     def sampled(self, s: Array, derivative: int = 0) -> Array:
         """(*s.shape, count): what each coefficient contributes at ``s``, or to a derivative."""
