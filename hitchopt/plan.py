@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,9 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
 from hitchopt.errors import FileError
 from hitchopt.exports.directory import PLAN, SUMMARY, save_plan
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export
-from hitchopt.exports.options import Wish, export_motion
+from hitchopt.exports.plan_export import export_motion
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_title
 from hitchopt.motion.states import States, states_at
@@ -88,19 +88,7 @@ class Plan:
         )
 
     def export(
-        self,
-        format: str,
-        folder: Path | str,
-        *,
-        frame: str | None = None,
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
-        yaw: float = 0.0,
-        fleet: Path | str | None = None,
-        rate: float | None = None,
-        stretch: float = 1.0,
-        storage: str = "mcap",
-        ros_distro: str = "humble",
-        progress: Progress | None = None,
+        self, format: str, folder: Path | str, *, progress: Progress | None = None, **options: Any
     ) -> tuple[Export, ...]:
         """Write the plan in a fleet's format; return what was written, one entry per part.
 
@@ -111,16 +99,18 @@ class Plan:
         format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
             parquet, npz or json.
         folder: made if it is missing; only files of an earlier export there are replaced.
-        frame: enu, nwu or ned; None for the format's default.
-        origin: where the plan's origin lies in the room, east, north and up (3,) [m].
-        yaw: rotation of the plan there, counter-clockwise from above [rad].
-        fleet: a fleet file with the drones' names; None for the plan's names.
-        rate: samples per second [Hz] in formats that sample; None for the format's default.
-        stretch: factor by which the plan is slowed down, at least 1.
-        storage: storage format of a bag, mcap or sqlite3.
-        ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones read
-            bags for earlier ones.
-        progress: callback that receives a message about the current work.
+        progress: called with what is being done now.
+        options: the keywords of ``ExportOptions``, all optional.
+
+            - frame: enu, nwu or ned; None for the format's usual one.
+            - origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
+            - yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
+            - fleet: path of a fleet file; None calls the drones as the plan does.
+            - rate: samples a second [Hz], where the format samples; None for its usual rate.
+            - stretch: factor of all durations, from 1 on.
+            - storage: storage format of a bag, mcap or sqlite3.
+            - ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones
+              read bags for earlier ones.
 
         Raises
         ------
@@ -129,8 +119,8 @@ class Plan:
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        wish = Wish(format, frame, origin, yaw, fleet, rate, stretch, storage, ros_distro)
-        return export_motion(self.motion, self.title, wish, folder, progress)
+        chosen = ExportOptions(format, **options)
+        return export_motion(self.motion, self.title, chosen, folder, progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.

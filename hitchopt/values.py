@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 
+Array = NDArray[np.float64]
+"""Type of arrays of real numbers."""
+
 MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @click.argument("directory", metavar="DIR", type=GivenPath())
-@click.option("--format", "name", metavar="NAME", required=True, help="One of those above.")
+@click.option("--format", metavar="NAME", required=True, help="One of those above.")
 @click.option(
     "-o",
     "--output",
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     metavar="PATH",
     type=GivenPath(),
     help="The folder to write, or the file where there is but one (plan.csv); by default DIR's "
-    "name, a dash and NAME, beside DIR.",
+    "name, a dash and NAME, next to DIR.",
 )
 @click.option("--frame", metavar="FRAME", help="enu, nwu or ned; by default the format's usual.")
 @click.option(
@@ -35,18 +35,18 @@ if TYPE_CHECKING:
     metavar="X Y Z",
     type=(float, float, float),
     default=(0.0, 0.0, 0.0),
-    help="Where the plan's origin lies in the room: east, north, up [m].",
+    help="Where the plan's origin lies in the file's frame: east, north, up [m].",
 )
 @click.option(
     "--yaw-deg",
+    "yaw",
     metavar="DEG",
-    type=float,
     default=0.0,
-    help="How far the plan is turned in the room, counter-clockwise from above.",
+    callback=lambda _, __, degrees: math.radians(degrees),
+    help="Angle by which the plan is turned there, counter-clockwise from above.",
 )
 @click.option(
     "--fleet",
-    "fleet_file",
     metavar="FILE",
     type=GivenPath(),
     help="YAML: drones: {q0: {name: cf1, uri: radio://0/80/2M/E7E7E7E701, type: cf21}, …}, "
@@ -54,17 +54,13 @@ if TYPE_CHECKING:
 )
 @click.option("--rate", metavar="HZ", type=float, help="Samples per second, where it samples.")
 @click.option(
-    "--stretch",
-    metavar="FACTOR",
-    type=float,
-    default=1.0,
-    help="Fly it so many times as slowly, from 1 on.",
+    "--stretch", metavar="FACTOR", default=1.0, help="Factor of all durations, from 1 on."
 )
 @click.option(
     "--storage",
     type=click.Choice(["mcap", "sqlite3"]),
     default="mcap",
-    help="Of a ros2bag.",
+    help="Storage format of a ros2bag.",
 )
 @click.option(
     "--ros-distro",
@@ -72,48 +68,34 @@ if TYPE_CHECKING:
     default="humble",
     help="The release that a ros2bag is for; later ones read bags for earlier ones.",
 )
-def export(
-    directory: Path,
-    name: str,
-    folder: Path | None,
-    frame: str | None,
-    origin: tuple[float, float, float],
-    yaw_deg: float,
-    fleet_file: Path | None,
-    rate: float | None,
-    stretch: float,
-    storage: str,
-    ros_distro: str,
-) -> None:
+def export(directory: Path, folder: Path | None, **options: Any) -> None:
     """Write the plan in DIR as fleets read it, and certify what was written.
 
     Formats: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag; csv,
     parquet, npz, json for scripts.
     """
     from hitchopt.cli.progress import LateProgress
+    from hitchopt.exports.export_options import ExportOptions
     from hitchopt.exports.formats.registry import format_of
-    from hitchopt.exports.options import Wish, export_motion
+    from hitchopt.exports.plan_export import export_motion
     from hitchopt.motion.plan_file import read_plan, read_title
 
-    format_of(name)  # a wrong name before a long read
+    chosen = ExportOptions(**options)
+    format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
-    yaw = math.radians(yaw_deg)
-    wish = Wish(name, frame, origin, yaw, fleet_file, rate, stretch, storage, ros_distro)
-    place = _place(path.parent, name) if folder is None else folder
+    place = _place(path.parent, chosen.format) if folder is None else folder
     with LateProgress(sys.stderr, "certifying") as progress:
-        done = export_motion(read_plan(path), read_title(path), wish, place, progress)
+        done = export_motion(read_plan(path), read_title(path), chosen, place, progress)
     for part in done:
         _show(part)
 
 
 def _place(directory: Path, name: str) -> Path:
-    """Return the folder beside DIR that is called after both."""
-    own = directory.resolve().name or "plan"
-    return (
-        directory / ".." / f"{own}-{name}"
-        if directory.name in {"", ".."}
-        else (directory.with_name(f"{own}-{name}"))
-    )
+    """Return the folder next to DIR that is called after both."""
+    folder = f"{directory.resolve().name or 'plan'}-{name}"
+    if directory.name in {"", ".."}:
+        return directory / ".." / folder
+    return directory.with_name(folder)
 
 
 def _show(part: Export) -> None:
@@ -149,20 +131,10 @@ def _show(part: Export) -> None:
     help="Limit; by default the show's own, or 10 where it has none.",
 )
 @click.option(
-    "--radius",
-    metavar="M",
-    type=float,
-    default=0.12,
-    show_default=True,
-    help="Of a drone's ellipsoid, across.",
+    "--radius", metavar="M", default=0.12, show_default=True, help="A drone's ellipsoid, across."
 )
 @click.option(
-    "--height",
-    metavar="M",
-    type=float,
-    default=0.3,
-    show_default=True,
-    help="Of a drone's ellipsoid, up.",
+    "--height", metavar="M", default=0.3, show_default=True, help="A drone's ellipsoid, up."
 )
 @click.option(
     "--relative",

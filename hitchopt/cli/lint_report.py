@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from hitchopt.cli.failures import say
-from hitchopt.exports.formats.memory_budget import BYTES
+from hitchopt.exports.formats.crazyflie_memory import BYTES
 from hitchopt.exports.lint.findings import ERROR, WARNING
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""DIR: the files of one solve, and never a mixture of two."""
+"""The files of one solve in its directory, never a mixture of two."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def save_plan(
     ----------
     directory: made if it is missing.
     motion: the plan; that of a swarm without cables has no table of vertices.
-    certificate: of that plan.
+    certificate: the plan's certificate.
     title: what the problem is called.
     rate: samples a second in the tables [Hz].
     pictures: for the name of a picture among OWNED (``summary.png``), what draws it at a path.
@@ -78,8 +78,8 @@ def save_diagnosis(
     Parameters
     ----------
     directory: made if it is missing.
-    reason: what the planner found: what binds, where it is an InfeasibleError, else its words.
-    suggestions: the changes that are verified to mend it, the smallest first.
+    reason: why there is no plan; an InfeasibleError names what binds.
+    suggestions: the changes that are verified to remove the reason, the smallest first.
 
     Raises
     ------

@@ -1,41 +1,45 @@
-"""A certified plan, written as fleets read it, and judged by what was written.
+"""A certified plan, written as fleets read it, and verified by what was written.
 
-Files are read back from disk before they get their place: whoever loses a limit of what is flown
-by its rounding or refitting is refused, and nothing that was there before is touched.
+Files are read back from disk before they get their place: an export that loses a limit of what is
+flown by its rounding or refitting is refused, and nothing that was there before is touched.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Task
+from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Progress, Task
 from hitchopt.exports.manifest import (
     FILE,
     manifest_of,
     manifest_of_parts,
     owned_files,
     part_folders,
-    write_manifest,
 )
-from hitchopt.exports.refusal import violations_of, with_slower
-from hitchopt.exports.verification import Verdict, judge
-from hitchopt.storage.atomic import Writer, replace_files
+from hitchopt.exports.verification import SLOWER, Verdict, verify
+from hitchopt.motion.cutting import stretched
+from hitchopt.storage.atomic import replace_files
+from hitchopt.storage.strict_json import write_strict_json
 
-Progress = Callable[[str], None]
+FACTORS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1)
+"""Factors of slower flights that are tried after a refusal, in this order."""
+
+MOST_DRONES = 100
+"""Size of the largest team for which slower flights are tried; larger ones take too long."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """What was written.
+    """Files that were written and verified.
 
     Attributes
     ----------
-    folder: where.
+    folder: where they are.
     files: names of the files in it, without the manifest.
     verdict: errors and checks of what the files say.
     notes: what else is to be known of them.
@@ -49,167 +53,131 @@ class Export:
     begins: float = 0.0
 
 
-class _LostError(Exception):
-    """What was written does not keep what the plan keeps."""
-
-    def __init__(self, verdict: Verdict) -> None:
-        super().__init__()
-        self.verdict = verdict
+def silent(_: str) -> None:
+    """Ignore what is being done."""
 
 
 def export_plan(
-    kind: Format,
-    task: Task,
-    certificate: Certificate,
-    folder: Path,
-    progress: Progress | None = None,
-    *,
-    suggest: bool = True,
+    kind: Format, task: Task, certificate: Certificate, folder: Path, progress: Progress = silent
 ) -> tuple[Export, ...]:
     """Write the plan in a format; return what was written, part by part.
 
     Parameters
     ----------
     kind: the format.
-    task: the plan, and how it is to be told.
-    certificate: of that plan.
+    task: the plan, and all that its files depend on.
+    certificate: the plan's certificate.
     folder: where to; made if it is missing. Only files of an earlier export there are replaced.
     progress: called with what is being done now.
-    suggest: whether to look, after a refusal, for how much more slowly it could be flown.
 
     Raises
     ------
     CertificateError: the plan's certificate does not hold.
     InputError: a frame that the format cannot be in.
-    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
+    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written. The
+        smallest stretch that was tried and loses nothing is named.
     FileError: the folder cannot be written to, or holds others' files of these names.
     """
     certificate.raise_if_violated()
-    if task.room.frame not in kind.frames:
-        raise InputError(
-            "--frame",
-            task.room.frame,
-            f"one of {', '.join(kind.frames)} for {kind.name}",
-            f"leave it out for {kind.frames[0]}",
-        )
-    refusals = []
+    if task.frame.name not in kind.frames:
+        bound = f"one of {', '.join(kind.frames)} for {kind.name}"
+        raise InputError("--frame", task.frame.name, bound, f"leave it out for {kind.frames[0]}")
+    exporter = _Exporter(kind, certificate, progress)
     try:
-        for arrangement in kind.arrangements(task):
+        return exporter.first(task, folder)
+    except InfeasibleError as refusal:
+        eased = any(violation.remedy == SLOWER for violation in refusal.violations)
+        for factor in FACTORS if eased and len(task.names) <= MOST_DRONES else ():
+            progress(f"trying --stretch {factor:g}")
+            slower = replace(task, motion=stretched(task.motion, factor))
             try:
-                return _arranged(kind, arrangement, certificate, folder, progress)
-            except InfeasibleError as error:
-                refusals.append(error)
-    except InfeasibleError as error:  # there is no other way to arrange it
-        refusals.append(error)
-    if not suggest:
+                with tempfile.TemporaryDirectory() as trial:
+                    _Exporter(kind, certificate, silent).first(slower, Path(trial) / "trial")
+            except InfeasibleError:
+                continue
+            percent = f"{100 * (factor - 1):.2g} % slower"
+            note = f"verified: --stretch {factor:g} ({percent}) loses nothing"
+            both = f"{refusal.note}\n{note}" if refusal.note else note
+            raise InfeasibleError(refusal.violations, both) from None
+        raise
+
+
+@dataclass(frozen=True)
+class _Exporter:
+    """Writes motions in a format and verifies them, with the plan's certificate for comparison."""
+
+    kind: Format
+    certificate: Certificate
+    progress: Progress
+
+    def first(self, task: Task, folder: Path) -> tuple[Export, ...]:
+        """Write the first arrangement that loses nothing, or raise what the first of all loses."""
+        refusals = []
+        try:
+            for arrangement in self.kind.arrangements(task):
+                try:
+                    return self._parts(arrangement, folder)
+                except InfeasibleError as error:
+                    refusals.append(error)
+        except InfeasibleError as error:  # there is no other arrangement
+            refusals.append(error)
         raise refusals[0]
 
-    def trial(slower: Task) -> None:
-        with tempfile.TemporaryDirectory() as place:
-            export_plan(kind, slower, certificate, Path(place) / "trial", suggest=False)
+    def _parts(self, arrangement: Arrangement, folder: Path) -> tuple[Export, ...]:
+        tasks, note = arrangement.tasks, arrangement.note
+        before = part_folders(folder)  # the manifest that names them is about to be replaced
+        names: tuple[str, ...] = ()
+        if len(tasks) == 1:
+            done = [self._whole(tasks[0], folder, note)]
+        else:
+            names = tuple(f"part{i + 1}" for i in range(len(tasks)))
+            parts = list(zip(tasks, names, strict=True))
+            with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
+                for part, name in parts:
+                    self._whole(part, Path(trial) / name, note)
+            done = [self._whole(p, folder / name, f"{p.part}: {note}") for p, name in parts]
+            write = partial(write_strict_json, content=manifest_of_parts(self.kind, tasks, names))
+            replace_files(folder, {FILE: write}, {FILE, *owned_files(folder)}, seal=FILE)
+        for name in before:  # an earlier export was cut into more parts
+            if name not in names and (folder / name).is_dir():
+                for file in owned_files(folder / name):
+                    (folder / name / file).unlink(missing_ok=True)
+                if not any((folder / name).iterdir()):
+                    (folder / name).rmdir()
+        return tuple(done)
 
-    raise with_slower(refusals[0], task, trial, progress)
+    def _whole(self, task: Task, folder: Path, note: str) -> Export:
+        """Write the first candidate that loses nothing, or raise what the first of all loses."""
+        refusal: InfeasibleError | None = None
+        for number, candidate in enumerate(self.kind.candidates(task), 1):
+            attempt = f", attempt {number}" if number > 1 else ""
+            self.progress(f"writing {self.kind.name}{attempt}")
+            noted = replace(candidate, notes=(*candidate.notes, *((note,) if note else ())))
+            try:
+                return self._candidate(task, noted, folder)
+            except InfeasibleError as error:
+                refusal = refusal or error
+        raise refusal or FileError(f"{self.kind.name}: has nothing to write")
 
+    def _candidate(self, task: Task, candidate: Candidate, folder: Path) -> Export:
+        kind, files = self.kind, tuple(candidate.writers)
+        owned = {FILE, *owned_files(folder)}
+        for name in files:
+            if name not in owned and (folder / name).exists():
+                raise FileError(
+                    f"{folder / name}: is there already and not from an export; "
+                    "choose another folder with -o"
+                )
+        verdicts: list[Verdict] = []
 
-def _arranged(
-    kind: Format,
-    arrangement: Arrangement,
-    certificate: Certificate,
-    folder: Path,
-    progress: Progress | None,
-) -> tuple[Export, ...]:
-    tasks, note = arrangement.tasks, arrangement.note
-    before = part_folders(folder)  # the manifest that tells them is about to be replaced
-    if len(tasks) == 1:
-        exported = (_export(kind, tasks[0], certificate, folder, note, progress),)
-        _remove_parts(folder, before)
-        return exported
-    names = tuple(f"part{i + 1}" for i in range(len(tasks)))
-    with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
-        for part, name in zip(tasks, names, strict=True):
-            _export(kind, part, certificate, Path(trial) / name, note, progress)
-    done = tuple(
-        _export(kind, part, certificate, folder / name, f"{part.place}: {note}", progress)
-        for part, name in zip(tasks, names, strict=True)
-    )
-    _remove_parts(folder, [name for name in before if name not in names])
-    content = manifest_of_parts(kind, tasks, names)
-    replace_files(
-        folder,
-        {FILE: lambda path: write_manifest(path, content)},
-        {FILE, *owned_files(folder)},
-        seal=FILE,
-    )
-    return done
+        def check(path: Path) -> None:
+            self.progress(f"reading {kind.name} back")
+            verdict = verify(task.motion, kind.read(path.parent, task), task.frame, task.names)
+            if lost := verdict.violations(self.certificate, kind.accuracy):
+                note = "what it rounds or refits costs more than the plan has left"
+                raise InfeasibleError(lost, f"{kind.name} is not written: {note}")
+            write_strict_json(path, manifest_of(kind, task, candidate, verdict))
+            verdicts.append(verdict)
 
-
-def _export(
-    kind: Format,
-    task: Task,
-    certificate: Certificate,
-    folder: Path,
-    note: str,
-    progress: Progress | None,
-) -> Export:
-    refused: Verdict | None = None
-    for number, candidate in enumerate(kind.candidates(task), 1):
-        if progress is not None:
-            progress(f"writing {kind.name}" + (f", attempt {number}" if number > 1 else ""))
-        try:
-            notes = (*candidate.notes, *((note,) if note else ()))
-            return _written(kind, task, replace(candidate, notes=notes), folder, progress)
-        except _LostError as lost:
-            refused = refused or lost.verdict
-    if refused is None:
-        raise FileError(f"{kind.name}: has nothing to write")
-    raise InfeasibleError(
-        violations_of(kind, refused, certificate),
-        f"{kind.name} is not written: what it rounds or refits costs more than the plan has left",
-    )
-
-
-def _written(
-    kind: Format, task: Task, candidate: Candidate, folder: Path, progress: Progress | None
-) -> Export:
-    files = tuple(candidate.writers)
-    owned = {FILE, *files, *owned_files(folder)}
-    _refuse_strangers(folder, files)
-    verdicts: list[Verdict] = []
-
-    def check(path: Path) -> None:
-        if progress is not None:
-            progress(f"reading {kind.name} back")
-        verdict = judge(task.motion, kind.read(path.parent, task), task.room, task.names)
-        if verdict.lost or verdict.position.worst > kind.accuracy:
-            raise _LostError(verdict)
-        content = manifest_of(kind, task, files, verdict, candidate.notes)
-        if candidate.receiver:
-            content["receiver"] = dict(candidate.receiver)
-        write_manifest(path, content)
-        verdicts.append(verdict)
-
-    writers: dict[str, Writer] = {**candidate.writers, FILE: check}
-    replace_files(folder, writers, owned, seal=FILE)
-    return Export(folder, files, verdicts[-1], candidate.notes, task.begins)
-
-
-def _refuse_strangers(folder: Path, files: Sequence[str]) -> None:
-    known = set(owned_files(folder))
-    for name in files:
-        if name not in known and (folder / name).exists():
-            raise FileError(
-                f"{folder / name}: is there already and not from an export; "
-                "choose another folder with -o"
-            )
-
-
-def _remove_parts(folder: Path, names: Sequence[str]) -> None:
-    """Remove the folders of an earlier export that was cut into more parts."""
-    for name in names:
-        part = folder / name
-        if not part.is_dir():
-            continue
-        for file in owned_files(part):
-            (part / file).unlink(missing_ok=True)
-        if not any(part.iterdir()):
-            part.rmdir()
+        replace_files(folder, {**candidate.writers, FILE: check}, {*owned, *files}, seal=FILE)
+        return Export(folder, files, verdicts[-1], candidate.notes, task.begins)

@@ -1,4 +1,4 @@
-"""Who flies: names, radio addresses and types of the drones that a plan calls q0, r0, q1, ….
+"""The fleet: names, radio addresses and types of the drones that a plan calls q0, r0, q1, ….
 
 A fleet file is YAML, one entry per drone of the plan::
 
@@ -25,9 +25,9 @@ from typing import Any
 from hitchopt.errors import FileError, InputError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")
-"""What is a file's name, a ROS topic and a key of YAML alike."""
+"""Pattern of names that suit files, ROS topics and keys of YAML alike."""
 
-WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
+RESERVED = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
 """Names that YAML 1.1, as ROS reads it, takes for something else."""
 
 PER_RADIO = 15
@@ -40,8 +40,8 @@ class Member:
 
     Attributes
     ----------
-    role: what the plan calls it, such as ``q0``.
-    name: what files call it.
+    role: its name in the plan, such as ``q0``.
+    name: its name in files.
     uri: its radio's address.
     type: its entry in ``types``.
     """
@@ -109,34 +109,23 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
     missing = [role for role in roles if role not in keys.drones]
     unknown = [role for role in keys.drones if role not in set(roles)]
     if missing or unknown:
-        raise InputError(
-            root,
-            (missing or unknown)[0],
-            "named once, and be a drone of the plan" if missing else "a drone of the plan",
-            f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
-            + ("; a robot's role tells which it flies" if root == "robots" else ""),
-        )
-    members = tuple(
-        Member(role, keys.drones[role].name, keys.drones[role].uri, keys.drones[role].type)
-        for role in roles
-    )
-    where = {m.role: f"{root}.{m.name if root == 'robots' else m.role}" for m in members}
+        bound = "named once, and be a drone of the plan" if missing else "a drone of the plan"
+        known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+        more = "; a robot's role tells which it flies" if root == "robots" else ""
+        raise InputError(root, (missing or unknown)[0], bound, known + more)
+    members = tuple(Member(role=role, **dict(keys.drones[role])) for role in roles)
+    counts = {
+        key: Counter(getattr(member, key).lower() for member in members) for key in ("name", "uri")
+    }
     for member in members:
-        if not NAME.match(member.name) or member.name.lower() in WORDS:
-            raise InputError(
-                f"{where[member.role]}.name",
-                member.name,
-                "letters, digits and underscores, a letter first, and no word of YAML",
-                "files and topics are called so",
-            )
-    for key in ("name", "uri"):
-        counts = Counter(getattr(member, key).lower() for member in members)
-        twice = next((m for m in members if counts[getattr(m, key).lower()] > 1), None)
-        if twice is not None:
-            value = getattr(twice, key)
-            raise InputError(
-                f"{where[twice.role]}.{key}", value, "of one drone only", "give each its own"
-            )
+        where = f"{root}.{member.name if root == 'robots' else member.role}"
+        if not NAME.match(member.name) or member.name.lower() in RESERVED:
+            bound = "letters, digits and underscores, a letter first, and no word of YAML"
+            raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
+        for key, count in counts.items():
+            value = getattr(member, key)
+            if count[value.lower()] > 1:
+                raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
     placeholders = [member.uri for member in placeholder_fleet(roles).members]
     given = [member.uri for member in members] != placeholders
     return Fleet(members, keys.types, keys.settings, given)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -11,53 +11,46 @@ from hitchopt.errors import InputError
 from hitchopt.mission.schema import Keys
 from hitchopt.storage.plain import key_path, plain
 
-URI = r"^(radio|usb|udp|tcp|serial)://\S+$"
+Uri = Annotated[str, Field(pattern=r"^(radio|usb|udp|tcp|serial)://\S+$")]
+"""Address of a drone's radio."""
 
 
 class DroneKeys(Keys):
-    """One drone of the fleet."""
+    """One drone: what files and topics call it, its radio's address, and its entry in types."""
 
-    name: str = Field(description="What files and topics call it", examples=["cf231"])
-    uri: str = Field(
-        description="Address of its radio",
-        pattern=URI,
-        examples=["radio://0/80/2M/E7E7E7E7E7"],
-    )
-    type: str = Field(default="default", description="Its entry in types")
+    name: str
+    uri: Uri
+    type: str = "default"
 
 
 class FleetKeys(Keys):
-    """Who flies the plan's drones."""
+    """Drones by the plan's names; types and settings are copied into crazyflies.yaml."""
 
-    drones: dict[str, DroneKeys] = Field(description="By the plan's names: q0, r0, q1, …")
-    types: dict[str, dict[str, Any]] = Field(
-        default_factory=dict, description="Settings of the types, copied into crazyflies.yaml"
-    )
-    settings: dict[str, Any] = Field(
-        default_factory=dict, description="Settings for all drones, copied into crazyflies.yaml"
-    )
+    drones: dict[str, DroneKeys]
+    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
 
 
 class RobotKeys(Keys):
-    """One robot of a crazyflies.yaml."""
+    """One robot of a crazyflies.yaml; without a role it flies the drone of its own name."""
 
     enabled: bool = True
-    uri: str = Field(pattern=URI)
-    initial_position: list[float] = Field(default_factory=list, description="The plan's is used")
+    uri: Uri
+    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
     type: str = "default"
-    role: str = Field(default="", description="The plan's drone that it flies; else its own name")
+    role: str = ""
 
 
 class RobotsKeys(Keys):
-    """A crazyflies.yaml: who flies, by the robots' names."""
+    """A crazyflies.yaml, robots by their names."""
 
     fileversion: int = 3
-    robots: dict[str, RobotKeys] = Field(description="By their names")
+    robots: dict[str, RobotKeys]
     robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
     all: dict[str, Any] = Field(default_factory=dict)
 
 
-WORDS = {
+FAULTS = {
     "missing": ("given", "add it"),
     "extra_forbidden": (
         "a known key",
@@ -84,7 +77,7 @@ def checked_keys(data: Mapping[str, Any]) -> FleetKeys:
     except ValidationError as error:
         entry = error.errors(include_url=False)[0]
         value = "(missing)" if entry["type"] == "missing" else entry["input"]
-        bound, remedy = WORDS.get(entry["type"], (entry["msg"], "see the fleet file's example"))
+        bound, remedy = FAULTS.get(entry["type"], (entry["msg"], "see the fleet file's example"))
         raise InputError(key_path(entry["loc"]) or "fleet", value, bound, remedy) from None
 
 
@@ -92,15 +85,11 @@ def _by_role(file: RobotsKeys) -> FleetKeys:
     """Return the enabled robots by the drones of the plan that they fly."""
     drones: dict[str, DroneKeys] = {}
     for name, robot in file.robots.items():
-        if not robot.enabled:
-            continue
         role = robot.role or name
-        if role in drones:
-            raise InputError(
-                f"{key_path(['robots', name])}.role",
-                role,
-                f"of one enabled robot only, and {drones[role].name} has it",
-                "disable one of them",
-            )
-        drones[role] = DroneKeys(name=name, uri=robot.uri, type=robot.type)
+        if robot.enabled and role in drones:
+            bound = f"of one enabled robot only, and {drones[role].name} has it"
+            key = f"{key_path(['robots', name])}.role"
+            raise InputError(key, role, bound, "disable one of them")
+        if robot.enabled:
+            drones[role] = DroneKeys(name=name, uri=robot.uri, type=robot.type)
     return FleetKeys(drones=drones, types=file.robot_types, settings=file.all)

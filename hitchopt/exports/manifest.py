@@ -1,4 +1,4 @@
-"""export.json: what an exported folder holds, in which frame, and what was checked of it."""
+"""The manifest ``export.json``: what an export holds, in which frame, and what was checked."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.format import Format, Task
+from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.verification import Verdict
 
 FILE = "export.json"
@@ -18,19 +18,15 @@ FILE = "export.json"
 FORMAT = "hitchopt-export/1"
 
 MAX_BYTES = 50_000_000
-"""Of a manifest that is read."""
+"""Size limit of a manifest that is read [B]."""
 
 
-def manifest_of(
-    kind: Format, task: Task, files: Sequence[str], verdict: Verdict, notes: Sequence[str]
-) -> dict[str, Any]:
-    """Return what the manifest of an export says."""
+def manifest_of(kind: Format, task: Task, candidate: Candidate, verdict: Verdict) -> dict[str, Any]:
+    """Return the manifest of files that were verified."""
+    receiver = {"receiver": dict(candidate.receiver)} if candidate.receiver else {}
     return {
-        "format": FORMAT,
-        "exported_as": kind.name,
-        "title": task.title,
-        **task.room.to_dict(),
-        "heading_rad": task.room.heading,
+        **_head(kind, task),
+        "heading_rad": task.frame.heading,
         "drones": {member.role: member.name for member in task.fleet.members},
         "duration": verdict.duration,
         "plan_span": list(task.span),
@@ -39,19 +35,16 @@ def manifest_of(
         "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
         "not_carried": verdict.not_carried,
         "feed_forward": kind.feed_forward,
-        "notes": list(notes),
-        "files": sorted(files),
+        "notes": list(candidate.notes),
+        "files": sorted(candidate.writers),
+        **receiver,
     }
 
 
 def manifest_of_parts(kind: Format, tasks: Sequence[Task], parts: Sequence[str]) -> dict[str, Any]:
-    """Return what stands beside the folders of an export that was cut."""
-    task = tasks[0]
+    """Return the manifest of a plan that was cut; its parts are folders."""
     return {
-        "format": FORMAT,
-        "exported_as": kind.name,
-        "title": task.title,
-        **task.room.to_dict(),
+        **_head(kind, tasks[0]),
         "duration": tasks[-1].span[1],
         "parts": list(parts),
         "plan_spans": [list(part.span) for part in tasks],
@@ -59,15 +52,9 @@ def manifest_of_parts(kind: Format, tasks: Sequence[Task], parts: Sequence[str])
     }
 
 
-def write_manifest(path: Path, content: dict[str, Any]) -> None:
-    """Write the manifest.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
-    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", newline="\n")
+def _head(kind: Format, task: Task) -> dict[str, Any]:
+    head = {"format": FORMAT, "exported_as": kind.name, "title": task.title}
+    return {**head, **task.frame.to_dict()}
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
@@ -94,25 +81,22 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 def owned_files(folder: Path) -> tuple[str, ...]:
     """Return the names of an earlier export's files in a folder, its manifest among them.
 
-    Plain names only, whatever the manifest says.
-
     Raises
     ------
     FileError: a manifest that cannot be read.
     """
     content = read_manifest(folder)
-    if content is None:
-        return ()
-    given = content.get("files")
-    names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
-    plain = [name for name in names if Path(name).name == name and not name.startswith(".")]
-    return (*plain, FILE)
+    return () if content is None else (*_plain_names(content, "files"), FILE)
 
 
 def part_folders(folder: Path) -> tuple[str, ...]:
     """Return the names of the folders that an earlier export cut its plan into."""
-    content = read_manifest(folder) or {}
-    given = content.get("parts")
+    names = _plain_names(read_manifest(folder) or {}, "parts")
+    return tuple(name for name in names if name.startswith("part"))
+
+
+def _plain_names(content: dict[str, Any], key: str) -> tuple[str, ...]:
+    """Return the plain names in a list of the manifest, whatever else it says."""
+    given = content.get(key)
     names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
-    plain = [name for name in names if Path(name).name == name and "\0" not in name]
-    return tuple(name for name in plain if name.startswith("part"))
+    return tuple(n for n in names if Path(n).name == n and "\0" not in n and not n.startswith("."))

@@ -1,4 +1,4 @@
-"""What the drones of a file or folder fly: curves of time, given window by window.
+"""The curves of time that the drones of a file or folder fly, given window by window.
 
 A recording is read off exported numbers, ours or anybody else's, after rounding. Windows follow one
 another without a gap, so that tables of any length are looked at without being held in memory.
@@ -10,25 +10,24 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
+from hitchopt.exports.reference_frame import AXES
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import SAME_BREAK, merged_breaks, on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 WINDOW = 20_000
-"""Pieces times drones that are looked at together: about 40 MB of coefficients and bounds."""
+"""Pieces times drones that are read together: about 40 MB of coefficients and bounds."""
 
 MAX_SPANS = 20_000_000
-"""Pieces times drones, once all drones' breaks are merged: more is no show that anyone flies."""
+"""Largest number of pieces times drones with all drones' breaks merged; no show has more."""
 
 SILENT = 1e-6
-"""[m], [m/s], [m/s²] Samples that are all smaller are zero but for rounding."""
+"""Size below which samples are zero but for rounding [m], [m/s], [m/s²]."""
 
 SAME_TIME = 1e-9
-"""[s] Samples closer than this are of one time."""
+"""Largest difference of samples that are of one time [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +42,11 @@ class Samples:
 
     t: Array
     derivatives: Array
+
+    @classmethod
+    def of_rows(cls, t: Array, values: Array) -> Samples:
+        """Return the samples of rows (S, D, 9): positions, velocities and accelerations."""
+        return cls(t, np.moveaxis(values.reshape(*values.shape[:2], 3, 3), 2, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +73,8 @@ def recording_of_curves(
 ) -> Recording:
     """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
 
-    Who ends before the others stays where it ended. Curves are put on common breaks window by
-    window, so that drones with breaks of their own take no more memory than their files.
+    Drones that end before the others stay where they ended. Curves are put on common breaks window
+    by window, so that drones with breaks of their own take no more memory than their files.
 
     Raises
     ------
@@ -110,8 +114,8 @@ def recording_of_samples(
 ) -> Recording:
     """Return the recording of samples: between two of them the curve that meets both.
 
-    Straight lines through positions, cubics through velocities as well, quintics through
-    accelerations too.
+    The curves are straight lines through positions, cubics through velocities as well, and quintics
+    through accelerations too. An unknown ``frame`` becomes none.
 
     Raises
     ------
@@ -119,21 +123,20 @@ def recording_of_samples(
     """
 
     def windows() -> Iterator[PiecewisePolynomial]:
-        last: Samples | None = None
-        given = 0
+        t, used = np.empty(0), np.empty((smooth + 1, 0, len(names), 3))
+        count = 0
         for block in blocks():
-            here = block if last is None else _appended(last, block)
-            last = Samples(block.t[-1:], block.derivatives[:, -1:])
-            if len(here.t) < 2:
+            t = np.concatenate([t[-1:], block.t])
+            used = np.concatenate([used[:, -1:], block.derivatives[: smooth + 1]], axis=1)
+            count += len(block.t)
+            if len(t) < 2:
                 continue
-            check_times(here.t)
-            used = here.derivatives[: smooth + 1]
-            given += 1
-            yield PiecewisePolynomial.hermite(here.t, used[:, :-1], used[:, 1:])
-        if given == 0:
+            check_times(t)
+            yield PiecewisePolynomial.hermite(t, used[:, :-1], used[:, 1:])
+        if count < 2:
             raise FileError("has fewer than two samples; nothing moves between them")
 
-    return Recording(tuple(names), frame, smooth, windows)
+    return Recording(tuple(names), frame if frame in AXES else "", smooth, windows)
 
 
 def orders_told(recording: Recording) -> int:
@@ -198,11 +201,4 @@ def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
     rest = np.broadcast_to(curve.coefficients[-1:, ..., -1:], curve.coefficients[-1:].shape)
     return PiecewisePolynomial(
         np.append(curve.breaks, end), np.concatenate([curve.coefficients, rest])
-    )
-
-
-def _appended(last: Samples, block: Samples) -> Samples:
-    return Samples(
-        np.concatenate([last.t, block.t]),
-        np.concatenate([last.derivatives, block.derivatives], axis=1),
     )

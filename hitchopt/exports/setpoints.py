@@ -1,4 +1,4 @@
-"""setpoints.csv: what every drone is to do, sample by sample."""
+"""Table setpoints.csv: the setpoints of every drone, sample by sample."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from hitchopt.motion.states import iterate_states, sample_times
 HEADER = "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
 
 NUMBER = "%#.12g"
-"""Twelve significant digits: below a nanometre over a kilometre. Always with a decimal point, since
-readers such as polars take a column for whole numbers that begins with one."""
+"""Format of numbers: twelve significant digits, below a nanometre over a kilometre. A decimal point
+is always there, since readers such as polars take a column for whole numbers that begins with one.
+"""
 
 NOTHING = "%.1f"
-"""Of numbers that are zero throughout a block: ``0.0``."""
+"""Format of numbers that are zero throughout a block: ``0.0``."""
 
 ROWS = 2000
 """Rows that are formatted at once: more are slower, since they leave the processor's cache."""
 
 Progress = Callable[[float], None]
-"""Called now and then with the fraction done, 0 to 1."""
+"""Function that is called now and then with the fraction done, 0 to 1."""
 
 
 def write_setpoints(
@@ -35,7 +36,7 @@ def write_setpoints(
 
     Parameters
     ----------
-    path: of the file, replaced if there is one.
+    path: name of the file, replaced if there is one.
     motion: the plan.
     rate: samples a second [Hz].
     progress: called with the fraction done.
@@ -69,7 +70,7 @@ def lines_of(names: tuple[str, ...], values: NDArray[np.float64]) -> str:
 
     Parameters
     ----------
-    names: (D,) of the drones.
+    names: (D,) names of the drones.
     values: (S, D, C)
     """
     zero = np.all(values == 0.0, axis=0)

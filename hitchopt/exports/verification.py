@@ -1,7 +1,7 @@
-"""What was exported, held against the plan: errors and certificate of the numbers in the files.
+"""Verification of exported numbers against the plan: their errors and their certificate.
 
-The drones are those that the files say, after rounding; vertices, legs and tensions are the plan's.
-So every ``worst`` speaks of what is flown, for all t, in the same way as the plan's certificate.
+Drones are read from the files, after rounding; vertices, legs and tensions are the plan's. So every
+``worst`` bounds what is flown, for all t, as in the plan's certificate.
 """
 
 from __future__ import annotations
@@ -14,20 +14,25 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
-from hitchopt.checks.certificate import Check, most_pressing
-from hitchopt.checks.registry import RULES
-from hitchopt.errors import FileError
-from hitchopt.exports.frame import Room
+from hitchopt.checks.certificate import Certificate, Check, most_pressing
+from hitchopt.checks.registry import RULE_OF, RULES
+from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
+from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Extremum, largest
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
 """Rules of the checks of what is flown, as they are listed."""
+
+SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
+"""Remedy for checks that a slower flight eases."""
+
+CLEARER = "plan with a wider margin there, or choose another format"
+"""Remedy for the others."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
@@ -40,13 +45,13 @@ NOT_CARRIED = {
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far exported curves are from the plan's, at most over all of the time.
+    """The largest distance of exported curves from the plan's over all of the time.
 
     Attributes
     ----------
     worst: [m] or [m/s], a bound for all t.
     time: [s], where it is about attained.
-    drone: whose.
+    drone: name of the drone.
     """
 
     worst: float
@@ -56,11 +61,11 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be said of exported numbers.
+    """Errors and checks of exported numbers.
 
     Attributes
     ----------
-    duration: of what is flown [s].
+    duration: duration of what is flown [s].
     position, velocity: deviations from the plan [m], [m/s].
     checks: those of FLOWN that the format carries.
     not_carried: what the format cannot carry, in words.
@@ -74,18 +79,48 @@ class Verdict:
 
     @property
     def lost(self) -> tuple[Check, ...]:
-        """The checks that do not hold."""
+        """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
+    def violations(self, certificate: Certificate, accuracy: float) -> tuple[Violation, ...]:
+        """Return what is lost, each limit with the value that the plan keeps of it.
 
-def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]) -> Verdict:
+        Parameters
+        ----------
+        certificate: the plan's certificate.
+        accuracy: largest position error [m].
+        """
+        planned = {check.name: check for check in certificate.checks}
+        found = [_violation(check, planned[check.name]) for check in self.lost]
+        worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
+        if worst > accuracy:
+            remedy = "choose another format, such as csv, or a higher --rate where it samples"
+            where = (self.position.drone,)
+            error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
+            found.append(error)
+        return tuple(found)
+
+
+def _violation(check: Check, planned: Check) -> Violation:
+    lost = abs(check.bound - planned.bound)
+    unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
+    return check.violation(
+        f"at t = {check.time:.4g} s (the plan keeps {planned.bound:.6g}{unit}, "
+        f"the export loses {lost:.3g}{unit})",
+        SLOWER if RULE_OF[check.name].derivative else CLEARER,
+    )
+
+
+def verify(
+    motion: Motion, recording: Recording, frame: ReferenceFrame, names: Sequence[str]
+) -> Verdict:
     """Return errors and checks of a recording that stands for the plan ``motion``.
 
     Parameters
     ----------
     motion: the plan, from t = 0 on.
     recording: what files say.
-    room: where the plan lies in their frame.
+    frame: where the plan lies in their axes.
     names: (D,) what the files call the plan's drones, in its order.
 
     Raises
@@ -94,8 +129,8 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
     """
     index = _order(recording, names)
     carried = [rule for rule in FLOWN if rule.derivative <= recording.smooth + 1]
-    results: list[list[Check | None]] = []
-    deviations: tuple[list[Deviation], list[Deviation]] = ([], [])
+    checks: list[list[Check | None]] = [[] for _ in carried]
+    deviations: list[tuple[Deviation, Deviation]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -103,37 +138,26 @@ def judge(motion: Motion, recording: Recording, room: Room, names: Sequence[str]
         end = float(window.breaks[-1])
         curves = PiecewisePolynomial(window.breaks, window.coefficients[:, index])
         planned = _planned(motion, window.breaks)
-        flown = on_breaks(room.in_plan(curves), planned.drones.breaks)
-        for found, deviation in zip(
-            deviations, _deviations(flown, planned.drones, motion.team.drone_names), strict=True
-        ):
-            found.append(deviation)
-        judged = replace(planned, drones=flown)
-        results.append([rule.check(judged, exported=True) for rule in carried])
+        flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
+        deviations.append(_deviations(flown, planned.drones, motion.team.drone_names))
+        exported = replace(planned, drones=flown)
+        for rule, results in zip(carried, checks, strict=True):
+            results.append(rule.check(exported, exported=True))
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    worst = [most_pressing(checks) for checks in zip(*results, strict=True)]
-    return Verdict(
-        end,
-        max(deviations[0], key=lambda d: d.worst),
-        max(deviations[1], key=lambda d: d.worst),
-        tuple(check for check in worst if check is not None),
-        NOT_CARRIED[recording.smooth],
+    position, velocity = (
+        max(each, key=lambda d: d.worst) for each in zip(*deviations, strict=True)
     )
-
-
-def flown_checks(motion: Motion) -> dict[str, Check]:
-    """Return the checks of FLOWN of the plan itself, by name."""
-    found = [rule.check(motion, exported=True) for rule in FLOWN]
-    return {check.name: check for check in found if check is not None}
+    worst = tuple(check for check in map(most_pressing, checks) if check is not None)
+    return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
 
 
 def _order(recording: Recording, names: Sequence[str]) -> NDArray[np.intp]:
     where = {name: i for i, name in enumerate(recording.names)}
     missing = [name for name in names if name not in where]
     if missing or len(where) != len(names):
-        told = f"{missing[0]} is missing" if missing else "there are more of them"
-        raise FileError(f"its drones are not those of the plan: {told}")
+        reason = f"{missing[0]} is missing" if missing else "there are more of them"
+        raise FileError(f"its drones are not those of the plan: {reason}")
     return np.array([where[name] for name in names], dtype=np.intp)
 
 

@@ -1,4 +1,4 @@
-"""vertices.csv: where the hitch's vertices are, and how hard its cables pull."""
+"""Table vertices.csv: positions of the hitch's vertices and tensions of its cables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
 
     Parameters
     ----------
-    path: of the file, replaced if there is one.
+    path: name of the file, replaced if there is one.
     motion: the plan.
     rate: samples a second [Hz], that of the setpoints.
 

@@ -12,7 +12,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 REST = 1e-6
-"""[m/s], [m/s²] Largest speed and acceleration of drones at rest."""
+"""Largest speed [m/s] and acceleration [m/s²] at rest."""
 
 
 def rests(motion: Motion) -> NDArray[np.intp]:
@@ -41,7 +41,7 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
-    """Return the same curves flown ``factor`` times as slowly, the plan's own duration let go.
+    """Return the same curves with all durations multiplied by ``factor``, and no limit on them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A plan at given times: when to sample, and all that drones and vertices do there."""
+"""Samples of a plan: their times, and the states of drones and vertices at them."""
 
 from __future__ import annotations
 
@@ -15,23 +15,21 @@ from hitchopt.hitch.statics import cable_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import tautness
 from hitchopt.trajectory import bernstein
-from hitchopt.values import not_negative, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, not_negative, positive
 
 END_TOLERANCE = 1e-6
-"""[s] A plan's end this close to the last regular sample is no sample of its own."""
+"""Distance of a plan's end from the last regular sample [s] below which it is no sample."""
 
 MAX_SAMPLES = 50_000_000
-"""More are refused before any memory is spent on them."""
+"""Largest number of samples; more are refused before any memory is spent on them."""
 
 TIME_TOLERANCE = 1e-9
-"""[s] Largest distance of a time from the plan: the rounding of sums of durations."""
+"""Distance by which a time may lie outside the plan [s]: the rounding of sums of durations."""
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """What drones and vertices do at some times (…).
+    """States of drones and vertices at some times (…).
 
     Attributes
     ----------
@@ -40,9 +38,9 @@ class States:
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
     velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
         pieces join, those of the later piece.
-    cable_forces: (…, 2n, 3) [N], what the cable puts on each drone: what its leg (its edge, at a
-        chain's end) pulls with, ``T_k`` but for friction, and down by half of the cable's weight;
-        while there is no hitch, what a hanging cable pulls with. As tensions rise from zero or fall
+    cable_forces: (…, 2n, 3) [N], the force of the cable on each drone: the pull of its leg (its
+        edge, at a chain's end), ``T_k`` but for friction, and half of the cable's weight; while
+        there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
         to it, the one passes continuously into the other (``hitchopt.motion.tensions``).
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
@@ -76,7 +74,7 @@ def sample_times(duration: float, rate: float) -> Array:
 
     Parameters
     ----------
-    duration: of the plan [s], not negative.
+    duration: duration of the plan [s], not negative.
     rate: [Hz], positive.
 
     Raises
@@ -111,14 +109,11 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     times = np.minimum(asked, motion.duration)
     order = np.argsort(times, axis=None, kind="stable")
     blocks = list(iterate_states(motion, times.ravel()[order], times.size))
-    back = np.empty_like(order)
-    back[order] = np.arange(len(order))
-
-    def whole(name: str) -> NDArray[Any]:
-        values: NDArray[Any] = np.concatenate([getattr(block, name) for block in blocks])[back]
-        return values.reshape((*times.shape, *values.shape[1:]))
-
-    states = {field.name: whole(field.name) for field in fields(States)}
+    back = np.argsort(order)
+    states: dict[str, Any] = {}
+    for field in fields(States):
+        values = np.concatenate([getattr(block, field.name) for block in blocks])[back]
+        states[field.name] = values.reshape((*times.shape, *values.shape[1:]))
     over = asked > motion.duration + TIME_TOLERANCE
     for name in ("velocities", "accelerations", "jerks", "vertex_velocities"):
         states[name][over] = 0.0
@@ -136,46 +131,34 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
     for piece in np.flatnonzero(np.diff(bounds)):
+        h = motion.drones.durations[piece]
+        drones = [motion.drones.coefficients[piece]]
+        for _ in range(3):
+            drones.append(bernstein.differentiate(drones[-1]) / h)
+        vertices = motion.vertices.coefficients[piece]
         for first in range(bounds[piece], bounds[piece + 1], size):
             t = times[first : min(first + size, bounds[piece + 1])]
-            elapsed = t - starts[piece]
-            cables = bool(formed[piece]), pulls[piece], taut[piece]
-            yield _states_within(motion, int(piece), t, elapsed, *cables)
-
-
-def _states_within(
-    motion: Motion, piece: int, t: Array, elapsed: Array, formed: bool, pulls: Array, taut: Array
-) -> States:
-    """Return the states at times t within a piece.
-
-    Its cables' ``pulls`` (2n, degree + 1) and tautness ``taut`` (n, degree + 1) are given.
-    """
-    h = motion.drones.durations[piece]
-    x = np.clip(elapsed / h, 0.0, 1.0)
-    drones = motion.drones.coefficients[piece]
-    velocities = bernstein.differentiate(drones) / h
-    accelerations = bernstein.differentiate(velocities) / h
-    jerks = bernstein.differentiate(accelerations) / h
-    positions = _values(drones, x)
-    p = _values(motion.vertices.coefficients[piece], x)
-    forces = cable_forces(motion.team, positions, p, _values(pulls, x), _values(taut, x))
-    return States(
-        t,
-        np.full(len(t), formed),
-        positions,
-        _values(velocities, x),
-        _values(accelerations, x),
-        _values(jerks, x),
-        forces,
-        p,
-        _values(bernstein.differentiate(motion.vertices.coefficients[piece]) / h, x),
-        _values(motion.legs.coefficients[piece], x),
-        _values(motion.tensions.coefficients[piece], x),
-    )
+            x = np.clip((t - starts[piece]) / h, 0.0, 1.0)
+            positions, velocities, accelerations, jerks = (_values(c, x) for c in drones)
+            p = _values(vertices, x)
+            pull, tautness_here = _values(pulls[piece], x), _values(taut[piece], x)
+            yield States(
+                t,
+                np.full(len(t), formed[piece]),
+                positions,
+                velocities,
+                accelerations,
+                jerks,
+                cable_forces(motion.team, positions, p, pull, tautness_here),
+                p,
+                _values(bernstein.differentiate(vertices) / h, x),
+                _values(motion.legs.coefficients[piece], x),
+                _values(motion.tensions.coefficients[piece], x),
+            )
 
 
 def _values(coefficients: Array, x: Array) -> Array:
-    """Return (times, *shape): the polynomials (*shape, degree + 1) at x (times,)."""
+    """Return the polynomials (*shape, degree + 1) at x (times,), as (times, *shape)."""
     order = bernstein.degree(coefficients)
     flat = bernstein.basis(x, order) @ coefficients.reshape(-1, order + 1).T
     return flat.reshape(len(x), *coefficients.shape[:-1])

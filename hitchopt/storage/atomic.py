@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from hitchopt.errors import FileError
@@ -27,10 +27,10 @@ from hitchopt.storage.directory_swap import (
 from hitchopt.storage.lock import locked
 
 STAGE = ".hitchopt-"
-"""How the name of the hidden subdirectory begins."""
+"""Beginning of the hidden subdirectory's name."""
 
 Writer = Callable[[Path], None]
-"""Writes one file at the path that it is given."""
+"""Function that writes one file at the path that it is given."""
 
 
 def replace_files(
@@ -43,7 +43,7 @@ def replace_files(
     directory: made if it is missing, with its parents; a symbolic link is followed.
     writers: for each file's name, what writes it.
     owned: the names that may be replaced and removed, those of ``writers`` among them.
-    seal: the name among ``owned`` that tells a whole set where files come one by one.
+    seal: the name among ``owned`` that marks a whole set where files come one by one.
 
     Returns
     -------
@@ -56,10 +56,14 @@ def replace_files(
     """
     given = Path(directory)
     target = _resolved(given)
-    made: list[Path] = []
+    missing: list[Path] = []
     try:
-        _refuse_directories(target, owned)
-        made = _make_parents(target)
+        for name in owned:
+            path = target / name
+            if path.is_dir() and not path.is_symlink():
+                raise FileError(f"{path}: is a directory where a file is to go; move it away")
+        missing = [parent for parent in target.parents if not parent.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
         with locked(_lock(target)):
             _finish_abandoned(target, owned)
             try:
@@ -73,7 +77,7 @@ def replace_files(
             "permissions there, or name another directory"
         ) from error
     finally:
-        for parent in reversed(made):
+        for parent in missing:
             with contextlib.suppress(OSError):  # not empty: it is in use now
                 parent.rmdir()
     return given
@@ -87,26 +91,6 @@ def _resolved(given: Path) -> Path:
     except (OSError, ValueError) as error:
         raise FileError(f"{given}: no path: {error}; name another directory") from error
     raise FileError(f"{given}: is a file, not a directory; name another one")
-
-
-def _refuse_directories(target: Path, owned: Collection[str]) -> None:
-    for name in owned:
-        path = target / name
-        if path.is_dir() and not path.is_symlink():
-            raise FileError(f"{path}: is a directory where a file is to go; move it away")
-
-
-def _make_parents(target: Path) -> list[Path]:
-    """Make the missing parents and return them, from the top."""
-    missing = [parent for parent in target.parents if not parent.exists()][::-1]
-    for i, parent in enumerate(missing):
-        try:
-            parent.mkdir(exist_ok=True)
-        except OSError:
-            for made in reversed(missing[:i]):
-                made.rmdir()
-            raise
-    return missing
 
 
 def _lock(target: Path) -> Path:
@@ -138,7 +122,11 @@ def _exchange(target: Path, writers: Mapping[str, Writer], owned: Collection[str
 def _rename_one_by_one(
     target: Path, writers: Mapping[str, Writer], owned: Collection[str], seal: str
 ) -> None:
-    with _staged(target, owned) as stage:
+    made = not target.exists()
+    target.mkdir(exist_ok=True)
+    stage = None
+    try:
+        stage = Path(tempfile.mkdtemp(SUFFIX, STAGE, target))
         _write_all(stage, writers)
         old = [seal, *(name for name in owned if name != seal and name not in writers)]
         for name in old:
@@ -147,16 +135,6 @@ def _rename_one_by_one(
         for name in sorted(writers, key=lambda name: name == seal):
             (stage / name).replace(target / name)
         sync(target)
-
-
-@contextlib.contextmanager
-def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
-    made = not target.exists()
-    target.mkdir(exist_ok=True)
-    stage = None
-    try:
-        stage = Path(tempfile.mkdtemp(SUFFIX, STAGE, target))
-        yield stage
     finally:
         if stage is not None:
             _remove_stage(stage, owned)
@@ -180,7 +158,7 @@ def _write_all(directory: Path, writers: Mapping[str, Writer]) -> None:
 
 
 def _holds_current_directory(target: Path) -> bool:
-    """Whether the shell that we were started from would be left in a removed directory."""
+    """Return whether the shell that started us would be left in a removed directory."""
     try:
         current = Path(os.path.realpath(os.getcwd()))
     except OSError:

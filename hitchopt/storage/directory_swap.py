@@ -1,10 +1,10 @@
 """A directory exchanged for its successor at once, with all that others keep in it.
 
-The successor is built beside it, in ``.NAME.hitchopt-….tmp/new``, with hard links to the files that
-are not ours. One call exchanges the two. What cannot have two links (subdirectories) is stood for
-by a symbolic link to where the exchange leaves it, and then trades places with that link: so every
-entry is reachable under its name wherever the process is killed, and whoever finds its working
-directory can tell how far it came and finish.
+The successor is built next to it, in ``.NAME.hitchopt-….tmp/new``, with hard links to the files
+that are not ours. One call exchanges the two. A symbolic link to where the exchange leaves it
+stands for what cannot have two links (subdirectories), which then trades places with that link: so
+every entry is reachable under its name wherever the process is killed, and the next writer finds
+its working directory, sees how far it came and finishes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from hitchopt.storage.exchange import exchange
 
 SUFFIX = ".tmp"
-"""How the names of hidden directories end."""
+"""End of the names of hidden directories."""
 
 
 class ExchangeUnavailableError(Exception):
@@ -30,7 +30,7 @@ class ExchangeUnavailableError(Exception):
 
 @dataclass(frozen=True)
 class _Record:
-    """What settling needs to know.
+    """Facts that settling needs.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Swap:
     Parameters
     ----------
     target: the directory to replace, no symbolic link.
-    work: the working directory beside it.
+    work: the working directory next to it.
     owned: the names that are ours to write and to remove.
     """
 
@@ -93,7 +93,7 @@ class Swap:
 
     @property
     def record(self) -> Path:
-        """What settling needs to know, written before the exchange."""
+        """File with what settling needs to know, written before the exchange."""
         return self.work / "record.json"
 
     def commit(self) -> None:
@@ -123,25 +123,26 @@ class Swap:
         ExchangeUnavailableError: others' entries cannot be moved; the target is as it was.
         """
         record = self._recorded()
-        if record is None or not self.new.exists() or self.new.stat().st_ino == record.successor:
-            self._remove_successor(record)
-            return
-        self.target.mkdir(exist_ok=True)  # someone may have removed it since
-        try:
-            self._bring_back_subdirectories()
-        except OSError as error:
-            self._undo()
-            self._remove_successor(record)
-            raise ExchangeUnavailableError from error
-        self._remove_predecessor(record)
+        used = (
+            record is not None and self.new.exists() and self.new.stat().st_ino != record.successor
+        )
+        if used:
+            self.target.mkdir(exist_ok=True)  # someone may have removed it since
+            try:
+                self._trade_stand_ins(self.target)
+            except OSError as error:
+                self._trade_stand_ins(self.new)
+                exchange(self.new, self.target)
+                self._clear(record, used=False)
+                raise ExchangeUnavailableError from error
+        self._clear(record, used=used)
 
     def _adopt_others(self) -> None:
         """Give the successor all of the target's entries that are not ours."""
         with os.scandir(self.target) as entries:
             others = [entry for entry in entries if entry.name not in self.owned]
         record = _Record(self.new.stat().st_ino, {e.name: e.inode() for e in others})
-        with self.record.open("w", encoding="utf-8") as file:
-            json.dump(vars(record), file)
+        self.record.write_text(json.dumps(vars(record)), encoding="utf-8")
         sync(self.record)
         for entry in others:
             self._adopt(entry)
@@ -176,45 +177,31 @@ class Swap:
         except (OSError, ValueError, TypeError):
             return None
 
-    def _bring_back_subdirectories(self) -> None:
+    def _trade_stand_ins(self, place: Path) -> None:
+        """Let every stand-in in ``place`` and the subdirectory it stands for change places."""
         for name in _names(self.new):
-            if self._is_stand_in(self.target / name):
+            if self._is_stand_in(place / name):
                 exchange(self.new / name, self.target / name)
 
-    def _undo(self) -> None:
-        for name in _names(self.new):
-            if self._is_stand_in(self.new / name):
-                exchange(self.new / name, self.target / name)
-        exchange(self.new, self.target)
+    def _clear(self, record: _Record | None, *, used: bool) -> None:
+        """Remove what is ours from the predecessor or an unused successor; move the rest back.
 
-    def _remove_successor(self, record: _Record | None) -> None:
-        """Remove what was built and not used; before there is a record, that is ours alone."""
-        ours = {*self.owned, *(record.others if record is not None else ())}  # links, the latter
+        In a successor links to others' files are ours too. Before there is a record, nothing else
+        is in it.
+        """
+        others = {} if record is None else record.others
+        ours = {*self.owned, *(() if used else others)}
         for name in _names(self.new):
             path, home = self.new / name, self.target / name
             with contextlib.suppress(OSError):
                 if name in ours or self._is_stand_in(path):
                     path.unlink()
-                elif record is not None and not os.path.lexists(home):  # made before an undo
+                elif record is not None and not os.path.lexists(home):  # made meanwhile
                     path.rename(home)
-        self._remove_work()
-
-    def _remove_predecessor(self, record: _Record) -> None:
-        """Remove what is ours or has its other name in the target; move the rest there."""
-        for name in _names(self.new):
-            path, home = self.new / name, self.target / name
-            with contextlib.suppress(OSError):
-                if name in self.owned or self._is_stand_in(path):
+                elif used and os.path.samestat(path.lstat(), home.lstat()):
                     path.unlink()
-                elif not os.path.lexists(home):  # made while the successor was
-                    path.rename(home)
-                elif os.path.samestat(path.lstat(), home.lstat()):
-                    path.unlink()
-                elif home.lstat().st_ino == record.others.get(name):  # replaced meanwhile
+                elif used and home.lstat().st_ino == others.get(name):  # replaced meanwhile
                     path.replace(home)
-        self._remove_work()
-
-    def _remove_work(self) -> None:
         with contextlib.suppress(OSError):  # not empty: something in it is not ours to delete
             if self.new.exists():
                 self.new.rmdir()

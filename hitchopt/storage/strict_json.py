@@ -1,7 +1,6 @@
 """JSON that every reader takes, and that no writer breaks the reader with.
 
-Written, every number that JSON has no word for is null. Read, a file of any content is parsed or
-refused.
+Written, every number that is not finite is null. Read, a file of any content is parsed or refused.
 """
 
 from __future__ import annotations

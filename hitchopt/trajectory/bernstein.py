@@ -28,6 +28,15 @@ def basis(x: Array, order: int) -> Array:
     return binomials(order) * x**i * (1.0 - x) ** (order - i)
 
 
+def derivative_basis(x: Array, order: int, derivative: int) -> Array:
+    """Return a derivative of the basis by the local parameter at x (…), as (…, order + 1)."""
+    rows = np.eye(order + 1)
+    for _ in range(derivative):
+        rows = differentiate(rows)
+    values: Array = basis(x, degree(rows)) @ rows.T
+    return values
+
+
 def evaluate(coefficients: Array, x: Array | float) -> Array:
     """Return the values at x, which broadcasts against the coefficients' leading axes."""
     weights = basis(np.asarray(x, dtype=np.float64), degree(coefficients))

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 
 from hitchopt.cli import main
 from hitchopt.exports.formats.registry import HOMES
-from hitchopt.exports.refit import lattice_rounding
+from hitchopt.exports.refit import rounding_repair
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
@@ -63,7 +63,7 @@ def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lattice_rounding, "MOST", -1)  # rounding is left as it is
+    monkeypatch.setattr(rounding_repair, "MOST", -1)  # rounding is left as it is
     done = run("export", plan, "--format", "compressed", "-o", "files")
     assert done.exit_code == 3
     assert done.stdout == ""
@@ -76,7 +76,7 @@ def test_a_lost_limit_ends_with_3_and_what_would_do(
     assert slower.exit_code == 0, slower.output
 
 
-def test_beside_the_plan_by_default(plan: Path) -> None:
+def test_next_to_the_plan_by_default(plan: Path) -> None:
     done = run("export", plan, "--format", "npz")
     assert done.exit_code == 0
     assert (plan.parent / "out-npz" / "setpoints.npz").exists()
@@ -102,7 +102,7 @@ def test_frames_origin_yaw_and_fleet(plan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (["--format", "crazyswarm"], "did you mean crazyswarm2?"),
         (["--format", "csv", "--frame", "up"], "must be one of enu, nwu, ned"),
@@ -118,18 +118,18 @@ def test_frames_origin_yaw_and_fleet(plan: Path, tmp_path: Path) -> None:
     ],
 )
 def test_usage_that_is_wrong_ends_with_2(
-    arguments: list[str], told: str, plan: Path, tmp_path: Path
+    arguments: list[str], reported: str, plan: Path, tmp_path: Path
 ) -> None:
     done = run("export", plan, *arguments, "-o", "files")
     assert done.exit_code == 2, done.output
-    assert told in done.stderr
+    assert reported in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_help_names_every_format() -> None:
-    told = run("export", "--help").stdout
-    assert all(name in told for name in HOMES)
-    assert "Formats:" in told
+    reported = run("export", "--help").stdout
+    assert all(name in reported for name in HOMES)
+    assert "Formats:" in reported
 
 
 def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
@@ -171,8 +171,8 @@ def test_a_format_of_one_file_is_written_where_it_is_wanted(
     plan: Path, name: str, ending: str
 ) -> None:
     place = Path("new") / f"table.{ending}"
-    told = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
-    assert told.exit_code == 0, told.stderr
+    reported = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
+    assert reported.exit_code == 0, reported.stderr
     assert run("export", plan, "--format", name, "-o", "folder", "--stretch", "1.02").exit_code == 0
     (same,) = (path for path in Path("folder").iterdir() if path.name != "export.json")
     assert place.stat().st_size == same.stat().st_size

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.certificate import Check
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.fleet import placeholder_fleet
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.registry import format_of
-from hitchopt.exports.frame import Room
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.verification import FLOWN
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
@@ -53,6 +56,12 @@ def hitch_plan() -> Motion:
 @lru_cache
 def certificate_of(motion: Motion) -> Certificate:
     return certify(motion)
+
+
+def flown_checks(motion: Motion) -> dict[str, Check]:
+    """The checks of exports for the plan itself, by name."""
+    found = {rule.name: rule.check(motion, exported=True) for rule in FLOWN}
+    return {name: check for name, check in found.items() if check is not None}
 
 
 def swarm_of(places: Array, breaks: Array, degree_match: int = 4) -> Motion:
@@ -114,11 +123,12 @@ def restless_plan(duration: float = 40.0) -> Motion:
     return Motion.single(Swarm(2), requirements, drones, (phase,))
 
 
-def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **room: object) -> Task:
+def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **place: object) -> Task:
     kind = format_of(name)
-    place = Room(**{"frame": kind.frames[0], **room})  # type: ignore[arg-type]
+    options = ExportOptions(name, **place)  # type: ignore[arg-type]
+    frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
     fleet = placeholder_fleet(motion.team.drone_names)
-    return Task(motion, "A plan", place, fleet, rate or kind.rate)
+    return Task(motion, "A plan", frame, fleet, rate or kind.rate, options)
 
 
 def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:

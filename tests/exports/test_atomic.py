@@ -36,8 +36,8 @@ def everything(directory: Path) -> dict[str, str]:
 
 
 @pytest.fixture(params=["exchange", "one by one"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Both ways of replacing; the second as on a file system that cannot exchange."""
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both methods of replacing; the second as on a file system that cannot exchange."""
     if request.param == "one by one":
 
         def unavailable(first: Path, second: Path) -> None:
@@ -60,7 +60,7 @@ def test_a_missing_directory_is_made_with_its_parents(home: Path) -> None:
     assert everything(home) == {"out/a/b/plan": "1", "out/a/b/seal": "s"}
 
 
-@pytest.mark.usefixtures("way")
+@pytest.mark.usefixtures("method")
 def test_only_ours_are_replaced_and_removed(home: Path) -> None:
     out = home / "out"
     (out / "sub/deep").mkdir(parents=True)
@@ -86,7 +86,7 @@ def test_the_exchange_is_what_is_used_here(home: Path) -> None:
     assert out.stat().st_ino != before
 
 
-@pytest.mark.usefixtures("way")
+@pytest.mark.usefixtures("method")
 def test_a_failing_writer_changes_nothing(home: Path) -> None:
     def full(path: Path) -> None:
         path.write_text("half")
@@ -112,7 +112,7 @@ def interrupted(path: Path) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.usefixtures("way")
+@pytest.mark.usefixtures("method")
 def test_the_mode_is_kept_and_a_new_one_is_the_usual(home: Path) -> None:
     old = os.umask(0o027)
     try:
@@ -126,7 +126,7 @@ def test_the_mode_is_kept_and_a_new_one_is_the_usual(home: Path) -> None:
         os.umask(old)
 
 
-@pytest.mark.usefixtures("way")
+@pytest.mark.usefixtures("method")
 def test_a_symbolic_link_is_followed_and_stays(home: Path) -> None:
     (home / "elsewhere/real").mkdir(parents=True)
     (home / "elsewhere/real/notes").write_text("mine")
@@ -234,7 +234,7 @@ def test_a_subdirectory_that_cannot_move_keeps_its_place(
     assert not any(p.is_symlink() for p in out.iterdir())
 
 
-def test_files_that_others_make_or_replace_meanwhile_are_kept(
+def test_files_that_others_make_or_replace_meanwhile_stay(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = home / "out"

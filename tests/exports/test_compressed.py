@@ -99,7 +99,7 @@ def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
 
 def test_yaw_is_constant_and_what_rests_takes_no_bytes() -> None:
     still = swarm_of(np.array([[[0.0, 0.0, 1.0]], [[0.4, 0.0, 1.0]]]), np.array([0.0, 3.0]))
-    (data,) = compressed(task_of(still, "compressed")).values()
+    (data,) = compressed(task_of(still, "compressed"), 1.0, 2e-3).values()
     _, found, _ = segments(data)
     assert all(axes[1] == axes[2] == axes[3] == [] for _, axes in found)
     assert len(data) == 8 + len(found) * (3 + 14) + 3
@@ -138,7 +138,7 @@ def test_beyond_the_range_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "reported"),
     [
         (b"", "has 0 bytes"),
         (bytes(8), "no segment that lasts"),
@@ -149,10 +149,10 @@ def test_beyond_the_range_is_refused(tmp_path: Path) -> None:
         (bytes(70_000), "far larger"),
     ],
 )
-def test_damaged_bytes_are_told(data: bytes, told: str, tmp_path: Path) -> None:
+def test_damaged_bytes_are_reported(data: bytes, reported: str, tmp_path: Path) -> None:
     path = tmp_path / "d0.bin"
     path.write_bytes(data)
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=reported):
         read_compressed(path)
 
 

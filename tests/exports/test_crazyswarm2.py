@@ -193,9 +193,9 @@ def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
 
 
 def test_what_never_rests_is_left_to_streaming(tmp_path: Path) -> None:
-    with pytest.raises(InfeasibleError, match="above the limit of 31 pieces") as told:
+    with pytest.raises(InfeasibleError, match="above the limit of 31 pieces") as reported:
         exported(restless_plan(), "crazyswarm2", tmp_path / "out")
-    assert "stream it: --format ros2bag" in str(told.value)
+    assert "stream it: --format ros2bag" in str(reported.value)
     assert not (tmp_path / "out").exists()
 
 
@@ -217,7 +217,7 @@ def rows(count: int) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "reported"),
     [
         (rows(0), "no row of numbers"),
         ([*rows(2), "1.0,2.0"], "line 4 has 2 numbers, not 33"),
@@ -227,10 +227,10 @@ def rows(count: int) -> list[str]:
         ([*rows(1), rows(1)[1].replace("0.5", "half", 1)], "line 3: could not convert"),
     ],
 )
-def test_damaged_files_are_told(lines: list[str], told: str, tmp_path: Path) -> None:
+def test_damaged_files_are_reported(lines: list[str], reported: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
     path.write_text("\n".join(lines))
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=reported):
         read_poly_csv(path)
 
 

@@ -44,7 +44,7 @@ def changed(role: str, **keys: object) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "reported"),
     [
         ({}, r"drones = '\(missing\)': must be given"),
         ({"drones": {"q0": DRONES["q0"]}}, "drones = 'r0': must be named once"),
@@ -60,8 +60,8 @@ def changed(role: str, **keys: object) -> dict[str, object]:
         (changed("q0", name=7), "drones.q0.name = 7: must be text"),
     ],
 )
-def test_mistakes_are_told_by_key(data: dict[str, object], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_mistakes_are_reported_by_key(data: dict[str, object], reported: str) -> None:
+    with pytest.raises(InputError, match=reported):
         fleet_from_dict(data, ROLES)
 
 
@@ -81,7 +81,7 @@ def test_robots_fly_their_roles_else_their_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "keys", "told"),
+    ("name", "keys", "reported"),
     [
         ("cf3", {"enabled": True}, r"robots = 'cf3': .* a robot's role tells which it flies"),
         ("cf3", {"enabled": True, "role": "r0"}, "robots.cf3.role = 'r0': .* and cf7 has it"),
@@ -90,11 +90,11 @@ def test_robots_fly_their_roles_else_their_names() -> None:
         ("cf7", {"uri": None}, "robots.cf7.uri"),
     ],
 )
-def test_mistakes_in_settings_are_told_by_robot(
-    name: str, keys: dict[str, object], told: str
+def test_mistakes_in_settings_are_reported_by_robot(
+    name: str, keys: dict[str, object], reported: str
 ) -> None:
     robots = {**ROBOTS, name: {**ROBOTS[name], **keys}}
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         fleet_from_dict({"robots": robots}, ROLES)
 
 

@@ -122,7 +122,7 @@ def test_a_whole_plan_from_take_off_to_landing(
 def test_parts_tell_their_place_in_the_plan(parts: tuple[Export, ...]) -> None:
     text = [(part.folder / "README.txt").read_text(encoding="utf-8") for part in parts]
     for number, part in enumerate(parts, 1):
-        told = f"part {number} of 3, t = {part.begins:.3f} s to "
-        assert any(note.startswith(told) for note in part.notes)
-        assert told in text[number - 1]
-        assert told in (part.folder / "fly.py").read_text(encoding="utf-8")
+        reported = f"part {number} of 3, t = {part.begins:.3f} s to "
+        assert any(note.startswith(reported) for note in part.notes)
+        assert reported in text[number - 1]
+        assert reported in (part.folder / "fly.py").read_text(encoding="utf-8")

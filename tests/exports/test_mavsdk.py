@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.formats import mavsdk
 from hitchopt.exports.formats.mavsdk import COLUMNS, read_table, recording_of_tables
-from hitchopt.exports.formats.mavsdk_lead_in import SPEED, lead_in
+from hitchopt.exports.formats.mavsdk_lead_in import SPEED
 from hitchopt.exports.formats.mavsdk_receiver import LATE, Receiver
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
@@ -188,17 +189,13 @@ def test_altitudes_that_are_counted_from_the_air_are_not_written(
 ) -> None:
     """Without the rise from the ground every drone would fly lower by its first altitude."""
 
-    def hover(task: Any) -> Any:
-        lead = lead_in(task)
-        lead.ground[:, 2] += lead.height
-        lead.height[:] = 0.0
-        return lead
+    def hovering(task: Any, lead: Any) -> Any:
+        rise = replace(lead, ground=lead.ground.copy(), height=0.0 * lead.height)
+        rise.ground[:, 2] += lead.height
+        return real(task, rise)
 
-    def write(folder: Path, task: Any, _: Any) -> None:
-        real(folder, task, hover(task))
-
-    real = mavsdk.write_files
-    monkeypatch.setattr(mavsdk, "write_files", write)
+    real = mavsdk.rows_of
+    monkeypatch.setattr(mavsdk, "rows_of", hovering)
     with pytest.raises(InfeasibleError, match="position_error: 1"):
         exported(swarm_plan(), "mavsdk_drone_show", tmp_path / "out")
 
@@ -212,7 +209,7 @@ def test_altitudes_that_are_counted_from_the_air_are_not_written(
         ("USE_GLOBAL_SETPOINTS", 1),
     ],
 )
-def test_settings_of_another_type_are_told(name: str, value: object) -> None:
+def test_settings_of_another_type_are_reported(name: str, value: object) -> None:
     with pytest.raises(FileError, match=name):
         Receiver.of({name: value})
 
@@ -275,7 +272,7 @@ def test_another_frame_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("", "no column 't'"),
         (COLUMNS.replace("vx", "wx"), "no column 'vx'"),
@@ -284,8 +281,8 @@ def test_another_frame_is_refused(tmp_path: Path) -> None:
         (f"{COLUMNS}\n{','.join(['zero'] * 16)}\n", "could not convert"),
     ],
 )
-def test_damaged_files_are_told(text: str, told: str, tmp_path: Path) -> None:
+def test_damaged_files_are_reported(text: str, reported: str, tmp_path: Path) -> None:
     path = tmp_path / "Drone 1.csv"
     path.write_text(text)
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=reported):
         read_table(path)

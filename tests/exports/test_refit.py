@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.exports.recording import lasted
-from hitchopt.exports.refit.breaks import best_breaks, greedy_breaks, span_error
+from hitchopt.exports.refit.breaks import best_breaks, greedy_breaks
 from hitchopt.exports.refit.joint_rounding import rounded
 from hitchopt.exports.refit.pieces import NODES, Kind, Scale, SpanErrors, fitted
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -73,7 +73,7 @@ def test_the_error_of_a_span_is_that_of_its_fit(kind: Kind) -> None:
 
 def test_breaks_are_whole_quanta_and_each_span_keeps_the_bound() -> None:
     curves = hitch_plan().drones
-    error = span_error(curves, CUBIC)
+    error = SpanErrors(lasted(curves, curves.duration + CUBIC.quantum), CUBIC, Scale())
     breaks = greedy_breaks(error, curves.duration, CUBIC, 0.5, 10_000)
     assert breaks is not None
     ticks = breaks / CUBIC.quantum

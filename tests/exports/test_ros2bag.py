@@ -18,12 +18,13 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.formats.attitude import attitudes_of
 from hitchopt.exports.formats.registry import format_of
 from hitchopt.exports.formats.ros2_messages import Messages, bag_recording
-from hitchopt.exports.options import Wish, export_motion
-from hitchopt.exports.verification import judge
+from hitchopt.exports.plan_export import export_motion
+from hitchopt.exports.verification import verify
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import sample_times, states_at
 
@@ -90,9 +91,10 @@ def test_an_independent_reader_sees_the_plan(tmp_path: Path) -> None:
 
 def test_sqlite_holds_the_same(tmp_path: Path) -> None:
     motion = swarm_plan()
+    options = ExportOptions("ros2bag", storage="sqlite3")
     task = task_of(motion, "ros2bag", RATE)
     kind = format_of("ros2bag")
-    export_plan(kind, replace(task, storage="sqlite3"), certificate_of(motion), tmp_path)
+    export_plan(kind, replace(task, options=options), certificate_of(motion), tmp_path)
     with sqlite3.connect(tmp_path / "setpoints.db3") as database:
         topics = {name for (name,) in database.execute("select name from topics")}
         (count,) = database.execute("select count(*) from messages").fetchone()
@@ -101,7 +103,7 @@ def test_sqlite_holds_the_same(tmp_path: Path) -> None:
         f"/d{i}/{kind}" for i in range(3) for kind in ("trajectory", "path", "cmd_full_state")
     }
     assert count == 3 * (2 + len(sample_times(motion.duration, RATE)))
-    verdict = judge(motion, bag_recording(tmp_path), task.room, task.names)
+    verdict = verify(motion, bag_recording(tmp_path), task.frame, task.names)
     assert verdict.position.worst < 1e-6
 
 
@@ -113,8 +115,8 @@ def test_metadata_are_what_a_release_reads(
     """Humble and Iron read profiles of quality of service as text: a list stops them. What is
     written if nobody says which release is read by all of them."""
     asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
-    wish = Wish("ros2bag", rate=RATE, storage=storage, **asked)
-    export_motion(swarm_plan(), "A plan", wish, tmp_path / "bag")
+    options = ExportOptions("ros2bag", rate=RATE, storage=storage, **asked)
+    export_motion(swarm_plan(), "A plan", options, tmp_path / "bag")
     content = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
     bag = content["rosbag2_bagfile_information"]
     topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]
@@ -139,10 +141,11 @@ def test_metadata_are_what_a_release_reads(
     assert isinstance(bag["ros_distro"], str)
 
 
-def test_another_release_is_refused(tmp_path: Path) -> None:
-    wish = Wish("ros2bag", ros_distro="foxy")
+def test_another_release_is_refused() -> None:
     with pytest.raises(InputError, match="--ros-distro = 'foxy': must be humble, iron, jazzy"):
-        export_motion(swarm_plan(), "A plan", wish, tmp_path / "bag")
+        ExportOptions("ros2bag", ros_distro="foxy")
+    with pytest.raises(InputError, match="--storage = 'tape': must be mcap or sqlite3"):
+        ExportOptions("ros2bag", storage="tape")
 
 
 def test_attitudes_turn_as_their_rates_say() -> None:
@@ -157,10 +160,10 @@ def test_attitudes_turn_as_their_rates_say() -> None:
     np.testing.assert_allclose(turned, now.rates.reshape(-1, 3), atol=2e-4)
     assert np.max(np.abs(now.rates)) > 0.05
     ahead = Rotation.from_quat(now.quaternions.reshape(-1, 4)).apply([1.0, 0.0, 0.0])
-    np.testing.assert_allclose(np.arctan2(ahead[:, 1], ahead[:, 0]), task.room.heading, atol=1e-9)
+    np.testing.assert_allclose(np.arctan2(ahead[:, 1], ahead[:, 0]), task.frame.heading, atol=1e-9)
 
 
-def test_a_bag_of_other_messages_is_told(tmp_path: Path) -> None:
+def test_a_bag_of_other_messages_is_reported(tmp_path: Path) -> None:
     store = Messages().store
     with Writer(tmp_path / "bag", version=9) as bag:
         topic = bag.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
@@ -171,7 +174,7 @@ def test_a_bag_of_other_messages_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["truncated", "text", "missing"])
-def test_damaged_bags_are_told(how: str, tmp_path: Path) -> None:
+def test_damaged_bags_are_reported(how: str, tmp_path: Path) -> None:
     exported(swarm_plan(), "ros2bag", tmp_path, rate=RATE)
     path = tmp_path / "setpoints.mcap"
     if how == "truncated":

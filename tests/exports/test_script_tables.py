@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.formats.csv_table import read_csv, write_csv
 from hitchopt.exports.formats.json_table import read_json, write_json
-from hitchopt.exports.formats.long_table import COLUMNS, ROWS, blocks_of
-from hitchopt.exports.formats.npz_table import GROUPS, read_npz, write_npz
+from hitchopt.exports.formats.long_table import COLUMNS, GROUPS, ROWS, blocks_of
+from hitchopt.exports.formats.npz_table import read_npz, write_npz
 from hitchopt.exports.formats.parquet_table import read_parquet, write_parquet
 from hitchopt.exports.manifest import read_manifest
 from hitchopt.hitch import GRAVITY
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 NAMES = ("csv", "parquet", "npz", "json")
 
-ROOM = {"frame": "ned", "origin": [2.0, -1.0, 0.5], "yaw": 0.4}
+PLACE = {"frame": "ned", "origin": [2.0, -1.0, 0.5], "yaw": 0.4}
 
 
 def table(name: str, folder: Path) -> tuple[Array, list[str], Array]:
@@ -63,7 +63,7 @@ def table(name: str, folder: Path) -> tuple[Array, list[str], Array]:
 @pytest.mark.parametrize("name", NAMES)
 def test_what_other_libraries_read_is_the_plan(name: str, tmp_path: Path) -> None:
     motion = hitch_plan()
-    (part,) = exported(motion, name, tmp_path / "out", rate=40.0, **ROOM)
+    (part,) = exported(motion, name, tmp_path / "out", rate=40.0, **PLACE)
     assert part.verdict.lost == ()
     assert part.verdict.position.worst < 1e-6
     t, drones, values = table(name, part.folder)
@@ -155,11 +155,11 @@ def test_row_groups_are_for_readers_that_work_by_groups(tmp_path: Path) -> None:
 
 
 def test_few_samples_of_many_pieces_are_one_group(tmp_path: Path) -> None:
-    exported(hitch_plan(), "parquet", tmp_path, **ROOM)
+    exported(hitch_plan(), "parquet", tmp_path, **PLACE)
     file = pq.ParquetFile(tmp_path / "setpoints.parquet")
     assert file.num_row_groups == 1
-    room = json.loads(file.schema_arrow.metadata[b"hitchopt.room"])
-    assert room == {
+    place = json.loads(file.schema_arrow.metadata[b"hitchopt.room"])
+    assert place == {
         "frame": "ned",
         "origin_enu": [2.0, -1.0, 0.5],
         "yaw_deg": pytest.approx(np.degrees(0.4)),
@@ -190,16 +190,16 @@ def damaged(name: str, folder: Path, how: str) -> Path:
 
 @pytest.mark.parametrize("how", ["truncated", "empty", "text"])
 @pytest.mark.parametrize("name", NAMES)
-def test_damaged_files_are_told(name: str, how: str, tmp_path: Path) -> None:
+def test_damaged_files_are_reported(name: str, how: str, tmp_path: Path) -> None:
     path = damaged(name, tmp_path, how)
-    with pytest.raises(FileError) as told:
+    with pytest.raises(FileError) as reported:
         for _ in READERS[name](path).windows():
             pass
-    assert len(str(told.value)) < 600
+    assert len(str(reported.value)) < 600
 
 
 @pytest.mark.parametrize(
-    ("edit", "told"),
+    ("edit", "reported"),
     [
         (lambda s: s.replace("t,drone,x", "t,drone,q"), "no column 'x'"),
         (lambda s: s.replace("d1", "d7", 1), "are not one per drone"),
@@ -209,13 +209,15 @@ def test_damaged_files_are_told(name: str, how: str, tmp_path: Path) -> None:
         ),
         (lambda s: s.replace(",d2,", ",d2,nonsense", 1), "could not convert"),
         (lambda s: s.partition("\n")[0], "holds no rows"),
+        (lambda s: s.partition("\n")[0] + "\nnan,d0" + ",0" * 19, "a time is nan or infinite"),
+        (lambda s: s.replace("\n", "\n\n"), "a line is empty"),
     ],
 )
-def test_csv_of_others(edit: object, told: str, tmp_path: Path) -> None:
+def test_csv_of_others(edit: object, reported: str, tmp_path: Path) -> None:
     exported(swarm_plan(), "csv", tmp_path, rate=20.0)
     path = tmp_path / "setpoints_enu.csv"
     path.write_text(edit(path.read_text()))  # type: ignore[operator]
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=reported):
         for _ in read_csv(path).windows():
             pass
 
@@ -232,7 +234,7 @@ def test_a_missing_library_says_what_to_install(
 
 
 def test_the_manifest_says_frame_drones_errors_and_checks(tmp_path: Path) -> None:
-    (part,) = exported(hitch_plan(), "csv", tmp_path, **ROOM)
+    (part,) = exported(hitch_plan(), "csv", tmp_path, **PLACE)
     manifest = read_manifest(tmp_path)
     assert manifest is not None
     assert (manifest["frame"], manifest["origin_enu"]) == ("ned", [2.0, -1.0, 0.5])

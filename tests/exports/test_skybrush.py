@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import exported, hitch_plan, swarm_plan, task_of
+from exported_plans import exported, flown_checks, hitch_plan, swarm_plan, task_of
 from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.formats.registry import format_of
 from hitchopt.exports.formats.skybrush import write_show
 from hitchopt.exports.formats.skybrush_csv import HEADER, lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import drones_of_show, storage_scale, stored
-from hitchopt.exports.verification import flown_checks
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
@@ -102,7 +102,7 @@ def test_what_the_server_stores_is_what_was_certified(
     motion = hitch_plan()
     (part,) = exported(motion, "skybrush", tmp_path, origin=away)
     (declared,) = re.findall(r"jumps by up to ([0-9.e+]+) mm/s", part.notes[1])
-    room = task_of(motion, "skybrush", origin=away).room
+    frame = task_of(motion, "skybrush", origin=away).frame
     jumps = []
     with zipfile.ZipFile(tmp_path / "show.skyc") as archive:
         for i, name in enumerate(motion.team.drone_names):
@@ -115,10 +115,10 @@ def test_what_the_server_stores_is_what_was_certified(
             )
             curve = PiecewisePolynomial(times, np.swapaxes(pieces, 1, 2))
             t = np.linspace(0.0, motion.duration, 200)
-            wanted = room.points(states_at(motion, t).positions[:, i])
+            wanted = frame.points(states_at(motion, t).positions[:, i])
             for order, worst in ((0, part.verdict.position), (1, part.verdict.velocity)):
                 if order:
-                    wanted = room.vectors(states_at(motion, t).velocities[:, i])
+                    wanted = frame.vectors(states_at(motion, t).velocities[:, i])
                 apart = np.linalg.norm(curve.at(t, order) - wanted, axis=-1)
                 assert np.max(apart) <= worst.worst + 1e-9
             slopes = 3.0 * np.diff(pieces, axis=1) / (1e-3 * lasting[:, None, None])
@@ -202,9 +202,9 @@ def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> N
     kind = format_of("skybrush_csv")
     (part,) = export_plan(kind, task_of(pair, "skybrush_csv"), certificate, tmp_path)
     assert [note.split(":")[0] for note in part.notes] in (["at 40 Hz"], ["at 100 Hz"])
-    asked = replace(task_of(pair, "skybrush_csv"), rate_given=True)
+    asked = replace(task_of(pair, "skybrush_csv"), options=ExportOptions("skybrush_csv", rate=20.0))
     with pytest.raises(InfeasibleError, match=r"separation: 0\.9"):
-        export_plan(kind, asked, certificate, tmp_path / "out", suggest=False)
+        export_plan(kind, asked, certificate, tmp_path / "out")
 
 
 def edited(folder: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
@@ -237,7 +237,7 @@ def test_lines_parabolas_late_starts_and_inline_trajectories_are_read(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("edit", "told"),
+    ("edit", "reported"),
     [
         (lambda f: f.pop("show.json"), "show.json"),
         (lambda f: f["show.json"].pop("swarm"), "KeyError"),
@@ -250,14 +250,14 @@ def test_lines_parabolas_late_starts_and_inline_trajectories_are_read(tmp_path: 
         (lambda f: f[FIRST]["points"][1].__setitem__(1, [0.0, 1.0, float("nan")]), "finite"),
     ],
 )
-def test_damaged_shows_are_told(
-    edit: Callable[[dict[str, Any]], object], told: str, tmp_path: Path
+def test_damaged_shows_are_reported(
+    edit: Callable[[dict[str, Any]], object], reported: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=reported):
         drones_of_show(edited(tmp_path, edit))
 
 
-def test_a_truncated_zip_is_told(tmp_path: Path) -> None:
+def test_a_truncated_zip_is_reported(tmp_path: Path) -> None:
     exported(swarm_plan(), "skybrush", tmp_path)
     path = tmp_path / "show.skyc"
     path.write_bytes(path.read_bytes()[:-30])
@@ -268,7 +268,7 @@ def test_a_truncated_zip_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("a,b,c\n1,2,3\n", "its first line is 'a,b,c'"),
         (f"{HEADER}\n0,0,0,1,0,0,0\n", "has 1 rows"),
@@ -277,6 +277,6 @@ def test_a_truncated_zip_is_told(tmp_path: Path) -> None:
         (f"{HEADER}\n50,0,0,1,0,0,0\n50,0,0,1,0,0,0\n", "repeats the time t = 0.05 s"),
     ],
 )
-def test_damaged_csv_is_told(text: str, told: str) -> None:
-    with pytest.raises(FileError, match=told):
+def test_damaged_csv_is_reported(text: str, reported: str) -> None:
+    with pytest.raises(FileError, match=reported):
         lines_of(text, "d0.csv")

@@ -1,8 +1,8 @@
-"""How a drone must stand and turn for its thrust to point where it must: differential flatness.
+"""Attitudes and body rates that point a drone's thrust where it must: differential flatness.
 
 The body's z axis is along the thrust ``a_ff + g ẑ`` (over the mass), its x axis in the vertical
 plane of the heading. With the thrust's derivative ``j_ff`` of constant heading, the rates about the
-body's axes follow [rad/s]. Frames with z up only.
+body's axes follow [rad/s]. The frame's z axis must point up.
 """
 
 from __future__ import annotations
@@ -10,21 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from hitchopt.exports.formats.format import Task, pull_of
+from hitchopt.exports.formats.format import Task
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import States, states_at
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STEP = 1e-4
-"""[s] Over which the pull is differentiated: its second derivative errs by 1e-8 of itself."""
+"""Step of the pull's central difference [s]: its second derivative errs by 1e-8 of itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class Attitudes:
-    """At S times of D drones.
+    """Attitudes at S times of D drones.
 
     Attributes
     ----------
@@ -37,18 +36,18 @@ class Attitudes:
 
 
 def attitudes_of(task: Task, states: States) -> Attitudes:
-    """Return how the drones stand and turn, in the file's frame."""
-    room, t = task.room, states.t
-    specific = room.vectors(states.accelerations) - pull_of(task, states)
-    specific = specific + np.array([0.0, 0.0, GRAVITY])
+    """Return the drones' attitudes and rates in the file's frame."""
+    frame, t = task.frame, states.t
+    upward = np.array([0.0, 0.0, GRAVITY])
+    specific = frame.vectors(states.accelerations) - task.pulls(states) + upward
     before = np.maximum(t - STEP, 0.0)
     after = np.minimum(t + STEP, task.motion.duration)
-    pulls = [pull_of(task, states_at(task.motion, at)) for at in (before, after)]
+    pulls = [task.pulls(states_at(task.motion, at)) for at in (before, after)]
     change = (pulls[1] - pulls[0]) / (after - before)[:, None, None]
-    jerk = room.vectors(states.jerks) - change
+    jerk = frame.vectors(states.jerks) - change
     size = np.linalg.norm(specific, axis=-1, keepdims=True)
     z = specific / size
-    left = np.array([-np.sin(room.heading), np.cos(room.heading), 0.0])
+    left = np.array([-np.sin(frame.heading), np.cos(frame.heading), 0.0])
     x = np.cross(left, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     y = np.cross(z, x)
@@ -57,11 +56,6 @@ def attitudes_of(task: Task, states: States) -> Attitudes:
     # Constant heading: x stays normal to `left`, so ω_z (y·left) = ω_y (z·left).
     yaw = pitch * (z @ left) / (y @ left)
     axes = np.stack([x, y, z], axis=-1)
-    return Attitudes(_quaternions(axes), np.stack([roll, pitch, yaw], axis=-1))
-
-
-def _quaternions(axes: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
     flat = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(canonical=True)
-    return np.asarray(flat, dtype=np.float64).reshape(*axes.shape[:-2], 4)
+    quaternions = np.asarray(flat, dtype=np.float64).reshape(*axes.shape[:-2], 4)
+    return Attitudes(quaternions, np.stack([roll, pitch, yaw], axis=-1))

@@ -18,22 +18,24 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 DEGREE = 7
+"""Degree of the segments that are written."""
 
-POINTS = (0, 1, 3, 7)
+POINTS = (0, 1, 3, DEGREE)
 """Control points that a segment of each type gives for an axis."""
 
 LARGEST = 32.767
-"""[m] Control points are within ± this."""
+"""Largest distance of a control point from zero along an axis [m]."""
 
 LONGEST = 65.535
-"""[s] of a segment."""
+"""Longest duration of a segment [s]."""
 
 MILLI = 1e-3
+"""Unit of durations [s] and control points [m]."""
 
 HEADER_BYTES, START_BYTES = 3, 8
 
@@ -59,6 +61,11 @@ class Compressed:
     size: int
 
 
+def most_segments(size: int, axes: int) -> int:
+    """Return how many segments fit into so many bytes, if so many axes move."""
+    return (size - START_BYTES - len(END)) // (HEADER_BYTES + 2 * DEGREE * max(1, axes))
+
+
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
     """Return the bytes of one drone.
 
@@ -72,36 +79,21 @@ def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
     ------
     InfeasibleError: a control point beyond ±32.767 m, or a duration beyond 65.535 s.
     """
-    _check_range(durations, points)
+    farthest, longest = (float(np.max(np.abs(v))) * MILLI for v in (points, durations))
+    for name, value, limit, unit, remedy in (
+        ("range", farthest, LARGEST, "m", "move the plan with --origin"),
+        ("segment", longest, LONGEST, "s", "use another format"),
+    ):
+        if value > limit:
+            raise InfeasibleError([Violation(name, value, limit, "max", unit, (), "", remedy)])
     yaw = round(math.degrees(heading) * 10.0)
     parts = [struct.pack("<hhhh", *points[0, :, 0].tolist(), yaw)]
     for duration, segment in zip(durations.tolist(), points, strict=True):
-        kinds = [_kind(axis) for axis in segment]
-        kind = sum(POINTS.index(len(axis)) << (2 * i) for i, axis in enumerate(kinds))
-        values = [value for axis in kinds for value in axis]
-        parts.append(struct.pack(f"<BH{len(values)}h", kind, duration, *values))
+        moving = np.ptp(segment, axis=-1) > 0  # what stays needs no points, all else has 7
+        kind = sum(POINTS.index(DEGREE) << (2 * i) for i in np.flatnonzero(moving).tolist())
+        values = segment[moving, 1:].astype("<i2").tobytes()
+        parts.append(struct.pack("<BH", kind, duration) + values)
     return b"".join([*parts, END])
-
-
-def _kind(axis: Integers) -> list[int]:
-    """Return what has to be given of an axis: nothing while it stays, else all its points."""
-    points: list[int] = axis.tolist()
-    return points[1:] if any(point != points[0] for point in points) else []
-
-
-def _check_range(durations: Integers, points: Integers) -> None:
-    farthest = float(np.max(np.abs(points))) * MILLI
-    if farthest > LARGEST:
-        raise InfeasibleError(
-            [_beyond("range", farthest, LARGEST, "m", "move the plan with --origin")]
-        )
-    longest = float(np.max(durations)) * MILLI
-    if longest > LONGEST:
-        raise InfeasibleError([_beyond("segment", longest, LONGEST, "s", "use another format")])
-
-
-def _beyond(name: str, value: float, limit: float, unit: str, remedy: str) -> Violation:
-    return Violation(name, value, limit, "max", unit, (), "", remedy)
 
 
 def decoded(data: bytes, source: str = "trajectory") -> Compressed:

@@ -1,4 +1,4 @@
-"""What a Crazyswarm2 fleet needs beside its trajectories: settings, a script, a note."""
+"""Files of a Crazyswarm2 fleet that go with its trajectories: settings, a script, a note."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import json
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.exports.formats.format import Task
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DEFAULT_TYPE: dict[str, Any] = {
     "motion_capture": {
@@ -21,7 +19,7 @@ DEFAULT_TYPE: dict[str, Any] = {
     "big_quad": False,
     "battery": {"voltage_warning": 3.8, "voltage_critical": 3.7},
 }
-"""For every type that the fleet file does not describe."""
+"""Settings of every type that the fleet file does not describe."""
 
 FOR_ALL: dict[str, Any] = {
     "firmware_params": {
@@ -33,7 +31,7 @@ FOR_ALL: dict[str, Any] = {
 """Kalman filter, Mellinger's controller, the high-level commander that flies trajectories."""
 
 LANDED = 0.04
-"""[m] Height at which landing cuts the motors, unless drones hover below it."""
+"""Height at which landing cuts the motors [m], unless drones hover below it."""
 
 
 def settings_text(task: Task, first: Array) -> str:
@@ -45,7 +43,7 @@ def settings_text(task: Task, first: Array) -> str:
     first: (D, 3) [m], where the trajectories begin.
     """
     lines = [
-        f"# frame: {task.room.frame}; drones wait on the floor below their trajectories' starts",
+        f"# frame: {task.frame.name}; drones wait on the floor below their trajectories' starts",
         "fileversion: 3",
         "",
         "robots:",
@@ -69,7 +67,7 @@ def settings_text(task: Task, first: Array) -> str:
 
 
 SCRIPT = '''#!/usr/bin/env python3
-"""Flies the trajectories beside this file in step: {title}.
+"""Flies the trajectories in this file's folder in step: {title}.
 {place}
 Arms, takes off, goes to the first points, uploads, starts all drones by one broadcast, and hovers
 at the end. There, Enter lands the drones; "stay" leaves them hovering for the next part, whose
@@ -113,7 +111,7 @@ def main():
     for name, drone in drones.items():  # not before goTo: see above
         drone.uploadTrajectory(0, 0, trajectories[name])  # trajectory 0 at offset 0
     clock.sleep(1.0)
-    # One broadcast for all; relative=False: the polynomials are in the room's coordinates.
+    # One broadcast for all; relative=False: the polynomials are in the frame's coordinates.
     everyone.startTrajectory(0, timescale=1.0, reverse=False, relative=False)
     clock.sleep(DURATION + 1.0)
     answer = input("hovering; Enter lands all drones where they are, stay leaves them hovering: ")
@@ -140,10 +138,10 @@ def fly_script(task: Task, first: Array, last: Array, duration: float) -> str:
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     return SCRIPT.format(
         title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
-        place=f"This is {task.place}.\n" if task.place else "",
-        frame=task.room.frame,
+        place=f"This is {task.part}.\n" if task.part else "",
+        frame=task.frame.name,
         duration=duration,
-        heading=task.room.heading,
+        heading=task.frame.heading,
         first=json.dumps(places, indent=4),
         height=round(float(np.min(first[:, 2])), 3),
         land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
@@ -179,15 +177,11 @@ Before every flight: hitchopt lint on this folder.
 
 def note_text(task: Task, duration: float) -> str:
     """Return README.txt."""
-    placeholders = (
-        ""
-        if task.fleet.given
-        else (" (its radio addresses are placeholders: name yours with --fleet when exporting)")
-    )
+    hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
     return NOTE.format(
         title=task.title or "A plan of hitchopt",
-        place=PLACE.format(place=task.place) if task.place else "",
-        frame=task.room.frame,
+        place=PLACE.format(place=task.part) if task.part else "",
+        frame=task.frame.name,
         duration=duration,
-        placeholders=placeholders,
+        placeholders="" if task.fleet.given else hint,
     )

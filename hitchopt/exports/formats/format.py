@@ -1,91 +1,86 @@
-"""What every format offers, and what it is asked for."""
+"""The interface of formats, and the plans that they are given."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.fleet import Fleet
-from hitchopt.exports.frame import Room
 from hitchopt.exports.recording import Recording
+from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import States, states_at
+from hitchopt.motion.states import States
 from hitchopt.storage.atomic import Writer
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
-
-
-ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
-"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
-stop at 9, whose profiles of quality of service are lists."""
+Progress = Callable[[str], None]
+"""Function that is called with what is being done now."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be exported.
+    """A plan or a part of it, and everything that its files depend on.
 
     Attributes
     ----------
     motion: the plan, from t = 0 on.
     title: what the plan is called.
-    room: where it lies in the file's frame.
+    frame: the file's axes, and where the plan lies in them.
     fleet: who flies its drones.
     rate: samples a second of the formats that sample [Hz].
-    storage: of a bag, mcap or sqlite3.
-    rate_given: whether the user asked for that rate; else a format may sample more often.
+    options: what the user asked for.
     begins: when in the plan the motion begins [s]; 0 unless the plan was cut.
     number, count: which part of how many the motion is, from 1 on.
-    ros_distro: the ROS 2 release that a bag is for, one of ROS_DISTROS.
     """
 
     motion: Motion
     title: str
-    room: Room
+    frame: ReferenceFrame
     fleet: Fleet
     rate: float
-    storage: str = "mcap"
-    rate_given: bool = False
+    options: ExportOptions
     begins: float = 0.0
     number: int = 1
     count: int = 1
-    ros_distro: str = "humble"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(D,) what the files call the drones, in the plan's order."""
+        """Names (D,) that the files give the drones, in the plan's order."""
         return tuple(member.name for member in self.fleet.members)
 
     @property
     def span(self) -> tuple[float, float]:
-        """When in the plan the motion begins and ends [s]; parts follow without a gap."""
+        """Times in the plan at which the motion begins and ends [s]; parts leave no gap."""
         return self.begins, self.begins + self.motion.duration
 
     @property
-    def place(self) -> str:
-        """Which part of the plan this is, in words; nothing for the whole."""
+    def part(self) -> str:
+        """Description of the part of the plan that this is; empty for the whole."""
         if self.count == 1:
             return ""
         begins, ends = self.span
         return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
-    def pulls(self, t: Array) -> Array:
+    def pulls(self, states: States) -> Array:
         """Return the cables' pull over each drone's mass, (S, D, 3) [m/s²], in the file's axes."""
-        return pull_of(self, states_at(self.motion, t))
+        return self.frame.vectors(states.cable_forces / self.motion.team.mass[:, None])
 
+    def setpoints(self, states: States) -> tuple[Array, Array, Array]:
+        """Return positions, velocities and accelerations less the pull, in the file's axes.
 
-def pull_of(task: Task, states: States) -> Array:
-    """Return what cables add to the drones' accelerations, (S, D, 3) [m/s²], in the file's axes."""
-    return task.room.vectors(states.cable_forces / task.motion.team.mass[:, None])
+        Shapes are (S, D, 3); units [m], [m/s], [m/s²].
+        """
+        frame = self.frame
+        forward = frame.vectors(states.accelerations) - self.pulls(states)
+        return frame.points(states.positions), frame.vectors(states.velocities), forward
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Files that may be what is asked for; the export tries one candidate after the other.
+    """Files that may do; the export tries one candidate after the other.
 
     Attributes
     ----------
@@ -95,7 +90,7 @@ class Candidate:
     """
 
     writers: Mapping[str, Writer]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     receiver: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -113,21 +108,12 @@ class Arrangement:
     note: str = ""
 
 
-class Whole:
-    """What formats that hold plans of any length have in common."""
-
-    def arrangements(self, task: Task) -> Iterator[Arrangement]:
-        """Give the task as a whole."""
-        yield Arrangement((task,))
-
-
 class Format(Protocol):
-    """One way of telling a fleet what to fly.
+    """One file format.
 
     Attributes
     ----------
     name: as given to ``--format``.
-    summary: one line on what is written.
     frames: those that its files may be in, the usual one first.
     rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
     accuracy: the largest position error that it is meant to have [m].
@@ -135,7 +121,6 @@ class Format(Protocol):
     """
 
     name: str
-    summary: str
     frames: tuple[str, ...]
     rate: float
     accuracy: float
@@ -144,11 +129,13 @@ class Format(Protocol):
     def arrangements(self, task: Task) -> Iterator[Arrangement]:
         """Give the task as a whole, then in parts to be flown one after the other, at rest between.
 
+        Formats that hold plans of any length give the whole.
+
         Raises
         ------
-        InfeasibleError: there is no other way to hold the plan.
+        InfeasibleError: no other arrangement holds the plan.
         """
-        ...
+        yield Arrangement((task,))
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give what may be written, the best first.
@@ -167,3 +154,13 @@ class Format(Protocol):
         FileError: they are damaged.
         """
         ...
+
+
+def writer_of(content: str | bytes) -> Writer:
+    """Return what writes the content, text in UTF-8."""
+    data = content.encode() if isinstance(content, str) else content
+
+    def write(path: Path) -> None:
+        path.write_bytes(data)
+
+    return write

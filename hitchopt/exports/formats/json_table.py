@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.format import Candidate, Task
-from hitchopt.exports.formats.long_table import COLUMNS, Block, Table, blocks_of, recording_of_rows
-from hitchopt.exports.frame import AXES
-from hitchopt.exports.recording import Recording
+from hitchopt.exports.formats.format import Task
+from hitchopt.exports.formats.long_table import COLUMNS, FLOWN, SMOOTH, Table, blocks_of
+from hitchopt.exports.recording import Recording, Samples, recording_of_samples
 from hitchopt.storage.archive import BROKEN
 from hitchopt.storage.strict_json import parsed_json
-
-FILE = "setpoints.json"
 
 FORMAT = "hitchopt-setpoints/1"
 
@@ -32,22 +30,7 @@ ROWS = 2000
 """Rows that are formatted at once."""
 
 MAX_LINE = 50_000_000
-"""[characters] A sample of 20,000 drones takes 6 million."""
-
-
-class JsonTable(Table):
-    """Text for whatever knows no table."""
-
-    name = "json"
-    summary = "one document, a line per sample"
-
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the one document there is."""
-        yield Candidate({FILE: lambda path: write_json(path, task)})
-
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return what the document says."""
-        return read_json(folder / FILE)
+"""Longest line that is read [characters]: a sample of 20,000 drones takes 6 million."""
 
 
 def write_json(path: Path, task: Task) -> None:
@@ -59,7 +42,7 @@ def write_json(path: Path, task: Task) -> None:
     """
     head = {
         "format": FORMAT,
-        **task.room.to_dict(),
+        **task.frame.to_dict(),
         "drones": list(task.names),
         "columns": list(COLUMNS),
     }
@@ -83,48 +66,52 @@ def read_json(path: Path) -> Recording:
     ------
     FileError: it is not such a document, or a damaged one; from the windows too.
     """
-    head = _head(path)
-    names = tuple(str(name) for name in head["drones"])
-    frame = str(head.get("frame"))
-    return recording_of_rows(
-        names, lambda: _blocks(path, len(names)), frame if frame in AXES else ""
-    )
-
-
-def _head(path: Path) -> dict[str, Any]:
     try:
         with path.open(encoding="utf-8") as file:
-            text = file.readline(MAX_LINE).rstrip().removesuffix(",") + "}"
-        head = parsed_json(text)
-        known = head["format"] == FORMAT and head["columns"] == list(COLUMNS)
-        if known and isinstance(head["drones"], list) and head["drones"]:
-            return dict(head)
+            head = _head(path, file)
+    except FileError:
+        raise
     except BROKEN as error:
         raise FileError(f"{path}: is no document that hitchopt wrote: {error}") from error
-    raise FileError(f"{path}: its format is not {FORMAT} with the columns that hitchopt writes")
+    names = tuple(str(name) for name in head["drones"])
+    frame = str(head.get("frame"))
+    return recording_of_samples(names, lambda: _samples(path, len(names)), frame, SMOOTH)
 
 
-def _blocks(path: Path, drones: int) -> Iterator[Block]:
-    size = max(1, 20 * ROWS // drones)
+def _head(path: Path, file: IO[str]) -> dict[str, Any]:
+    head = parsed_json(file.readline(MAX_LINE).rstrip().removesuffix(",") + "}")
+    known = head["format"] == FORMAT and head["columns"] == list(COLUMNS)
+    if not (known and isinstance(head["drones"], list) and head["drones"]):
+        raise FileError(f"{path}: its format is not {FORMAT} with the columns that hitchopt writes")
+    return dict(head)
+
+
+def _samples(path: Path, drones: int) -> Iterator[Samples]:
     try:
         with path.open(encoding="utf-8") as file:
-            file.readline(MAX_LINE)
+            _head(path, file)
             if file.readline(MAX_LINE).strip() != START:
                 raise FileError(f"{path}: its second line is not {START}")
-            t: list[float] = []
-            rows: list[Any] = []
-            while (line := file.readline(MAX_LINE).strip()) != END:
-                sample = parsed_json(line.removesuffix(","))
-                t.append(float(sample["t"]))
-                rows.append(np.array(sample["rows"], dtype=np.float64))
-                if rows[-1].shape != (drones, len(COLUMNS)):
-                    raise FileError(f"{path}: at t = {t[-1]:g} s its rows are not one per drone")
-                if len(t) == size:
-                    yield Block(np.array(t), np.stack(rows))
-                    t, rows = [], []
-            if t:
-                yield Block(np.array(t), np.stack(rows))
+            lines = iter(lambda: file.readline(MAX_LINE).strip(), END)
+            while some := list(islice(lines, max(1, 20 * ROWS // drones))):
+                samples = [parsed_json(line.removesuffix(",")) for line in some]
+                t = np.array([float(sample["t"]) for sample in samples])
+                rows = np.array([sample["rows"] for sample in samples], dtype=np.float64)
+                if rows.shape[1:] != (drones, len(COLUMNS)):
+                    raise FileError(
+                        f"{path}: from t = {t[0]:g} s on its rows are not one per drone"
+                    )
+                yield Samples.of_rows(t, rows[..., : len(FLOWN)])
     except FileError:
         raise
     except BROKEN as error:
         raise FileError(f"{path}: is damaged or truncated: {error}") from error
+
+
+class JsonTable(Table):
+    """Text for whatever knows no table."""
+
+    name = "json"
+    file = "setpoints.json"
+    write_file = staticmethod(write_json)
+    read_file = staticmethod(read_json)

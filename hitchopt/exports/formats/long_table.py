@@ -7,36 +7,37 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.format import Task, Whole, pull_of
-from hitchopt.exports.frame import AXES
-from hitchopt.exports.recording import Recording, Samples, recording_of_samples
+from hitchopt.exports.formats.format import Candidate, Format, Task
+from hitchopt.exports.recording import Recording, Samples, check_times, recording_of_samples
+from hitchopt.exports.reference_frame import AXES
 from hitchopt.motion.states import iterate_states, sample_times
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
+GROUPS = {
+    "positions": ("x", "y", "z"),
+    "velocities": ("vx", "vy", "vz"),
+    "accelerations": ("ax", "ay", "az"),
+    "jerks": ("jx", "jy", "jz"),
+    "yaw": ("yaw",),
+    "cable_forces": ("cable_x", "cable_y", "cable_z"),
+    "feed_forward": ("ff_x", "ff_y", "ff_z"),
+}
+"""Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N], [m/s²]."""
 
-VECTORS = (
-    ("x", "y", "z"),
-    ("vx", "vy", "vz"),
-    ("ax", "ay", "az"),
-    ("jx", "jy", "jz"),
-    ("yaw",),
-    ("cable_x", "cable_y", "cable_z"),
-    ("ff_x", "ff_y", "ff_z"),
-)
-
-COLUMNS = tuple(name for group in VECTORS for name in group)
-"""The numbers of a row, after ``t`` and ``drone``: [m], [m/s], [m/s²], [m/s³], [rad], [N], [m/s²]
-by groups."""
+COLUMNS = tuple(name for group in GROUPS.values() for name in group)
+"""Names of the numbers of a row, after ``t`` and ``drone``."""
 
 FLOWN = COLUMNS[:9]
-"""Those that say where the drones go; readers need no others."""
+"""Columns that say where the drones go; readers need no others."""
 
 PLACED = ("t", "drone", *FLOWN[:3])
 """Columns that every table needs; without the others it tells positions alone."""
@@ -44,23 +45,46 @@ PLACED = ("t", "drone", *FLOWN[:3])
 SMOOTH = 2
 """Positions, velocities and accelerations are in the table: quintics run through them."""
 
-FEED_FORWARD = (
-    "ff_* = a - F/m, the cable's force F and the drone's mass m: for controllers that add gravity "
-    "themselves; cable_* = F for those that take forces; a alone for those that know the cable"
-)
+ROWS = 100_000
+"""Rows that are held at a time: 16 MB of numbers."""
 
 
-class Table(Whole):
-    """What formats that sample a plan for scripts have in common."""
+class Table(Format):
+    """A format that samples a plan for scripts.
+
+    Attributes
+    ----------
+    file: name of its one file, in which ``{frame}`` stands for the frame's.
+    """
 
     frames = tuple(AXES)
     rate = 100.0
     accuracy = 1e-3
-    feed_forward = FEED_FORWARD
+    feed_forward = (
+        "ff_* = a - F/m, the cable's force F and the drone's mass m: for controllers that add "
+        "gravity themselves; cable_* = F for those that take forces; a alone for those that know "
+        "the cable"
+    )
+    file: str
 
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give the one file there is."""
+        name = self.file.format(frame=task.frame.name)
+        yield Candidate({name: partial(self.write_file, task=task)})
 
-ROWS = 100_000
-"""Rows that are held at a time: 16 MB of numbers."""
+    def read(self, folder: Path, task: Task) -> Recording:
+        """Return what the file says."""
+        return self.read_file(folder / self.file.format(frame=task.frame.name))
+
+    @staticmethod
+    @abstractmethod
+    def write_file(path: Path, task: Task) -> None:
+        """Write the file block by block."""
+
+    @staticmethod
+    @abstractmethod
+    def read_file(path: Path) -> Recording:
+        """Return what the file says, block by block."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +94,11 @@ class Block:
     Attributes
     ----------
     t: (S,) [s]
-    values: (S, D, C), the numbers of COLUMNS, or of FLOWN where that is all that was read.
+    values: (S, D, C), the numbers of COLUMNS.
     """
 
     t: Array
     values: Array
-
-
-def sample_count(task: Task) -> int:
-    """Return how many samples the table has."""
-    return len(sample_times(task.motion.duration, task.rate))
 
 
 def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
@@ -92,31 +111,18 @@ def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
     times = sample_times(task.motion.duration, task.rate)
     drones = len(task.names)
     for states in iterate_states(task.motion, times, max(1, rows // drones)):
-        room = task.room
+        frame = task.frame
+        positions, velocities, forward = task.setpoints(states)
         parts = (
-            room.points(states.positions),
-            room.vectors(states.velocities),
-            room.vectors(states.accelerations),
-            room.vectors(states.jerks),
-            np.full((len(states.t), drones, 1), room.heading),
-            room.vectors(states.cable_forces),
-            room.vectors(states.accelerations) - pull_of(task, states),
+            positions,
+            velocities,
+            frame.vectors(states.accelerations),
+            frame.vectors(states.jerks),
+            np.full((len(states.t), drones, 1), frame.heading),
+            frame.vectors(states.cable_forces),
+            forward,
         )
         yield Block(states.t, np.concatenate(parts, axis=-1) + 0.0)  # no negative zeros
-
-
-def samples_of(t: Array, values: Array) -> Samples:
-    """Return the samples of a block (S, D, C), FLOWN first."""
-    return Samples(t, np.moveaxis(values[..., :9].reshape(*values.shape[:2], 3, 3), 2, 0))
-
-
-def recording_of_rows(
-    names: Sequence[str], blocks: Callable[[], Iterator[Block]], frame: str
-) -> Recording:
-    """Return the recording of a table's blocks, which ``blocks`` gives anew every time."""
-    return recording_of_samples(
-        names, lambda: (samples_of(b.t, b.values) for b in blocks()), frame, SMOOTH
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +133,7 @@ class Rows:
     ----------
     t: (rows,) [s]
     drones: (rows,) names.
-    values: (rows, C)
+    values: (rows, 9), those of FLOWN.
     """
 
     t: Array
@@ -136,8 +142,11 @@ class Rows:
 
 
 def columns_told(header: Collection[str]) -> list[int]:
-    """Return which of FLOWN a table with these columns tells, as indices; vectors in whole only."""
-    return [i for i in range(9) if set(FLOWN[i // 3 * 3 : i // 3 * 3 + 3]) <= set(header)]
+    """Return which of FLOWN a table with these columns tells, as indices.
+
+    Positions are always among them; velocities and accelerations are, where they are whole.
+    """
+    return [i for i in range(9) if i < 3 or set(FLOWN[i // 3 * 3 : i // 3 * 3 + 3]) <= set(header)]
 
 
 def spread_out(values: Array, told: Sequence[int]) -> Array:
@@ -147,16 +156,26 @@ def spread_out(values: Array, told: Sequence[int]) -> Array:
     return whole
 
 
-def first_names(rows: Rows) -> tuple[str, ...]:
-    """Return the drones of the first sample: the names until one comes again or time goes on."""
-    later = np.flatnonzero(rows.t != rows.t[0])
-    names = tuple(rows.drones[: int(later[0]) if len(later) else len(rows.drones)])
+def read_rows(path: Path, rows: Callable[[Path], Iterator[Rows]], frame: str) -> Recording:
+    """Return the recording of a file of rows, which ``rows`` reads anew every time.
+
+    Raises
+    ------
+    FileError: no rows, a first time that is no number, or a drone that comes twice in the first
+        sample.
+    """
+    first = next(rows(path), None)
+    if first is None:
+        raise FileError(f"{path}: holds no rows; it is truncated")
+    check_times(first.t[:1], str(path))
+    later = np.flatnonzero(first.t != first.t[0])
+    names = tuple(first.drones[: int(later[0]) if len(later) else len(first.drones)])
     if len(set(names)) != len(names):
-        raise FileError(f"drone {names[-1]!r} comes twice at t = {rows.t[0]:g} s")
-    return names
+        raise FileError(f"drone {names[-1]!r} comes twice at t = {first.t[0]:g} s")
+    return recording_of_samples(names, lambda: _grouped(rows(path), names), frame, SMOOTH)
 
 
-def grouped(parts: Iterable[Rows], names: Sequence[str]) -> Iterator[Block]:
+def _grouped(parts: Iterable[Rows], names: Sequence[str]) -> Iterator[Samples]:
     """Yield the rows sample by sample.
 
     Raises
@@ -165,29 +184,24 @@ def grouped(parts: Iterable[Rows], names: Sequence[str]) -> Iterator[Block]:
     """
     count = len(names)
     expected = np.array(names)
-    rest: Rows | None = None
+    rest = Rows(np.empty(0), (), np.empty((0, len(FLOWN))))
     for part in parts:
-        rows = part if rest is None else _joined(rest, part)
+        rows = Rows(
+            np.concatenate([rest.t, part.t]),
+            [*rest.drones, *part.drones],
+            np.concatenate([rest.values, part.values]),
+        )
         whole = len(rows.t) // count * count
         rest = Rows(rows.t[whole:], rows.drones[whole:], rows.values[whole:])
         if whole == 0:
             continue
         t = rows.t[:whole].reshape(-1, count)
         found = np.array(rows.drones[:whole]).reshape(-1, count)
-        if np.any(t != t[:, :1]) or np.any(found != expected):
-            wrong = int(np.flatnonzero(np.any((t != t[:, :1]) | (found != expected), axis=1))[0])
+        if np.any(wrong := np.any((t != t[:, :1]) | (found != expected), axis=1)):
             raise FileError(
-                f"its rows at t = {t[wrong, 0]:g} s are not one per drone, in one order; "
-                "sort them by time, then drone"
+                f"its rows at t = {t[np.argmax(wrong), 0]:g} s are not one per drone, in one "
+                "order; sort them by time, then drone"
             )
-        yield Block(t[:, 0], rows.values[:whole].reshape(-1, count, rows.values.shape[-1]))
-    if rest is not None and len(rest.t):
+        yield Samples.of_rows(t[:, 0], rows.values[:whole].reshape(-1, count, len(FLOWN)))
+    if len(rest.t):
         raise FileError(f"ends within the sample at t = {rest.t[0]:g} s; it is truncated")
-
-
-def _joined(a: Rows, b: Rows) -> Rows:
-    return Rows(
-        np.concatenate([a.t, b.t]),
-        [*a.drones, *b.drones],
-        np.concatenate([a.values, b.values]),
-    )

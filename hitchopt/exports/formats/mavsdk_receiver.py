@@ -1,4 +1,4 @@
-"""Which rows mavsdk_drone_show sends to a drone, by the settings of its ``src/params.py``.
+"""The rows that mavsdk_drone_show sends to a drone, by the settings of its ``src/params.py``.
 
 Rows are played by the clock, but not all of them are flown. Until a row is at
 ``INITIAL_CLIMB_ALTITUDE_THRESHOLD`` or above **and** ``INITIAL_CLIMB_TIME_THRESHOLD`` has passed,
@@ -21,18 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BLEND = 3.0
-"""[s] From the end of the climb to the rows, with a shared global origin."""
+"""Duration of the straight line from the climb to the rows [s], with a shared global origin."""
 
 LANDING_ALTITUDE, LANDING_TIME, LANDING_SHARE = 2.0, 1.0, 0.5
-"""Below which altitude [m], in which last time [s], and from which share of the rows on a show that
-ends on the ground is cut off."""
+"""Altitude [m], remaining time [s] and share of the rows: a show that ends on the ground is cut off
+from that share on, below that altitude or within that time."""
 
 LATE = 5.0
-"""[s] That arming may take after the common start: rows run meanwhile."""
+"""Longest time that arming takes after the common start [s]: rows run meanwhile."""
 
 NAMES = {
     "climb_altitude": "INITIAL_CLIMB_ALTITUDE_THRESHOLD",
@@ -43,7 +42,7 @@ NAMES = {
     "velocities": "FEEDFORWARD_VELOCITY_ENABLED",
     "accelerations": "FEEDFORWARD_ACCELERATION_ENABLED",
 }
-"""Of the settings in ``src/params.py``."""
+"""Names of the settings in ``src/params.py``."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Receiver:
 
         Parameters
         ----------
-        places: of the rows (S, D, 3) [m], north-east-down.
+        places: positions of the rows (S, D, 3) [m], north-east-down.
         """
         return np.zeros(places.shape[1]) if self.shared_origin else -places[0, :, 2]
 
@@ -104,8 +103,8 @@ class Receiver:
 
         Parameters
         ----------
-        t: of the rows (S,) [s].
-        places: of the rows (S, D, 3) [m], north-east-down.
+        t: times of the rows (S,) [s].
+        places: positions of the rows (S, D, 3) [m], north-east-down.
         late: after the first row, how long it takes until the drone climbs [s].
         """
         altitude = -places[..., 2] - self.lowered(places)

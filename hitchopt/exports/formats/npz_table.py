@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,51 +18,15 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.format import Candidate, Task
-from hitchopt.exports.formats.long_table import (
-    FEED_FORWARD,
-    ROWS,
-    SMOOTH,
-    Table,
-    blocks_of,
-    sample_count,
-)
-from hitchopt.exports.frame import AXES
+from hitchopt.exports.formats.format import Task
+from hitchopt.exports.formats.long_table import COLUMNS, GROUPS, ROWS, SMOOTH, Table, blocks_of
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
+from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import BROKEN, read_arrays, read_header, refuse_bomb
-
-Array = NDArray[np.float64]
-
-FILE = "setpoints.npz"
-
-GROUPS = {
-    "positions": slice(0, 3),
-    "velocities": slice(3, 6),
-    "accelerations": slice(6, 9),
-    "jerks": slice(9, 12),
-    "yaw": slice(12, 13),
-    "cable_forces": slice(13, 16),
-    "feed_forward": slice(16, 19),
-}
-"""Columns of the table that every array holds."""
+from hitchopt.values import Array
 
 FLOWN = ("positions", "velocities", "accelerations")
-
-
-class NpzTable(Table):
-    """Arrays for numpy."""
-
-    name = "npz"
-    summary = "arrays over samples and drones for numpy"
-    feed_forward = FEED_FORWARD.replace("ff_*", "feed_forward").replace("cable_*", "cable_forces")
-
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the one archive there is."""
-        yield Candidate({FILE: lambda path: write_npz(path, task)})
-
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return what the arrays say."""
-        return read_npz(folder / FILE)
+"""Arrays that say where the drones go; readers need no others."""
 
 
 def write_npz(path: Path, task: Task) -> None:
@@ -72,16 +36,17 @@ def write_npz(path: Path, task: Task) -> None:
     ------
     OSError: the file cannot be written.
     """
-    samples, drones = sample_count(task), len(task.names)
+    samples, drones = len(sample_times(task.motion.duration, task.rate)), len(task.names)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-        for name, value in (("frame", np.array(task.room.frame)), ("drones", np.array(task.names))):
-            _write(archive, name, value.shape, value.dtype, iter([value]))
-        times = (block.t for block in blocks_of(task))
-        _write(archive, "t", (samples,), np.dtype(np.float64), times)
+        for name, value in (("frame", np.array(task.frame.name)), ("drones", np.array(task.names))):
+            _write(archive, name, value.shape, value.dtype, [value])
+        number = np.dtype(np.float64)
+        _write(archive, "t", (samples,), number, (block.t for block in blocks_of(task)))
         for name, columns in GROUPS.items():
-            shape = (samples, drones, columns.stop - columns.start)
-            parts = (block.values[..., columns] for block in blocks_of(task))
-            _write(archive, name, shape, np.dtype(np.float64), parts)
+            first = COLUMNS.index(columns[0])
+            here = slice(first, first + len(columns))
+            parts = (block.values[..., here] for block in blocks_of(task))
+            _write(archive, name, (samples, drones, len(columns)), number, parts)
 
 
 def _write(
@@ -89,13 +54,13 @@ def _write(
     name: str,
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
-    parts: Iterator[NDArray[Any]],
+    parts: Iterable[NDArray[Any]],
 ) -> None:
     header = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
     with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
         npy.write_array_header_1_0(file, header)
         for part in parts:
-            file.write(np.ascontiguousarray(part).tobytes())
+            file.write(part.tobytes())
 
 
 def read_npz(path: Path) -> Recording:
@@ -114,12 +79,10 @@ def read_npz(path: Path) -> Recording:
     names = tuple(str(name) for name in np.atleast_1d(head["drones"]))
     t = np.asarray(head["t"], dtype=np.float64).ravel()
     frame = str(head["frame"])
-    return recording_of_samples(
-        names, lambda: _blocks(path, t, len(names)), frame if frame in AXES else "", SMOOTH
-    )
+    return recording_of_samples(names, lambda: _samples(path, t, len(names)), frame, SMOOTH)
 
 
-def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
+def _samples(path: Path, t: Array, drones: int) -> Iterator[Samples]:
     size = max(1, ROWS // max(1, drones))
     try:
         with zipfile.ZipFile(path) as archive:
@@ -130,8 +93,9 @@ def _blocks(path: Path, t: Array, drones: int) -> Iterator[Samples]:
                 _check_header(name, file, (len(t), drones, 3))
             for first in range(0, len(t), size):
                 here = t[first : first + size]
-                parts = [_taken(file.read, (len(here), drones, 3)) for file in files]
-                yield Samples(here, np.stack(parts))
+                shape = (len(here), drones, 3)  # a file that is truncated has less, and is refused
+                data = [file.read(8 * math.prod(shape)) for file in files]
+                yield Samples(here, np.stack([np.frombuffer(d).reshape(shape) for d in data]))
     except BROKEN as error:
         raise FileError(f"{path}: not an archive that hitchopt wrote: {error}") from error
 
@@ -142,9 +106,13 @@ def _check_header(name: str, file: IO[bytes], shape: tuple[int, ...]) -> None:
         raise FileError(f"array {name!r} is {found} of {dtype}, not {shape} of float64")
 
 
-def _taken(read: Callable[[int], bytes], shape: tuple[int, ...]) -> Array:
-    wanted = 8 * math.prod(shape)
-    data = read(wanted)
-    if len(data) != wanted:
-        raise FileError("it is truncated")
-    return np.frombuffer(data, dtype=np.float64).reshape(shape)
+class NpzTable(Table):
+    """Arrays for numpy."""
+
+    name = "npz"
+    file = "setpoints.npz"
+    feed_forward = Table.feed_forward.replace("ff_*", "feed_forward").replace(
+        "cable_*", "cable_forces"
+    )
+    write_file = staticmethod(write_npz)
+    read_file = staticmethod(read_npz)

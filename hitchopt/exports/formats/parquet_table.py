@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.exports.formats.extras import needed
-from hitchopt.exports.formats.format import Candidate, Task
+from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.long_table import (
     COLUMNS,
     FLOWN,
@@ -20,39 +20,18 @@ from hitchopt.exports.formats.long_table import (
     Table,
     blocks_of,
     columns_told,
-    first_names,
-    grouped,
-    recording_of_rows,
+    read_rows,
     spread_out,
 )
-from hitchopt.exports.frame import AXES
 from hitchopt.exports.recording import Recording
 from hitchopt.storage.archive import BROKEN, refuse_expansion
 
-FILE = "setpoints.parquet"
-
-FRAME, ROOM = b"hitchopt.frame", b"hitchopt.room"
+FRAME, PLACE = b"hitchopt.frame", b"hitchopt.room"
 """Keys of the schema's metadata: the frame's name, and where the plan lies in it, as JSON."""
 
 GROUP = 200_000
 """Rows of a row group at most, or one sample: readers skip and share work by groups. 35 MB of
 numbers wait until one is full."""
-
-
-class ParquetTable(Table):
-    """Columns for data frames; a row group holds whole samples."""
-
-    name = "parquet"
-    summary = "one table of columns, a row per sample and drone"
-
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the one table there is."""
-        needed("pyarrow")
-        yield Candidate({FILE: lambda path: write_parquet(path, task)})
-
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return what the table says."""
-        return read_parquet(folder / FILE)
 
 
 def write_parquet(path: Path, task: Task) -> None:
@@ -68,9 +47,8 @@ def write_parquet(path: Path, task: Task) -> None:
     number = arrow.float64()
     fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
     fields += [(column, number) for column in COLUMNS]
-    room = task.room
-    place = json.dumps(room.to_dict(), allow_nan=False)
-    schema = arrow.schema(fields, metadata={FRAME: room.frame.encode(), ROOM: place.encode()})
+    place = json.dumps(task.frame.to_dict(), allow_nan=False).encode()
+    schema = arrow.schema(fields, metadata={FRAME: task.frame.name.encode(), PLACE: place})
     with parquet.ParquetWriter(path, schema) as writer:
         waiting: list[Any] = []
         for block in blocks_of(task):
@@ -104,15 +82,8 @@ def read_parquet(path: Path) -> Recording:
     FileError: it is not such a table, or a damaged one; from the windows too.
     """
     with _opened(path) as file:
-        metadata = file.schema_arrow.metadata or {}
-        first = next(_rows(path), None)
-    if first is None:
-        raise FileError(f"{path}: holds no rows; it is truncated")
-    names = first_names(first)
-    frame = metadata.get(FRAME, b"").decode("ascii", "replace")
-    return recording_of_rows(
-        names, lambda: grouped(_rows(path), names), frame if frame in AXES else ""
-    )
+        frame = (file.schema_arrow.metadata or {}).get(FRAME, b"").decode("ascii", "replace")
+    return read_rows(path, _rows, frame)
 
 
 def _opened(path: Path) -> Any:
@@ -146,3 +117,12 @@ def _rows(path: Path) -> Iterator[Rows]:
         raise
     except (arrow.ArrowException, *BROKEN) as error:
         raise FileError(f"{path}: is damaged: {error}") from error
+
+
+class ParquetTable(Table):
+    """Columns for data frames; a row group holds whole samples."""
+
+    name = "parquet"
+    file = "setpoints.parquet"
+    write_file = staticmethod(write_parquet)
+    read_file = staticmethod(read_parquet)

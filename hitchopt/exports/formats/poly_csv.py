@@ -8,43 +8,45 @@ before they are written, and what is read back is what is flown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import comb
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import comb
 
 from hitchopt.errors import FileError
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DEGREE = 7
+"""Degree of every piece."""
 
 COLUMNS = 33
+"""Numbers of a row."""
 
 PIECE_BYTES = 4 * COLUMNS
-"""In the drone's memory."""
+"""Size of a piece in the drone's memory [B]."""
 
 HEADER = ",".join(
     ["duration", *(f"{axis}^{i}" for axis in ("x", "y", "z", "yaw") for i in range(DEGREE + 1))]
 )
 
 MAX_ROWS = 100_000
+"""Rows of a file that is read."""
 
 NOTHING = 1e-10
-"""[m] A power that never adds more than this is left out."""
+"""Powers that never add more than this are left out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolyTable:
-    """One drone's pieces as they stand in a file.
+    """Pieces of one drone as they stand in a file.
 
     Attributes
     ----------
     durations: (rows,) [s]
     powers: (rows, 4, 8) of x, y, z [m] and yaw [rad], ascending.
-    frame: as the header tells; empty where it does not.
+    frame: frame that the header names; empty where it names none.
     """
 
     durations: Array
@@ -53,41 +55,41 @@ class PolyTable:
 
     @property
     def curve(self) -> PiecewisePolynomial:
-        """The positions (3,) [m] over time."""
+        """Positions (3,) [m] over time."""
         breaks = np.concatenate([[0.0], np.cumsum(self.durations)])
         return PiecewisePolynomial(breaks, from_powers(self.powers[:, :3], self.durations))
 
 
 def to_powers(coefficients: Array, durations: Array) -> Array:
     """Return ascending powers of seconds (pieces, …, N + 1) of Bernstein coefficients."""
-    n = bernstein.degree(coefficients)
-    matrix = np.zeros((n + 1, n + 1))
-    for i in range(n + 1):
-        for j in range(i + 1):
-            matrix[i, j] = comb(n, i) * comb(i, j) * (-1) ** (i - j)
-    whole = coefficients @ matrix.T
-    whole[np.abs(whole) < NOTHING] = 0.0  # differences that are rounding alone
-    return whole / _scales(durations, coefficients.ndim, n)
+    inverse: Array = np.rint(np.linalg.inv(_powers(bernstein.degree(coefficients))))
+    local = coefficients @ inverse.T
+    local[np.abs(local) < NOTHING] = 0.0  # differences that are rounding alone
+    powers: Array = local / _scales(durations, local)
+    return powers
 
 
 def from_powers(powers: Array, durations: Array) -> Array:
     """Return Bernstein coefficients (pieces, …, N + 1) of ascending powers of seconds."""
-    n = bernstein.degree(powers)
-    matrix = np.zeros((n + 1, n + 1))
-    for j in range(n + 1):
-        for i in range(j + 1):
-            matrix[j, i] = comb(j, i) / comb(n, i)
-    coefficients: Array = (powers * _scales(durations, powers.ndim, n)) @ matrix.T
+    local = powers * _scales(durations, powers)
+    coefficients: Array = local @ _powers(bernstein.degree(powers)).T
     return coefficients
 
 
-def _scales(durations: Array, axes: int, degree: int) -> Array:
-    scales: Array = durations.reshape(-1, *(1,) * (axes - 1)) ** np.arange(degree + 1)
+@lru_cache
+def _powers(degree: int) -> Array:
+    """Return the Bernstein coefficients of the local parameter's powers, one column each."""
+    i = np.arange(degree + 1)
+    return np.asarray(comb(i[:, None], i) / comb(degree, i), dtype=np.float64)
+
+
+def _scales(durations: Array, powers: Array) -> Array:
+    scales: Array = durations.reshape(-1, *(1,) * (powers.ndim - 1)) ** np.arange(powers.shape[-1])
     return scales
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
-    """Write one drone's pieces, (rows,) and (rows, 4, 8); the header's last label tells the frame.
+    """Write one drone's pieces, (rows,) and (rows, 4, 8); the header's last label names the frame.
 
     Raises
     ------
@@ -95,9 +97,8 @@ def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> N
     """
     rows = np.column_stack([durations, powers.reshape(len(durations), -1)])
     single = rows.astype(np.float32).astype(np.float64) + 0.0  # no negative zeros
-    lines = [",".join(f"{value:.9g}" for value in row) for row in single.tolist()]
-    text = "\n".join([f"{HEADER}  # frame: {frame}", *lines])
-    path.write_text(text + "\n", encoding="ascii", newline="\n")
+    header = f"{HEADER}  # frame: {frame}"
+    np.savetxt(path, single, "%.9g", ",", header=header, comments="", encoding="ascii")
 
 
 def read_poly_csv(path: Path) -> PolyTable:
@@ -108,29 +109,26 @@ def read_poly_csv(path: Path) -> PolyTable:
     FileError: no such file, a row without 33 finite numbers, a duration that is not positive.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8").splitlines() or [""]
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot be read: {error}") from error
-    header, _, note = (lines[0] if lines else "").partition("#")
-    frame = note.partition("frame:")[2].strip()
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        text = line.partition("#")[0].strip().rstrip(",")
-        if text:
-            rows.append(_row(path, number, text))
-        if len(rows) > MAX_ROWS:
-            raise FileError(f"{path}: has more than {MAX_ROWS} rows")
+    header, _, note = lines[0].partition("#")
+    texts = [line.partition("#")[0].strip().rstrip(",") for line in lines]
+    rows = [_row(path, i + 1, text) for i, text in enumerate(texts) if i > 0 and text]
     if not rows:
         raise FileError(
             f"{path}: has no row of numbers after its first line ({header[:40]!r}); it is truncated"
         )
-    with np.errstate(over="ignore"):  # told below
+    if len(rows) > MAX_ROWS:
+        raise FileError(f"{path}: has more than {MAX_ROWS} rows")
+    with np.errstate(over="ignore"):  # reported below
         table = np.array(rows, dtype=np.float64).astype(np.float32).astype(np.float64)
     if not np.all(np.isfinite(table)):
         raise FileError(f"{path}: a number is beyond single precision, which is what drones hold")
-    if not np.all(table[:, 0] > 0.0):
-        wrong = int(np.flatnonzero(table[:, 0] <= 0.0)[0])
-        raise FileError(f"{path}: row {wrong + 1}: its duration is {table[wrong, 0]:g} s")
+    if np.any(wrong := table[:, 0] <= 0.0):
+        row = int(np.argmax(wrong))
+        raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
+    frame = note.partition("frame:")[2].strip()
     return PolyTable(table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1), frame)
 
 

@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.exports.formats.extras import needed
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FULL_STATE_TEXT = """std_msgs/Header header
 geometry_msgs/Pose pose
 geometry_msgs/Twist twist
 geometry_msgs/Vector3 acc
 """
-"""Of crazyflie_interfaces, which no ROS distribution brings along."""
+"""Definition of crazyflie_interfaces' message, which no ROS distribution brings along."""
 
 FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}
+"""Frames by the names in messages' headers."""
 
 
 class Messages:
@@ -31,7 +30,7 @@ class Messages:
 
     Parameters
     ----------
-    frame_id: of their headers.
+    frame_id: name of the frame in their headers.
     """
 
     FULL_STATE = "crazyflie_interfaces/msg/FullState"
@@ -43,7 +42,7 @@ class Messages:
 
     @cached_property
     def store(self) -> Any:
-        """The types of ROS 2, and FullState."""
+        """Types of ROS 2, and FullState."""
         typesys = needed("rosbags.typesys")
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         store.register(typesys.get_types_from_msg(FULL_STATE_TEXT, self.FULL_STATE))
@@ -53,9 +52,10 @@ class Messages:
         """Return the bag's connection for a topic."""
         return bag.add_connection(topic, kind, typestore=self.store)
 
-    def bytes_of(self, message: Any) -> bytes:
-        """Return the message as it stands in the bag."""
-        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+    def write(self, bag: Any, connection: Any, t: float, message: Any) -> None:
+        """Write a message at time t [s] into the bag."""
+        data = self.store.serialize_cdr(message, message.__msgtype__)
+        bag.write(connection, round(1e9 * t), bytes(data))
 
     def full_state(
         self, t: float, place: Array, turned: Array, velocity: Array, rates: Array, acc: Array
@@ -67,18 +67,16 @@ class Messages:
 
     def trajectory(self, name: str, t: Array, derivatives: Array, heading: float) -> Any:
         """Return the trajectory of one drone: positions, velocities, accelerations (3, S, 3)."""
+        turned = self._of("geometry_msgs/msg/Quaternion", *_upright(heading).tolist())
         still = self._vector(np.zeros(3))
-        turned = self._quaternion(_upright(heading))
-        point, transform = "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", "geometry_msgs/msg/"
         points = []
         for i, at in enumerate(t.tolist()):
-            place, velocity, acceleration = (self._vector(d[i]) for d in derivatives)
+            place, *rates = (self._vector(d[i]) for d in derivatives)
             points.append(
                 self._of(
-                    point,
-                    [self._of(f"{transform}Transform", place, turned)],
-                    [self._of(f"{transform}Twist", velocity, still)],
-                    [self._of(f"{transform}Twist", acceleration, still)],
+                    "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
+                    [self._of("geometry_msgs/msg/Transform", place, turned)],
+                    *([self._of("geometry_msgs/msg/Twist", rate, still)] for rate in rates),
                     self._stamp("builtin_interfaces/msg/Duration", at),
                 )
             )
@@ -87,9 +85,8 @@ class Messages:
     def path(self, t: Array, places: Array, heading: float) -> Any:
         """Return the path of one drone (S, 3)."""
         turned = _upright(heading)
-        kind = "geometry_msgs/msg/PoseStamped"
         poses = [
-            self._of(kind, self._header(at), self._pose(place, turned))
+            self._of("geometry_msgs/msg/PoseStamped", self._header(at), self._pose(place, turned))
             for at, place in zip(t.tolist(), places, strict=True)
         ]
         return self._of(self.PATH, self._header(0.0), poses)
@@ -100,20 +97,17 @@ class Messages:
     def _vector(self, v: Array) -> Any:
         return self._of("geometry_msgs/msg/Vector3", *v.tolist())
 
-    def _quaternion(self, q: Array) -> Any:
-        return self._of("geometry_msgs/msg/Quaternion", *q.tolist())
-
     def _pose(self, place: Array, turned: Array) -> Any:
         point = self._of("geometry_msgs/msg/Point", *place.tolist())
-        return self._of("geometry_msgs/msg/Pose", point, self._quaternion(turned))
+        quaternion = self._of("geometry_msgs/msg/Quaternion", *turned.tolist())
+        return self._of("geometry_msgs/msg/Pose", point, quaternion)
 
     def _header(self, t: float) -> Any:
         stamp = self._stamp("builtin_interfaces/msg/Time", t)
         return self._of("std_msgs/msg/Header", stamp, self.frame_id)
 
     def _stamp(self, kind: str, t: float) -> Any:
-        seconds, rest = divmod(round(1e9 * t), 1_000_000_000)
-        return self._of(kind, seconds, rest)
+        return self._of(kind, *divmod(round(1e9 * t), 1_000_000_000))
 
 
 def _upright(heading: float) -> Array:
@@ -136,8 +130,8 @@ def bag_recording(path: Path) -> Recording:
             kinds = sorted({connection.msgtype for connection in bag.connections})
             wanted = [c for c in bag.connections if c.msgtype == Messages.TRAJECTORY]
             if not wanted:  # of no connection the library gives all messages
-                told = ", ".join(kinds) or "nothing"
-                raise FileError(f"{path}: holds no {Messages.TRAJECTORY}, but {told}")
+                held = ", ".join(kinds) or "nothing"
+                raise FileError(f"{path}: holds no {Messages.TRAJECTORY}, but {held}")
             for connection, _, data in bag.messages(wanted):
                 message = bag.deserialize(data, connection.msgtype)
                 frame = FRAMES.get(message.header.frame_id, "")
@@ -145,8 +139,6 @@ def bag_recording(path: Path) -> Recording:
                     if name in found:
                         raise FileError(f"{path}: holds two trajectories of {name!r}")
                     found[name] = _table(message, i)
-    except (OSError, EOFError) as error:
-        raise FileError(f"{path}: is no bag, or a damaged one: {error}") from error
     except FileError:
         raise
     except Exception as error:  # the library has many of its own, without a common root
@@ -157,18 +149,17 @@ def bag_recording(path: Path) -> Recording:
     if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
         raise FileError(f"{path}: its trajectories have different times")
     values = np.stack(tables, axis=1)
-    derivatives = np.moveaxis(values[..., 1:].reshape(*values.shape[:2], 3, 3), 2, 0)
-    smooth = 2 if np.all(np.isfinite(derivatives)) else 0
-    samples = Samples(values[:, 0, 0], derivatives[: smooth + 1])
+    samples = Samples.of_rows(values[:, 0, 0], values[..., 1:])
+    smooth = 2 if np.all(np.isfinite(values)) else 0
     return recording_of_samples(names, lambda: [samples], frame, smooth)
 
 
 def _table(message: Any, joint: int) -> Array:
-    """(S, 10): t, position, velocity, acceleration of one joint; nan where they are not given."""
+    """Return t, position, velocity, acceleration of one joint, (S, 10); nan where not given."""
     rows = []
     for point in message.points:
-        place = point.transforms[joint].translation
         at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+        place = point.transforms[joint].translation
         row = [at, place.x, place.y, place.z]
         for given in (point.velocities, point.accelerations):
             linear = given[joint].linear if len(given) > joint else None

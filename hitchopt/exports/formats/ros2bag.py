@@ -20,36 +20,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
 from hitchopt.exports.formats.attitude import attitudes_of
 from hitchopt.exports.formats.extras import needed
-from hitchopt.exports.formats.format import ROS_DISTROS, Candidate, Task, Whole, pull_of
-from hitchopt.exports.formats.ros2_messages import Messages, bag_recording
+from hitchopt.exports.formats.format import Candidate, Format, Task
+from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
 from hitchopt.exports.recording import Recording
 from hitchopt.motion.states import iterate_states, sample_times
 from hitchopt.storage.atomic import Writer
-
-Array = NDArray[np.float64]
 
 STEM = "setpoints"
 
 METADATA = "metadata.yaml"
 
-SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
-
 BLOCK = 20_000
 """Setpoints that are held at once."""
 
-FRAME_IDS = {"enu": "map", "nwu": "map_nwu"}
-"""As REP 105 calls a fixed frame; REP 103 says east-north-up where nothing else is said."""
+FRAME_IDS = {frame: name for name, frame in FRAMES.items() if frame != "ned"}
+"""Names of fixed frames: REP 105 has ``map``, which is east-north-up by REP 103."""
 
 
-class Ros2Bag(Whole):
+class Ros2Bag(Format):
     """A bag to play."""
 
     name = "ros2bag"
-    summary = "a ROS 2 bag of trajectories, paths and full-state setpoints"
     frames = tuple(FRAME_IDS)
     rate = 100.0
     accuracy = 1e-3
@@ -60,10 +55,8 @@ class Ros2Bag(Whole):
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one bag there is."""
-        needed("rosbags")
-        data = f"{STEM}{SUFFIXES[task.storage]}"
         writers: dict[str, Writer] = {
-            data: lambda path: write_bag(path, task),
+            f"{STEM}{STORAGES[task.options.storage]}": lambda path: write_bag(path, task),
             METADATA: lambda path: None,  # noqa: ARG005  written with the data
         }
         notes = (
@@ -78,7 +71,7 @@ class Ros2Bag(Whole):
 
 
 def write_bag(path: Path, task: Task) -> None:
-    """Write the bag's data at ``path`` and its metadata beside it.
+    """Write the bag's data at ``path`` and its metadata next to it.
 
     Raises
     ------
@@ -86,46 +79,36 @@ def write_bag(path: Path, task: Task) -> None:
     OSError: a file cannot be written.
     """
     bags = needed("rosbags.rosbag2")
-    kind = bags.StoragePlugin.MCAP if task.storage == "mcap" else bags.StoragePlugin.SQLITE3
+    storage = bags.StoragePlugin[task.options.storage.upper()]
     stage = path.parent / STEM  # the library makes a directory, and calls the data by its name
-    version = ROS_DISTROS[task.ros_distro]
-    with bags.Writer(stage, version=version, storage_plugin=kind) as bag:
-        _write_messages(bag, Messages(FRAME_IDS[task.room.frame]), task)
-    shutil.move(stage / path.name, path)
-    shutil.move(stage / METADATA, path.parent / METADATA)
+    version = ROS_DISTROS[task.options.ros_distro]
+    with bags.Writer(stage, version=version, storage_plugin=storage) as bag:
+        _write_messages(bag, Messages(FRAME_IDS[task.frame.name]), task)
+    for name in (path.name, METADATA):
+        shutil.move(stage / name, path.parent / name)
     stage.rmdir()
 
 
 def _write_messages(bag: Any, messages: Messages, task: Task) -> None:
     times = sample_times(task.motion.duration, task.rate)
-    states_topics = [
+    topics = [
         messages.connection(bag, f"/{name}/cmd_full_state", messages.FULL_STATE)
         for name in task.names
     ]
     blocks = []
     for states in iterate_states(task.motion, times, max(1, BLOCK // len(task.names))):
-        room = task.room
         attitudes = attitudes_of(task, states)
-        positions = room.points(states.positions)
-        velocities, own = room.vectors(states.velocities), room.vectors(states.accelerations)
-        forward = own - pull_of(task, states)
+        positions, velocities, forward = task.setpoints(states)
+        own = task.frame.vectors(states.accelerations)
         blocks.append(np.stack([positions, velocities, own]))
+        flown = (positions, attitudes.quaternions, velocities, attitudes.rates, forward)
         for s, t in enumerate(states.t.tolist()):
-            for d, topic in enumerate(states_topics):
-                message = messages.full_state(
-                    t,
-                    positions[s, d],
-                    attitudes.quaternions[s, d],
-                    velocities[s, d],
-                    attitudes.rates[s, d],
-                    forward[s, d],
-                )
-                bag.write(topic, round(1e9 * t), messages.bytes_of(message))
+            for d, topic in enumerate(topics):
+                messages.write(bag, topic, t, messages.full_state(t, *(v[s, d] for v in flown)))
     table = np.concatenate(blocks, axis=1)  # a trajectory is one message of all samples
     for d, name in enumerate(task.names):
         topic = messages.connection(bag, f"/{name}/trajectory", messages.TRAJECTORY)
-        message = messages.trajectory(name, times, table[:, :, d], task.room.heading)
-        bag.write(topic, 0, messages.bytes_of(message))
+        trajectory = messages.trajectory(name, times, table[:, :, d], task.frame.heading)
+        messages.write(bag, topic, 0.0, trajectory)
         topic = messages.connection(bag, f"/{name}/path", messages.PATH)
-        path = messages.path(times, table[0, :, d], task.room.heading)
-        bag.write(topic, 0, messages.bytes_of(path))
+        messages.write(bag, topic, 0.0, messages.path(times, table[0, :, d], task.frame.heading))

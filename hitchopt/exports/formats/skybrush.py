@@ -13,57 +13,53 @@ their own; the format has no place for accelerations, so the cable's pull is not
 from __future__ import annotations
 
 import json
-import math
 import zipfile
 from collections.abc import Iterator
 from functools import partial
-from math import ceil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.exports.formats.compressed import keeping_of
-from hitchopt.exports.formats.format import Candidate, Task, Whole
+from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.skybrush_show import MILLI, drones_of_show, storage_scale, stored
-from hitchopt.exports.recording import Recording, lasted, recording_of_curves
-from hitchopt.exports.refit.breaks import greedy_breaks, span_error
+from hitchopt.exports.recording import Recording, recording_of_curves
+from hitchopt.exports.refit.breaks import breaks_within, refitted
 from hitchopt.exports.refit.joint_rounding import rounded
-from hitchopt.exports.refit.lattice_rounding import settled
-from hitchopt.exports.refit.pieces import Kind, Scale, fitted
+from hitchopt.exports.refit.pieces import Kind, Scale
+from hitchopt.exports.refit.rounding_repair import settled
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FILE = "show.skyc"
 
 KIND = Kind(degree=3, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
-"""From 1.001 s on the server's arithmetic loses a millisecond of some durations; a millimetre of a
-control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
+"""Cubic pieces: from 1.001 s on the server's arithmetic loses a millisecond of some durations; a
+millimetre of a control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
 SMOOTH = 1
-"""After rounding, acceleration jumps; so does velocity, by as much as the note tells."""
+"""Acceleration jumps after rounding; so does velocity, by as much as the note says."""
 
 SCALE = Scale(position=1e-3, velocity=3e-2, acceleration=0.5)
+"""Errors of the refit that weigh alike."""
 
 BOUNDS = (1.0, 1.4, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2)
-"""Of the refit over SCALE, the best first: long segments fit worse and suffer less from rounding;
-below the last one rounding costs more than the refit gains."""
+"""Errors of the refit over SCALE, the best first: long segments fit worse and suffer less from
+rounding; below the last one rounding costs more than the refit gains."""
 
 ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
 """Errors of rounding that weigh alike."""
 
 NUDGE = 1e-6
-"""[m] By which points in the file lie beyond their whole millimetres: the server cuts digits off,
+"""Distance of points in the file beyond their whole millimetres [m]: the server cuts digits off,
 and in binary most of them lie just below."""
 
 
-class SkybrushShow(Whole):
+class SkybrushShow(Format):
     """Cubic curves in one show."""
 
     name = "skybrush"
-    summary = "a show of cubic curves for Skybrush (.skyc)"
     frames = ("nwu",)
     rate = 0.0
     accuracy = 2e-3
@@ -74,14 +70,11 @@ class SkybrushShow(Whole):
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give refits, each with more points than the one before."""
-        curves = task.motion.drones
-        error = span_error(curves, KIND, SCALE)
-        most = ceil(curves.duration / KIND.quantum) + 1
         for bound in BOUNDS:
-            breaks = greedy_breaks(error, float(curves.breaks[-1]), KIND, bound, most)
+            breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
             if breaks is None:
                 continue
-            fit = task.room.placed(fitted(lasted(curves, float(breaks[-1])), breaks, KIND))
+            fit = task.frame.placed(refitted(task.motion.drones, breaks, KIND))
             quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
             keeping = keeping_of(task, breaks, self.accuracy)
             for rounding in _roundings(fit, quantum):
@@ -124,8 +117,8 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
 
     Parameters
     ----------
-    path: of the zip.
-    task: with title, names and limits.
+    path: name of the zip.
+    task: the plan, for title, names and limits.
     breaks: (pieces + 1,) [s]
     points: (pieces, D, 3, 4) Bézier control points [m], north-west-up, of whole millimetres.
 
@@ -137,48 +130,35 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
     points = np.round(points + np.copysign(NUDGE, points) * (points != 0.0), 6) + 0.0
     drones = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for i, name in enumerate(task.names):
-            here = points[:, i]  # (pieces, 3, 4)
-            rows: list[Any] = [[times[0], here[0, :, 0].tolist(), []]]
+        for name, here in zip(task.names, np.moveaxis(points, 1, 0), strict=True):
+            first, last = here[0, :, 0].tolist(), here[-1, :, 3].tolist()
+            rows: list[Any] = [[times[0], first, []]]
             rows += [
                 [t, piece[:, 3].tolist(), [piece[:, 1].tolist(), piece[:, 2].tolist()]]
                 for t, piece in zip(times[1:], here, strict=True)
             ]
-            trajectory = {
-                "version": 1,
-                "takeoffTime": 0,
-                "landingTime": times[-1],
-                "points": rows,
-            }
+            head = {"version": 1, "takeoffTime": 0, "landingTime": times[-1]}
             file = f"drones/{name}/trajectory.json"
-            archive.writestr(file, json.dumps(trajectory, allow_nan=False))
-            settings = {
-                "name": name,
-                "home": here[0, :, 0].tolist(),
-                "landAt": here[-1, :, 3].tolist(),
-                "trajectory": {"$ref": f"./{file}#"},
-            }
-            drones.append({"type": "generic", "settings": settings})
+            archive.writestr(file, json.dumps({**head, "points": rows}, allow_nan=False))
+            settings = {"name": name, "home": first, "landAt": last}
+            trajectory = {"trajectory": {"$ref": f"./{file}#"}}
+            drones.append({"type": "generic", "settings": {**settings, **trajectory}})
         archive.writestr("show.json", json.dumps(_show(task, drones), allow_nan=False))
 
 
 def _show(task: Task, drones: list[Any]) -> dict[str, Any]:
-    motion = task.motion
+    """Return the description of the show, with the plan's limits for Skybrush's own checks."""
+    requirements = task.motion.requirements
+    speed = requirements.limits.speed
+    validation = {
+        "minDistance": 2.0 * requirements.separation.radius,
+        "maxVelocityXY": speed,
+        "maxVelocityZ": speed,
+    }
     return {
         "version": 1,
         "environment": {"type": "indoor"},
-        "settings": {
-            "validation": {
-                "minDistance": 2.0 * motion.requirements.separation.radius,
-                "maxVelocityXY": motion.requirements.limits.speed,
-                "maxVelocityZ": motion.requirements.limits.speed,
-            }
-        },
-        "meta": {
-            "title": task.title,
-            "frame": "nwu",
-            "origin_enu": task.room.origin.tolist(),
-            "yaw_deg": math.degrees(task.room.yaw),
-        },
+        "settings": {"validation": validation},
+        "meta": {"title": task.title, **task.frame.to_dict()},
         "swarm": {"drones": drones},
     }

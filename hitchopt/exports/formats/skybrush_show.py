@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 import posixpath
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.zip_archive import opened_zip, read_members
 from hitchopt.exports.recording import check_times
-from hitchopt.storage.archive import BROKEN, checked_bytes, refuse_bomb
 from hitchopt.storage.strict_json import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
-
-MAX_UNPACKED = 500_000_000
-"""[bytes] All that is read of a show."""
+from hitchopt.values import Array
 
 MILLI = 1e-3
-"""[m], [s] Skybrush's server stores whole ones."""
+"""Unit of what Skybrush's server stores, [m] and [s]."""
 
 REACH = 32768
-"""Numbers that 16 bits with a sign tell from zero, on either side."""
+"""Numbers on either side of zero that 16 bits with a sign hold."""
 
 MAX_DRONES = 20_000
+"""Size limit of a show that is read."""
 
 DEGREE = 3
+"""Degree of the pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +63,27 @@ def read_show(path: Path) -> Show:
     ------
     FileError: no zip, no show, a trajectory that is damaged, or more than anyone flies.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _show(path, archive)
-    except FileError as error:
-        text = str(error)
-        raise error if text.startswith(str(path)) else FileError(f"{path}: {text}") from error
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise FileError(f"{path}: is no Skybrush show: {error!r} where a drone is told") from error
-    except BROKEN as error:
-        raise FileError(f"{path}: is no Skybrush show, or a damaged one: {error}") from error
+    with opened_zip(path, "Skybrush show") as archive:
+        (content,) = read_members(path, archive, [archive.getinfo("show.json")])
+        show = parsed_json(content)
+        settings = _settings(path, show["swarm"]["drones"])
+        given = {name: each["trajectory"] for name, each in settings.items()}
+        files = {name: _file(trajectory) for name, trajectory in given.items()}
+        members = {file: archive.getinfo(file) for file in files.values() if file}
+        first = {file: name for name, file in reversed(files.items())}
+        contents = read_members(path, archive, list(members.values()))
+        shared = {
+            file: _curve(f"{path}: {first[file]}", parsed_json(content))
+            for file, content in zip(members, contents, strict=True)
+        }
+        curves = {
+            name: shared[file] if file else _curve(f"{path}: {name}", given[name])
+            for name, file in files.items()
+        }
+        homes = {name: each.get("home") for name, each in settings.items()}
+        own = show.get("settings")
+    validation = own.get("validation") if isinstance(own, dict) else None
+    return Show(curves, homes, validation if isinstance(validation, dict) else {})
 
 
 def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
@@ -99,48 +106,18 @@ def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
-def _show(path: Path, archive: zipfile.ZipFile) -> Show:
-    show = _json(archive, "show.json", path)
-    drones = show["swarm"]["drones"]
+def _settings(path: Path, drones: Any) -> dict[str, Any]:
+    """Return the settings of a show's drones, by their names."""
     if not isinstance(drones, list) or not 0 < len(drones) <= MAX_DRONES:
         raise FileError(f"{path}: show.json names no drones, or more than {MAX_DRONES}")
-    given: dict[str, Any] = {}
-    homes: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for number, drone in enumerate(drones):
         settings = drone["settings"]
         name = str(settings.get("name", number + 1))
-        if name in given:
+        if name in found:
             raise FileError(f"{path}: two drones are called {name!r}")
-        given[name], homes[name] = settings["trajectory"], settings.get("home")
-    files = {name: _file(trajectory) for name, trajectory in given.items()}
-    members = [archive.getinfo(file) for file in {f for f in files.values() if f is not None}]
-    _refuse_large(members, path)
-    read: dict[str, PiecewisePolynomial] = {}
-    curves = {}
-    for name, trajectory in given.items():
-        file = files[name]
-        if file is None:
-            curves[name] = _curve(f"{path}: {name}", trajectory)
-            continue
-        if file not in read:
-            read[file] = _curve(f"{path}: {name}", _json(archive, file, path))
-        curves[name] = read[file]
-    own = show.get("settings")
-    validation = own.get("validation") if isinstance(own, dict) else None
-    return Show(curves, homes, validation if isinstance(validation, dict) else {})
-
-
-def _refuse_large(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
-    size = sum(member.file_size for member in members)
-    if size > MAX_UNPACKED:
-        raise FileError(f"its files unpack to {size:.3g} bytes; {MAX_UNPACKED} are the most")
-    refuse_bomb(members, path.stat().st_size)
-
-
-def _json(archive: zipfile.ZipFile, name: str, path: Path) -> Any:
-    member = archive.getinfo(name)
-    _refuse_large([member], path)
-    return parsed_json(checked_bytes(archive, member))
+        found[name] = settings
+    return found
 
 
 def _file(trajectory: Any) -> str | None:

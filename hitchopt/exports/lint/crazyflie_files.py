@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.formats.compressed import read_bytes
 from hitchopt.exports.formats.compressed_bytes import LARGEST, LONGEST, MILLI, Compressed, decoded
-from hitchopt.exports.formats.memory_budget import BYTES
+from hitchopt.exports.formats.crazyflie_memory import BYTES
 from hitchopt.exports.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.exports.frame import AXES
 from hitchopt.exports.lint.findings import DroneFacts, Finding, Loaded, error, note, warning
 from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import recording_of_curves
+from hitchopt.exports.reference_frame import AXES
 from hitchopt.requirements import Separation
 from hitchopt.storage.yaml_file import read_yaml
 

@@ -18,12 +18,12 @@ from hitchopt.exports.formats.parquet_table import read_parquet
 from hitchopt.exports.formats.ros2_messages import bag_recording
 from hitchopt.exports.formats.skybrush_csv import lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import read_show
-from hitchopt.exports.frame import AXES
 from hitchopt.exports.lint.findings import DroneFacts, Loaded, error, warning
 from hitchopt.exports.lint.receiver_rules import receiver_findings
 from hitchopt.exports.lint.show_limits import limits_of
 from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import Recording, recording_of_curves
+from hitchopt.exports.reference_frame import AXES
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

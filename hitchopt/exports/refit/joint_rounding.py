@@ -1,21 +1,19 @@
 """Control points rounded together, so that their errors cancel in velocity and acceleration.
 
-A control point rounded on its own is off by half a quantum, its neighbour by as much the other
-way: over a piece of degree N and h seconds that is up to ``N / h`` quanta a second of velocity. So
-each is rounded with the errors of those before it in mind: among the remaining real coefficients
-the ones that make up best for them are found by least squares (Babai's nearest plane), in a norm
-of the errors of position, velocity and acceleration over the piece.
+A control point rounded on its own is off by half a quantum, its neighbour by as much in the
+opposite direction: over a piece of degree N and h seconds that is up to ``N / h`` quanta a second
+of velocity. So each is rounded with the errors of those before it in mind: among the remaining real
+coefficients the ones that make up best for them are found by least squares (Babai's nearest plane),
+in a norm of the errors of position, velocity and acceleration over the piece.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.exports.refit.pieces import Scale
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
@@ -53,19 +51,11 @@ def _nearest(wanted: Array, first: Array, gram: Array) -> Array:
 
 
 def _gram(degree: int, h: float, scale: Scale) -> Array:
-    """(N + 1, N + 1): of the Bernstein basis in the norm of errors over a piece of ``h`` s."""
+    """Return the basis's Gram matrix (N + 1, N + 1) for errors over a piece of ``h`` seconds."""
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    x = 0.5 * (nodes + 1.0)
     gram = np.zeros((degree + 1, degree + 1))
-    sizes = (scale.position, scale.velocity, scale.acceleration)
-    x, weights = _gauss(degree + 1)
-    for order, size in enumerate(sizes):
-        rows = np.eye(degree + 1)
-        for _ in range(order):
-            rows = bernstein.differentiate(rows) / h
-        values = bernstein.basis(x, rows.shape[-1] - 1) @ rows.T / size
-        gram += values.T @ (weights[:, None] * values)
+    for order, size in enumerate(scale):
+        values = bernstein.derivative_basis(x, degree, order) / (size * h**order)
+        gram += values.T @ (0.5 * weights[:, None] * values)
     return gram
-
-
-def _gauss(count: int) -> tuple[Array, Array]:
-    x, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * (x + 1.0), 0.5 * weights

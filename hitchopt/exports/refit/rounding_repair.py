@@ -2,8 +2,8 @@
 
 A plan that flies at a limit has nothing left for rounding. But of the many roundings within the
 accuracy some keep it: single inner control points, and pairs of them, are moved by one quantum as
-long as that lowers what is beyond the limits. Limits are looked at in points; whether the result
-will do is for the certificate to say.
+long as that lowers what is beyond the limits. Limits are checked in points; the certificate
+verifies the result.
 """
 
 from __future__ import annotations
@@ -13,38 +13,36 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 POINTS = 33
-"""Of a piece, at which limits are looked at."""
+"""Points of a piece at which limits are checked."""
 
 MARGIN = 3e-4
-"""Relative: what is kept off the limits, for what lies between the points and for the bounds."""
+"""Relative distance from the limits, for what lies between the points and for the bounds."""
 
 MOST = 500
 """Pieces of single drones that are settled, at some 10 ms each; with more, limits are too tight."""
 
 STEPS = 12
-"""Moves of one piece."""
+"""Largest number of moves of one piece."""
 
 NEAR = 0.85
-"""Of the accuracy: errors beyond cost."""
+"""Share of the accuracy beyond which errors cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class Keeping:
-    """What is to be kept.
+    """The limits that are enforced.
 
     Attributes
     ----------
     speed: of every drone [m/s].
     mass, max_thrust: (D,) [kg], [N].
     load: (pieces, POINTS, D, 3) [N]: what thrust carries besides acceleration, ``m g ẑ - F``.
-    accuracy: of positions [m].
+    accuracy: largest error of positions [m].
     """
 
     speed: float
@@ -55,7 +53,7 @@ class Keeping:
 
 
 def settling_times(breaks: Array) -> Array:
-    """Return (pieces, POINTS) [s]: when limits are looked at."""
+    """Return the times (pieces, POINTS) [s] at which limits are checked."""
     x = np.linspace(0.0, 1.0, POINTS)
     times: Array = breaks[:-1, None] + x * np.diff(breaks)[:, None]
     return times
@@ -68,7 +66,7 @@ def settled(
 
     Parameters
     ----------
-    curves: whose control points are multiples of ``quantum``.
+    curves: curves whose control points are multiples of ``quantum``.
     wanted: what they were rounded from, on the same pieces.
     quantum: [m]
     keeping: the limits.
@@ -93,7 +91,7 @@ def _one_settled(
     goal, pace = basis @ wanted.T, slopes @ wanted.T / h
     for _ in range(STEPS):
         each = c + moves  # (moves, 3, N + 1)
-        beyond = _beyond(each, h, keeping, piece, drone)
+        beyond = _beyond(each, h, keeping, piece, slice(drone, drone + 1))
         if beyond[0] == 0.0:  # the first one moves nothing
             break
         off = np.max(np.linalg.norm(np.einsum("tn,mdn->mtd", basis, each) - goal, axis=-1), axis=1)
@@ -111,21 +109,18 @@ def _one_settled(
 
 
 def _beyond(
-    each: Array, h: float, keeping: Keeping, piece: int, drone: int | slice = slice(None)
+    each: Array, h: float, keeping: Keeping, piece: int, drones: slice = slice(None)
 ) -> Array:
     """Return by how much pieces (m, 3, N + 1) are beyond their limits, relative to these, (m,).
 
-    The root of the mean of squares over the points: a move that helps one of several is told so.
+    The root of the mean of squares over the points: a move that helps one of several counts.
     """
     _, slopes, bends = _bases(bernstein.degree(each))
     speed = np.linalg.norm(np.einsum("tn,mdn->mtd", slopes, each) / h, axis=-1)
     pull = np.einsum("tn,mdn->mtd", bends, each) / h**2
-    mass, load = keeping.mass[drone], keeping.load[piece, :, drone]
-    if isinstance(drone, slice):
-        thrust = mass[:, None, None] * pull + np.moveaxis(load, 1, 0)
-    else:
-        thrust = mass * pull + load
-    pushed = np.linalg.norm(thrust, axis=-1) / np.reshape(keeping.max_thrust[drone], (-1, 1))
+    load = np.moveaxis(keeping.load[piece, :, drones], 1, 0)
+    thrust = keeping.mass[drones, None, None] * pull + load
+    pushed = np.linalg.norm(thrust, axis=-1) / keeping.max_thrust[drones, None]
     most = 1.0 - MARGIN
     squares = np.maximum(speed / keeping.speed - most, 0.0) ** 2
     squares += np.maximum(pushed - most, 0.0) ** 2
@@ -135,19 +130,15 @@ def _beyond(
 
 @lru_cache
 def _bases(degree: int) -> tuple[Array, Array, Array]:
-    """(POINTS, degree + 1) each: the basis and its derivatives by the local parameter."""
+    """Return basis, slopes and bends by the local parameter, (POINTS, degree + 1) each."""
     x = np.linspace(0.0, 1.0, POINTS)
-    rows = np.eye(degree + 1)
-    found = []
-    for _ in range(3):
-        found.append(bernstein.basis(x, rows.shape[-1] - 1) @ rows.T)
-        rows = bernstein.differentiate(rows)
-    return found[0], found[1], found[2]
+    basis, slopes, bends = (bernstein.derivative_basis(x, degree, order) for order in range(3))
+    return basis, slopes, bends
 
 
 @lru_cache
 def _moves(degree: int) -> Array:
-    """Return (moves, 3, degree + 1): none, a run of inner control points, any two of them."""
+    """Return moves (moves, 3, degree + 1): none, runs of inner control points, any two of them."""
     runs = []
     for first, last in combinations(range(1, degree + 1), 2):
         for axis in range(3):

@@ -4,42 +4,41 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exported_plans import certificate_of, hitch_plan, swarm_plan
+from exported_plans import certificate_of, flown_checks, hitch_plan, swarm_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.errors import FileError
-from hitchopt.exports.frame import Room
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.verification import (
-    FLOWN,
-    NOT_CARRIED,
-    Verdict,
-    flown_checks,
-    judge,
-)
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.verification import FLOWN, NOT_CARRIED, Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
+PLAIN = ReferenceFrame()
+
 
 def recorded(
-    curves: PiecewisePolynomial, names: tuple[str, ...], smooth: int = 2, room: Room | None = None
+    curves: PiecewisePolynomial,
+    names: tuple[str, ...],
+    smooth: int = 2,
+    frame: ReferenceFrame = PLAIN,
 ) -> Recording:
-    placed = (room or Room()).placed(curves)
+    placed = frame.placed(curves)
     each = [
         PiecewisePolynomial(placed.breaks, placed.coefficients[:, i]) for i in range(len(names))
     ]
-    return recording_of_curves(names, each, (room or Room()).frame, smooth)
+    return recording_of_curves(names, each, frame.name, smooth)
 
 
-def judged(motion: Motion, curves: PiecewisePolynomial, smooth: int = 2) -> Verdict:
+def verified(motion: Motion, curves: PiecewisePolynomial, smooth: int = 2) -> Verdict:
     names = motion.team.drone_names
-    return judge(motion, recorded(curves, names, smooth), Room(), names)
+    return verify(motion, recorded(curves, names, smooth), PLAIN, names)
 
 
 @pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_the_plan_itself_is_judged_as_its_certificate_says(motion: Motion) -> None:
-    verdict = judged(motion, motion.drones)
+def test_the_plan_itself_is_verified_as_its_certificate_says(motion: Motion) -> None:
+    verdict = verified(motion, motion.drones)
     assert verdict.lost == ()
     assert verdict.position.worst < 1e-9
     assert verdict.velocity.worst < 1e-6
@@ -61,7 +60,7 @@ def test_samples_never_beat_the_bounds(seed: int) -> None:
     coefficients = curves.coefficients + 1e-3 * rng.normal(size=curves.coefficients.shape)
     coefficients[1:, ..., 0] = coefficients[:-1, ..., -1]
     wild = PiecewisePolynomial(curves.breaks, coefficients)
-    verdict = judged(motion, wild)
+    verdict = verified(motion, wild)
     t = rng.uniform(0.0, curves.duration, 500)
     apart = np.linalg.norm(wild.at(t) - curves.at(t), axis=-1)
     assert np.max(apart) <= verdict.position.worst
@@ -79,17 +78,17 @@ def test_a_shift_of_one_drone_is_found() -> None:
     motion = swarm_plan()
     coefficients = np.array(motion.drones.coefficients)
     coefficients[:, 1, 2] += 0.01
-    verdict = judged(motion, PiecewisePolynomial(motion.drones.breaks, coefficients))
+    verdict = verified(motion, PiecewisePolynomial(motion.drones.breaks, coefficients))
     assert verdict.position.drone == "d1"
     assert verdict.position.worst == pytest.approx(0.01, rel=1e-3)
     assert verdict.velocity.worst < 1e-9
 
 
-def test_what_is_lost_is_told() -> None:
+def test_what_is_lost_is_reported() -> None:
     motion = hitch_plan()
     coefficients = np.array(motion.drones.coefficients)
     coefficients[:, 0] = coefficients[:, 3] + np.array([0.05, 0.0, 0.0])[:, None]
-    verdict = judged(motion, PiecewisePolynomial(motion.drones.breaks, coefficients))
+    verdict = verified(motion, PiecewisePolynomial(motion.drones.breaks, coefficients))
     assert {"separation", "cable_length"} <= {check.name for check in verdict.lost}
 
 
@@ -103,7 +102,7 @@ def test_windows_of_any_size_say_the_same() -> None:
             yield motion.drones.taken(slice(i, i + 1))
 
     pieces = replace(whole, windows=windows)  # type: ignore[arg-type]
-    one, many = (judge(motion, recording, Room(), names) for recording in (whole, pieces))
+    one, many = (verify(motion, recording, PLAIN, names) for recording in (whole, pieces))
     for a, b in zip(one.checks, many.checks, strict=True):
         assert a.worst == pytest.approx(b.worst, rel=3e-4, abs=1e-6)
         assert a.name == b.name
@@ -111,9 +110,9 @@ def test_windows_of_any_size_say_the_same() -> None:
 
 def test_frames_and_names_are_taken_back() -> None:
     motion = hitch_plan()
-    room = Room("ned", [3.0, -1.0, 0.5], 0.6)
+    frame = ReferenceFrame("ned", [3.0, -1.0, 0.5], 0.6)
     names = tuple(f"cf{i}" for i in range(6))
-    turned = recorded(motion.drones, names, room=room)
+    turned = recorded(motion.drones, names, frame=frame)
     swapped = replace(
         turned,
         names=names[::-1],
@@ -121,7 +120,7 @@ def test_frames_and_names_are_taken_back() -> None:
             PiecewisePolynomial(w.breaks, w.coefficients[:, ::-1]) for w in turned.windows()
         ),
     )
-    verdict = judge(motion, swapped, room, names)
+    verdict = verify(motion, swapped, frame, names)
     assert verdict.position.worst < 1e-9
     assert verdict.lost == ()
 
@@ -131,7 +130,7 @@ def test_lines_say_nothing_of_thrust() -> None:
     t = np.linspace(0.0, motion.duration, 200)
     places = motion.drones.at(t)[None]
     lines = PiecewisePolynomial.hermite(t, places[:, :-1], places[:, 1:])
-    verdict = judged(motion, lines, smooth=0)
+    verdict = verified(motion, lines, smooth=0)
     assert {"thrust", "tilt"}.isdisjoint(check.name for check in verdict.checks)
     assert verdict.not_carried == NOT_CARRIED[0]
 
@@ -147,23 +146,23 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
             ]
         ),
     )
-    verdict = judged(motion, longer)
+    verdict = verified(motion, longer)
     assert verdict.duration == pytest.approx(motion.duration + 0.3)
     assert verdict.lost == ()
     with pytest.raises(FileError, match="before the plan does"):
-        judged(motion, motion.drones.taken(slice(0, -1)))
+        verified(motion, motion.drones.taken(slice(0, -1)))
 
 
 def test_other_drones_are_refused() -> None:
     motion = swarm_plan()
     recording = recorded(motion.drones, ("a", "b", "c"))
     with pytest.raises(FileError, match="d0 is missing"):
-        judge(motion, recording, Room(), motion.team.drone_names)
+        verify(motion, recording, PLAIN, motion.team.drone_names)
     with pytest.raises(FileError, match="more of them"):
-        judge(motion, recording, Room(), ("a", "b"))
+        verify(motion, recording, PLAIN, ("a", "b"))
 
 
-def test_cables_are_judged_while_the_hitch_exists() -> None:
+def test_cables_are_verified_while_the_hitch_exists() -> None:
     """A drone far off its leg during a span without a hitch: only the drones' own checks see it."""
     motion = hitch_plan()
     first, pause, last = motion.phases
@@ -173,7 +172,7 @@ def test_cables_are_judged_while_the_hitch_exists() -> None:
     within = (middles > pause.start) & (middles < pause.end)
     coefficients[within, 0, 2] += 0.3
     curves = PiecewisePolynomial(motion.drones.breaks, coefficients)
-    assert "cable_length" in {check.name for check in judged(motion, curves).lost}
-    verdict = judged(free, curves)
+    assert "cable_length" in {check.name for check in verified(motion, curves).lost}
+    verdict = verified(free, curves)
     assert "cable_length" not in {check.name for check in verdict.lost}
     assert verdict.position.worst == pytest.approx(0.3, rel=1e-3)

@@ -1,0 +1,56 @@
+"""The options of an export, as the command line and ``Plan.export`` take them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hitchopt.errors import InputError
+
+STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
+"""Storage formats of a bag, and how their files end."""
+
+ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
+"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
+stop at 9, whose profiles of quality of service are lists."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """The format of an export, and how the plan is placed and sampled in it.
+
+    Parameters
+    ----------
+    format: name of the format.
+    frame: enu, nwu or ned; None for the format's usual one.
+    origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
+    yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
+    fleet: path of a fleet file; None calls the drones as the plan does.
+    rate: samples a second [Hz], where the format samples; None for its usual rate.
+    stretch: factor of all durations, from 1 on.
+    storage: storage format of a bag, mcap or sqlite3.
+    ros_distro: the ROS 2 release that a bag is for: humble, iron or jazzy. Every later one reads
+        bags for the earlier ones.
+
+    Raises
+    ------
+    InputError: an unknown storage format or release.
+    """
+
+    format: str
+    frame: str | None = None
+    origin: Sequence[float] = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+    fleet: Path | str | None = None
+    rate: float | None = None
+    stretch: float = 1.0
+    storage: str = "mcap"
+    ros_distro: str = "humble"
+
+    def __post_init__(self) -> None:
+        if self.storage not in STORAGES:
+            raise InputError("--storage", self.storage, " or ".join(STORAGES), "mcap is usual")
+        if self.ros_distro not in ROS_DISTROS:
+            choices = ", ".join(ROS_DISTROS)
+            raise InputError("--ros-distro", self.ros_distro, choices, "humble is usual")
