@@ -15,22 +15,20 @@ from numpy.typing import ArrayLike
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.outlines import outline_after
 from hitchopt.mission.problem import (
     Adjust,
     FollowVertex,
-    HitchStep,
     Hold,
-    LegSharing,
     Morph,
     MoveEdge,
     MoveVertex,
     Transport,
-    leg_sharing,
 )
 from hitchopt.mission.solving import solve_steps
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps import Step
+from hitchopt.steps.slack_split import SlackSplit, slack_split
 
 Legs = str | Sequence[float] | ArrayLike
 
@@ -159,7 +157,7 @@ def adjust(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = Adjust(leg_sharing(legs, start.team), duration)
+    step = Adjust(slack_split(legs, start.team), duration)
     return _planned(start, step, limits, separation, arena)
 
 
@@ -239,18 +237,18 @@ def _array(value: ArrayLike | None) -> np.ndarray | None:
     return None if value is None else np.array(value)
 
 
-def _sharing(legs: Legs | None, start: Hitch) -> LegSharing | None:
-    return None if legs is None else leg_sharing(legs, start.team)
+def _sharing(legs: Legs | None, start: Hitch) -> SlackSplit | None:
+    return None if legs is None else slack_split(legs, start.team)
 
 
 def _planned(
     start: Hitch,
-    step: HitchStep,
+    step: Step,
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,
 ) -> Plan:
-    outline_after(start.team, start.polygon, step)  # what is wrong in itself is told first
+    step.polygon_left(start.team, start.polygon)  # what is wrong in itself is told first
     requirements = Requirements(limits or Limits(), separation or Separation(), arena)
     found = solve_steps(start, (step,), requirements)
     return Plan(found.motion, found.certificate)

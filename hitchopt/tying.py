@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.form_records import Assign, Form, Land, Release
-from hitchopt.mission.leg_sharing import leg_sharing
 from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
 from hitchopt.mission.solving import solve_problem, solve_steps
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps.form import Assign, Form
+from hitchopt.steps.land import Land
+from hitchopt.steps.release import Release
+from hitchopt.steps.slack_split import slack_split
 
 
 def form(
@@ -57,7 +59,7 @@ def form(
     InputError: arguments that are wrong in themselves.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    sharing = None if legs is None else leg_sharing(legs, team)
+    sharing = None if legs is None else slack_split(legs, team)
     outline = fitting_polygon(team, polygon)
     step = Form(outline, altitude, sharing, assign, swap or SwapSettings(), duration)
     return _from_drones(team, q, r, step, limits, separation, arena)

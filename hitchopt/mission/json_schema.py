@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.schema import Keys
-from hitchopt.mission.steps import ProblemKeys
 from hitchopt.mission.swarm_schema import SwarmKeys
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

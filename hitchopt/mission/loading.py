@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.building import built_problem
 from hitchopt.mission.faults import JointInputError
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.steps import ProblemKeys
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.mission.swarm_building import built_swarm
 from hitchopt.mission.swarm_schema import SwarmKeys

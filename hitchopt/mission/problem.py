@@ -11,22 +11,23 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.form_records import Form, Land, Release
-from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
-from hitchopt.mission.outlines import fitting_steps
-from hitchopt.mission.step_records import (
+from hitchopt.mission.step_order import fitting_steps
+from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps import (
     Adjust,
     FollowVertex,
-    HitchStep,
+    Form,
     Hold,
+    Land,
     Morph,
     MoveEdge,
     MoveVertex,
+    Release,
     Step,
     Transport,
 )
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps.slack_split import SlackSplit, slack_split
 from hitchopt.values import MAX_COORDINATE, coordinate
 
 __all__ = [
@@ -35,10 +36,8 @@ __all__ = [
     "FollowVertex",
     "Form",
     "HitchStart",
-    "HitchStep",
     "Hold",
     "Land",
-    "LegSharing",
     "Morph",
     "MoveEdge",
     "MoveVertex",
@@ -48,7 +47,6 @@ __all__ = [
     "Step",
     "SwapSettings",
     "Transport",
-    "leg_sharing",
 ]
 
 Array = NDArray[np.float64]
@@ -67,7 +65,7 @@ class HitchStart:
 
     polygon: Outline
     altitude: float
-    legs: LegSharing = "spread"
+    legs: SlackSplit = "spread"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
@@ -167,7 +165,7 @@ def _fitting_start(team: Team, start: Start) -> Start:
     """
     try:
         if isinstance(start, HitchStart):
-            outline, legs = fitting_polygon(team, start.polygon), leg_sharing(start.legs, team)
+            outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
             return replace(start, polygon=outline, legs=legs)
         if len(start.q) != team.robots:
             raise InputError(

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.requirements import Limits, Separation
+from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE
 
 MIN_QUANTITY = 1e-9
 """In SI units. Smaller lengths, masses, times, … are typing errors, and would only underflow."""
@@ -63,12 +64,10 @@ Legs = Annotated[
     Discriminator(one_or_each),
 ]
 
-OUTLINE_TEXT = (
-    "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
-    "of the convex arc of an open chain"
-)
-LEGS_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
-DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
+TwoPoints = Annotated[list[Point2], Field(min_length=2, max_length=2)]
+TimedPath = Annotated[list[TimedPoint], Field(min_length=1)]
+Flag = bool
+Angle = float
 
 
 class Keys(BaseModel):
@@ -203,9 +202,7 @@ class ArenaKeys(Keys):
 class HitchKeys(Keys):
     """A formed hitch."""
 
-    polygon: Outline = Field(
-        description=OUTLINE_TEXT, examples=[[[0, -1], [-0.4, 0.5], [0.4, 0.5]]]
-    )
+    polygon: Outline = Field(description=OUTLINE_TEXT, examples=[TRIANGLE])
     altitude: Number = Field(default=1.0, description="Height of the hitch's plane [m]")
     legs: Legs = Field(default="spread", description=LEGS_TEXT)
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY
-from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.steps.diagnosis import infeasible
 
 Array = NDArray[np.float64]
 

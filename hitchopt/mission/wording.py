@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 from hitchopt.errors import InputError
 from hitchopt.mission.faults import one_or_all
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.json_schema import entries_at, kind_schema
 from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE, Keys
-from hitchopt.mission.steps import ProblemKeys
 from hitchopt.storage.plain import key_path
 
 Schema = dict[str, Any]

@@ -103,7 +103,7 @@ def test_an_overstretched_start_is_refused_before_any_search(
         raise AssertionError
 
     monkeypatch.setattr("hitchopt.mission.solving.assigned", searched)
-    monkeypatch.setattr("hitchopt.mission.solving.plan_form", searched)
+    monkeypatch.setattr("hitchopt.steps.form.Form.plan", searched)
     path = next(path for path in INFEASIBLE if path.stem == "overstretched_start")
     result = run("solve", path, "-o", "out", "--no-repair")
     assert result.exit_code == 3, result.output

@@ -8,9 +8,9 @@ from problem_cases import hitch_start
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.mission import morphing
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.random_morph import random_morph
+from hitchopt.steps import route_choice
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
@@ -264,7 +264,7 @@ def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
     half = ho.morph(start, square.renumbered(2))
     assert "the step's own way is shut" in half.phases[0].remark
     assert half.certificate.certified
-    monkeypatch.setattr(morphing, "candidates", lambda *_: [])
+    monkeypatch.setattr(route_choice, "candidates", lambda *_: [])
     with pytest.raises(ho.InfeasibleError, match="the optimiser found no other way") as caught:
         ho.morph(start, square.renumbered(2))
     assert caught.value.violations[0].constraint == "convexity"

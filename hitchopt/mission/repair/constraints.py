@@ -6,17 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 
 from hitchopt.errors import InfeasibleError, Violation
-
-PLAN_DURATION = "plan duration"
-"""The plan's duration as a constraint, told apart from a step's, which is too short."""
-
-SPACE = frozenset({"separation", "cable_clearance", "legs", "span", "cable_length"})
-"""What longer legs mend."""
-
-RATES = frozenset({"speed", "acceleration", "jerk", "vertex_speed"})
-"""What going slower, or less far, mends."""
+from hitchopt.steps.edits import PLAN_DURATION
 
 TIMES = frozenset({"duration", PLAN_DURATION})
+"""Constraints that a faster plan, or more time, repairs."""
 
 
 def broken_constraints(error: InfeasibleError) -> frozenset[str]:

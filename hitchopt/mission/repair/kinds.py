@@ -10,20 +10,19 @@ from functools import partial
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.mission.form_records import Form
-from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
+from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
-from hitchopt.mission.repair.constraints import RATES, SPACE, TIMES, broken_constraints
+from hitchopt.mission.repair.constraints import TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
     with_cables,
     with_outlines_scaled,
-    with_radius,
     with_robots_apart,
     with_robots_drawn,
     with_separation,
     with_tensions,
 )
-from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, time_kinds, wall_kinds
+from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
+from hitchopt.steps.edits import RATES, SPACE
 
 MOST_NAMED = 3
 """Single cables tried, those that the broken limits name first."""
@@ -33,11 +32,10 @@ def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
     """Return the kinds of changes that can mend everything that binds, safety left as it is."""
     kinds = (
         *_starts(problem),
-        *_radii(problem),
         *_lengths(problem, error.violations),
         *_tensions(problem, error.violations),
         *limit_kinds(problem, error.violations),
-        *time_kinds(problem, error.violations),
+        *step_kinds(problem, error.violations),
         *wall_kinds(problem, error.violations),
     )
     return _covering(kinds, error)
@@ -129,19 +127,6 @@ def _starts(problem: Problem) -> Iterator[Kind]:
         "two drones of a robot",
     )
     yield lowered(drawn, frozenset({"span"}))
-
-
-def _radii(problem: Problem) -> Iterator[Kind]:
-    """Yield smaller swaps, where they are larger than they need to be."""
-    for i, step in enumerate(problem.mission):
-        if isinstance(step, Form) and step.swap.radius > SwapSettings.radius:
-            radius = Quantity(
-                f"mission[{i}].form.swap.radius",
-                step.swap.radius,
-                "m",
-                partial(with_radius, problem, i, step),
-            )
-            yield lowered(radius, SPACE | {"interlacing", "arena", "crossing"})
 
 
 def _with_cable(problem: Problem, k: int, length: float) -> Edited:

@@ -1,4 +1,4 @@
-"""From a certificate that does not hold to what binds, where and when, and what to change."""
+"""What a certificate that does not hold says: what binds, where and when, and what to change."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REMEDIES = {
     "arena": "enlarge the arena, or keep the hitch farther from its walls",
     "duration": "raise limits.duration, or the limits of motion",
 }
-"""Per check, what a user can change. Words of advice; what would do is computed in ``repair``."""
+"""What a user can change, by check. Which change is enough is computed in ``repair``."""
 
 FREE_REMEDIES = {
     "separation": "place the drones farther apart, use longer cables or a larger polygon, "
@@ -41,6 +41,9 @@ FREE_REMEDIES = {
 }
 """The same while cables are free."""
 
+SLOWER_HOLDS = ("speed", "acceleration", "jerk", "vertex_speed", "thrust", "tilt")
+"""Checks that hold more easily where everything goes slower."""
+
 
 def infeasible(
     certificate: Certificate,
@@ -53,9 +56,9 @@ def infeasible(
     Parameters
     ----------
     certificate: one that does not hold.
-    separation: what was to be kept, to tell in metres by how much drones are too close.
-    phases: of the plan, to name the step in which it happens.
-    when: told instead, for a certificate of something at rest.
+    separation: the distances required, to tell in metres by how much drones are too close.
+    phases: the plan's, to name the step in which it happens.
+    when: said instead, for a certificate of something at rest.
     """
     return InfeasibleError(
         [
