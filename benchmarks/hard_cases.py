@@ -10,11 +10,11 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.outline import Outline
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.random_morph import random_morph
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
+from problems.random_morph import random_morph
 
 
 @dataclass(frozen=True, eq=False)

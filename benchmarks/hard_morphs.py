@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks.hard_morphs [--seeds N] [--restarts M] [--robots N …] [--no-named]
 
-Random hard morphs (``hitchopt.mission.random_morph``, seeded): turned by any angle, scaled,
+Random hard morphs (``problems.random_morph``, seeded): turned by any angle, scaled,
 shifted, reshaped. Every success is a certificate. Of those not solved, and of the named hard ones,
 M random restarts (turned either way, bent, swollen or shrunk on the way) tell what might be found.
 Writes ``hard_morphs.csv``, a line for every morph as it is done, and ``hard_morphs.md``. A morph

@@ -18,11 +18,11 @@ import hitchopt as ho
 from hitchopt.mission import solving
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.memory import VARIABLE, Memory, Progress, remembered
-from hitchopt.mission.random_morph import random_morph
 from hitchopt.mission.sealing import Sealed
 from hitchopt.steps import STEPS
 from hitchopt.steps.blending import plan_blended
 from hitchopt.steps.situation import StepPlan, StepTask
+from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]

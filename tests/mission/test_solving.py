@@ -9,8 +9,8 @@ from problem_cases import hitch_start
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.random_morph import random_morph
 from hitchopt.steps import route_choice
+from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
