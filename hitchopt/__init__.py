@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from hitchopt.actions import (
         adjust,
         follow_vertex,
+        form,
         hold,
+        land,
         morph,
         move_edge,
         move_vertex,
+        release,
         transport,
     )
     from hitchopt.checks import Certificate, CertificateError, Check, certify
@@ -59,7 +62,6 @@ if TYPE_CHECKING:
     from hitchopt.planning import repair, separate, solve, suggestions
     from hitchopt.requirements import Arena, Limits, Prism, Separation
     from hitchopt.trajectory import PiecewisePolynomial
-    from hitchopt.tying import form, land, release
 
 _HOMES = {
     "Adjust": "mission.problem",
@@ -111,9 +113,9 @@ _HOMES = {
     "closest": "plan",
     "follow_vertex": "actions",
     "forget": "mission.memory",
-    "form": "tying",
+    "form": "actions",
     "hold": "actions",
-    "land": "tying",
+    "land": "actions",
     "lint": "exports.lint.linting",
     "load": "plan",
     "load_problem": "mission.loading",
@@ -123,7 +125,7 @@ _HOMES = {
     "move_vertex": "actions",
     "read_problem": "mission.loading",
     "regular_polygon": "geometry",
-    "release": "tying",
+    "release": "actions",
     "repair": "planning",
     "separate": "planning",
     "solve": "planning",

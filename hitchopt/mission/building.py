@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
-from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
@@ -17,71 +18,88 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.schema import (
     Keys,
     MotionLimitsKeys,
-    QuadrotorKeys,
     StartKeys,
     TeamKeys,
 )
-from hitchopt.requirements import Arena, Limits, Separation
+from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
+from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
 from hitchopt.steps.step import check_within
 
 
 def built_problem(keys: ProblemKeys) -> Problem:
-    """Return the problem that ``keys`` describe.
+    """Return the problem of a hitch that ``keys`` describe.
 
     Raises
     ------
     InputError: what single values do not tell, such as counts and shapes; a joint error if several.
     """
     faults = Collector()
-    attempt = faults.attempt
-    title = attempt("", lambda: checked_title(keys.title))
-    team = attempt("team", lambda: _team(keys.team))
-    limits = attempt("limits", lambda: built_limits(keys.limits))
-    separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
-    box = keys.arena
-    arena = attempt("arena", lambda: Arena(box.lower, box.upper)) if box is not None else None
+    common = _common_parts(keys, faults)
+    team = faults.attempt("team", lambda: Team(**_team_values(keys.team)))
     start = _start(keys.start, keys.team, team, faults)
     steps = [_step(i, step, keys.team, team, faults) for i, step in enumerate(keys.mission)]
     mission = tuple(step for step in steps if step is not None)
-    error = faults.error()
-    if error is not None:
-        raise error
-    if title is None or team is None or limits is None or separation is None or start is None:
+    faults.check()
+    if team is None or start is None:
         raise RuntimeError("a part of the problem is missing although nothing was refused")
-    return Problem(team, start, mission, limits, separation, arena, title)
+    return Problem(team, start, mission, **common)
 
 
-def checked_title(title: str) -> str:
+def built_swarm(keys: SwarmKeys) -> SwarmProblem:
+    """Return the problem of single drones that ``keys`` describe; errors as ``built_problem``."""
+    faults = Collector()
+    common = _common_parts(keys, faults)
+    team = faults.attempt("team", lambda: Swarm(**_team_values(keys.team)))
+    prisms = [
+        faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
+        for k, prism in enumerate(keys.keep_out)
+    ]
+    if team is None or not common.keys() >= {"limits", "separation"}:
+        faults.check()
+        raise RuntimeError("a part of the problem is missing although nothing was refused")
+    common |= {"keep_out": [p for p in prisms if p is not None], "duration": keys.duration}
+    start, goal = np.array(keys.start), np.array(keys.goal)
+    problem = faults.attempt("", lambda: SwarmProblem(team, start, goal, **common))
+    faults.check()
+    if problem is None:
+        raise RuntimeError("no problem although nothing was refused")
+    return problem
+
+
+def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str, Any]:
+    """Return the parts that problems of both kinds have, by name, those refused left out."""
+    box = keys.arena
+    parts = {
+        "title": faults.attempt("", lambda: _title(keys.title)),
+        "limits": faults.attempt("limits", lambda: _limits(keys.limits)),
+        "separation": faults.attempt(
+            "separation", lambda: Separation(**keys.separation.model_dump())
+        ),
+        "arena": box and faults.attempt("arena", lambda: Arena(box.lower, box.upper)),
+    }
+    return {name: part for name, part in parts.items() if part is not None}
+
+
+def _title(title: str) -> str:
     """Return the title, or raise InputError where a terminal would obey it."""
     if not title.isprintable():  # a terminal would obey its control characters
         raise InputError("title", title, "printable text on one line", "remove such characters")
     return title
 
 
-def _team(keys: TeamKeys) -> Team:
-    return Team(
-        keys.robots,
-        keys.cable_length,
-        topology=keys.topology,
-        cable_density=keys.cable_density,
-        cable_friction=keys.cable_friction,
-        tension=keys.tension,
-        quadrotor=built_quadrotors(keys.quadrotor),
-    )
+def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
+    """Return the arguments of the team that ``keys`` describe."""
+    values = keys.model_dump()
+    kinds = values["quadrotor"]
+    one = isinstance(kinds, dict)
+    values["quadrotor"] = Quadrotor(**kinds) if one else [Quadrotor(**kind) for kind in kinds]
+    return values
 
 
-def built_quadrotors(
-    keys: QuadrotorKeys | list[QuadrotorKeys],
-) -> Quadrotor | list[Quadrotor]:
-    """Return the one kind, or the list of kinds, that ``keys`` describe."""
-    if isinstance(keys, list):
-        return [Quadrotor(kind.mass, kind.max_thrust) for kind in keys]
-    return Quadrotor(keys.mass, keys.max_thrust)
-
-
-def built_limits(keys: MotionLimitsKeys) -> Limits:
+def _limits(keys: MotionLimitsKeys) -> Limits:
     """Return the limits that ``keys`` describe, angles in rad."""
     values = keys.model_dump()
     return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)

@@ -1,13 +1,14 @@
-"""Which changes can mend what binds: constraints to kinds of changes."""
+"""Which kinds of changes can repair the constraints that bind."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.problem import DronesStart, Problem
@@ -24,8 +25,13 @@ from hitchopt.mission.repair.editing import (
 from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
 from hitchopt.steps.edits import RATES, SPACE
 
+Array = NDArray[np.float64]
+
+TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
+"""Constraints that more distance repairs."""
+
 MOST_NAMED = 3
-"""Single cables tried, those that the broken limits name first."""
+"""Most single cables tried, those that the broken limits name first."""
 
 
 def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
@@ -71,39 +77,59 @@ def _covering(kinds: Sequence[Kind], error: InfeasibleError) -> list[Kind]:
 def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield changes of all cables, of single ones that are named, and of the outlines' size."""
     lengths = problem.team.cable_length
-    tight = frozenset({"crossing", "cable_clearance", "separation", "arena"})
-    if np.all(lengths == lengths[0]):
-        every = Quantity(
-            "team.cable_length",
-            float(lengths[0]),
-            "m",
-            lambda new: with_cables(problem, np.full(len(lengths), new)),
-            "all cables",
-        )
-    else:
-        every = Quantity(
-            "team.cable_length",
-            1.0,
-            "times",
-            lambda factor: with_cables(problem, lengths * factor),
-            "all cables",
-        )
-    for k in _named(violations, len(lengths)):
-        one = Quantity(
-            f"team.cable_length[{k}]",
-            float(lengths[k]),
-            "m",
-            partial(_with_cable, problem, k),
-            "one cable",
-        )
+    put = partial(with_cables, problem)
+    for one in _single("team.cable_length", "m", "one cable", lengths, put, violations):
         yield replace(raised(one, SPACE), family="one cable")
+    every = _every("team.cable_length", "m", "all cables", lengths, put)
     yield raised(every, SPACE)
-    yield lowered(every, tight)
+    yield lowered(every, TOO_CLOSE | {"arena"})
     outlines = Quantity(
         "polygon", 1.0, "times", partial(with_outlines_scaled, problem), "scale of all polygons"
     )
     yield lowered(outlines, SPACE | RATES | TIMES | {"arena"})
-    yield raised(outlines, frozenset({"crossing", "cable_clearance", "separation"}))
+    yield raised(outlines, TOO_CLOSE)
+
+
+def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
+    """Yield lower tensions: of single cables that are named, where they differ, and of all."""
+    covers = frozenset({"thrust", "tilt"})
+    tensions = problem.team.tension
+    put = partial(with_tensions, problem)
+    same = bool(np.all(tensions == tensions[0]))
+    if not same:
+        for one in _single("team.tension", "N", "one tension", tensions, put, violations):
+            # Tensions that differ turn legs, so that an odd one may be what brings drones together.
+            yield replace(lowered(one, covers | SPACE | {"crossing"}), family="one tension")
+    yield lowered(
+        _every("team.tension", "N", "" if same else "all tensions", tensions, put), covers
+    )
+
+
+def _every(
+    key: str, unit: str, words: str, values: Array, put: Callable[[Array], Edited]
+) -> Quantity:
+    """Return all robots' values (n,) as one quantity: the value that all have, or a factor."""
+    if np.all(values == values[0]):
+        equal = np.ones(len(values))
+        return Quantity(key, float(values[0]), unit, lambda new: put(new * equal), words)
+    return Quantity(key, 1.0, "times", lambda factor: put(values * factor), words)
+
+
+def _single(
+    key: str,
+    unit: str,
+    words: str,
+    values: Array,
+    put: Callable[[Array], Edited],
+    violations: Sequence[Violation],
+) -> Iterator[Quantity]:
+    """Yield the values of single robots that are named."""
+    for k in _named(violations, len(values)):
+
+        def put_one(new: float, k: int = k) -> Edited:
+            return put(np.where(np.arange(len(values)) == k, new, values))
+
+        yield Quantity(f"{key}[{k}]", float(values[k]), unit, put_one, words)
 
 
 def _starts(problem: Problem) -> Iterator[Kind]:
@@ -111,28 +137,13 @@ def _starts(problem: Problem) -> Iterator[Kind]:
     start = problem.start
     if not isinstance(start, DronesStart):
         return
-    apart = Quantity(
-        "start.drones",
-        1.0,
-        "times",
-        partial(with_robots_apart, problem, start),
-        "robots from their middle",
-    )
-    yield raised(apart, frozenset({"separation", "cable_clearance", "crossing"}))
-    drawn = Quantity(
-        "start.drones",
-        1.0,
-        "times",
-        partial(with_robots_drawn, problem, start),
-        "two drones of a robot",
-    )
-    yield lowered(drawn, frozenset({"span"}))
-
-
-def _with_cable(problem: Problem, k: int, length: float) -> Edited:
-    lengths = problem.team.cable_length.copy()
-    lengths[k] = length
-    return with_cables(problem, lengths)
+    for put, words, kind, covers in (
+        (with_robots_apart, "robots from their middle", raised, TOO_CLOSE),
+        (with_robots_drawn, "two drones of a robot", lowered, frozenset({"span"})),
+    ):
+        yield kind(
+            Quantity("start.drones", 1.0, "times", partial(put, problem, start), words), covers
+        )
 
 
 def _named(violations: Sequence[Violation], robots: int) -> list[int]:
@@ -144,47 +155,3 @@ def _named(violations: Sequence[Violation], robots: int) -> list[int]:
         if (match := re.fullmatch(r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)", name))
     ]
     return [k for k in dict.fromkeys(found) if k < robots][:MOST_NAMED]
-
-
-def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield lower tensions: of single cables that are named, where they differ, and of all."""
-    covers = frozenset({"thrust", "tilt"})
-    tensions = problem.team.tension
-    same = bool(np.all(tensions == tensions[0]))
-    for k in [] if same else _named(violations, len(tensions)):
-        one = Quantity(
-            f"team.tension[{k}]",
-            float(tensions[k]),
-            "N",
-            partial(_with_tension, problem, k),
-            "one tension",
-        )
-        # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-        yield replace(lowered(one, covers | SPACE | {"crossing"}), family="one tension")
-    if same:
-        yield lowered(
-            Quantity(
-                "team.tension",
-                float(tensions[0]),
-                "N",
-                lambda new: with_tensions(problem, np.full(len(tensions), new)),
-            ),
-            covers,
-        )
-    else:
-        yield lowered(
-            Quantity(
-                "team.tension",
-                1.0,
-                "times",
-                lambda factor: with_tensions(problem, tensions * factor),
-                "all tensions",
-            ),
-            covers,
-        )
-
-
-def _with_tension(problem: Problem, k: int, tension: float) -> Edited:
-    tensions = problem.team.tension.copy()
-    tensions[k] = tension
-    return with_tensions(problem, tensions)

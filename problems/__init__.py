@@ -1,0 +1,1 @@
+"""Problem files, and scripts that write some of them."""
