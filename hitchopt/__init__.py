@@ -38,33 +38,31 @@ if TYPE_CHECKING:
     from hitchopt.hitch.assignment import Assignment
     from hitchopt.mission.loading import load_problem, load_swarm, read_problem
     from hitchopt.mission.memory import forget
-    from hitchopt.mission.problem import (
+    from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+    from hitchopt.mission.repair import Change, Suggestion
+    from hitchopt.mission.swarm_problem import SwarmProblem
+    from hitchopt.motion.motion import Motion, Phase
+    from hitchopt.motion.states import States
+    from hitchopt.plan import Plan, closest, load
+    from hitchopt.planners.forming.swap_settings import SwapSettings
+    from hitchopt.planning import repair, separate, solve, suggestions
+    from hitchopt.requirements import Arena, Limits, Prism, Separation
+    from hitchopt.steps import (
         Adjust,
-        DronesStart,
         FollowVertex,
         Form,
-        HitchStart,
         Hold,
         Land,
         Morph,
         MoveEdge,
         MoveVertex,
-        Problem,
         Release,
-        SwapSettings,
         Transport,
     )
-    from hitchopt.mission.repair import Change, Suggestion
-    from hitchopt.mission.swarm import SwarmProblem
-    from hitchopt.motion.motion import Motion, Phase
-    from hitchopt.motion.states import States
-    from hitchopt.plan import Plan, closest, load
-    from hitchopt.planning import repair, separate, solve, suggestions
-    from hitchopt.requirements import Arena, Limits, Prism, Separation
     from hitchopt.trajectory import PiecewisePolynomial
 
 _HOMES = {
-    "Adjust": "mission.problem",
+    "Adjust": "steps",
     "Arena": "requirements",
     "Assignment": "hitch.assignment",
     "Certificate": "checks",
@@ -76,36 +74,36 @@ _HOMES = {
     "ConvexPolygon": "geometry",
     "DronesStart": "mission.problem",
     "FileError": "errors",
-    "FollowVertex": "mission.problem",
-    "Form": "mission.problem",
+    "FollowVertex": "steps",
+    "Form": "steps",
     "Hitch": "hitch",
     "HitchStart": "mission.problem",
     "HitchoptError": "errors",
-    "Hold": "mission.problem",
+    "Hold": "steps",
     "InfeasibleError": "errors",
     "InputError": "errors",
-    "Land": "mission.problem",
+    "Land": "steps",
     "Limits": "requirements",
-    "Morph": "mission.problem",
+    "Morph": "steps",
     "Motion": "motion.motion",
-    "MoveEdge": "mission.problem",
-    "MoveVertex": "mission.problem",
+    "MoveEdge": "steps",
+    "MoveVertex": "steps",
     "Phase": "motion.motion",
     "PiecewisePolynomial": "trajectory",
     "Plan": "plan",
     "Prism": "requirements",
     "Problem": "mission.problem",
     "Quadrotor": "hitch",
-    "Release": "mission.problem",
+    "Release": "steps",
     "Separation": "requirements",
     "States": "motion.states",
     "Suggestion": "mission.repair",
-    "SwapSettings": "mission.problem",
+    "SwapSettings": "planners.forming.swap_settings",
     "Swarm": "hitch",
-    "SwarmProblem": "mission.swarm",
+    "SwarmProblem": "mission.swarm_problem",
     "Team": "hitch",
     "TimeLimitError": "errors",
-    "Transport": "mission.problem",
+    "Transport": "steps",
     "UnsupportedError": "errors",
     "Violation": "errors",
     "adjust": "actions",

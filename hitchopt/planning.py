@@ -9,7 +9,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.plan import Plan
 from hitchopt.time_limit import Progress, time_limit
@@ -128,8 +128,8 @@ def repair(
             note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
             raise InfeasibleError(error.violations, note) from None
     change = found[0].change
-    mended = solve(change.problem, progress)
-    return replace(mended, title=f"{task.title} with {change}".strip())
+    found_plan = solve(change.problem, progress)
+    return replace(found_plan, title=f"{task.title} with {change}".strip())
 
 
 def _loaded(problem: Problem | str | Path) -> Problem:

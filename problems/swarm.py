@@ -25,7 +25,7 @@ RANDOM_SPACING = 1.1
 """Separation of starts, and of goals, of random teams."""
 
 BOX = ((-2.0, -2.0, 0.3), (2.0, 2.0, 2.3))
-"""[m] Where random teams start and end."""
+"""Box [m] in which random teams start and end, two corners."""
 
 
 def antipodal_circle(n: int) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from hitchopt.mission.schema import (
     StartKeys,
     TeamKeys,
 )
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
@@ -178,7 +178,7 @@ def _vertices(keys: TeamKeys) -> int:
 
 
 def _check_count(path: str, count: int, expected: int, faults: Collector) -> bool:
-    """Return whether a count is the expected one; the fault is kept if not."""
+    """Return whether a count is the expected one; a fault is gathered if not."""
     if count != expected:
         _refuse_count(path, f"{count} points", f"{expected} points", faults)
     return count == expected

@@ -42,7 +42,7 @@ class Collector:
         self.inputs: list[InputError] = []
 
     def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
-        """Return ``make()``, or None where it raises; the error is kept as one of ``parent``."""
+        """Return ``make()``, or None where it raises, gathering the error under ``parent``."""
         try:
             return make()
         except InputError as error:

@@ -12,7 +12,7 @@ from hitchopt.mission.building import built_problem, built_swarm
 from hitchopt.mission.faults import JointInputError
 from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain

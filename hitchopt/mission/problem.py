@@ -12,42 +12,10 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.step_order import fitting_steps
-from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steps import (
-    Adjust,
-    FollowVertex,
-    Form,
-    Hold,
-    Land,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Release,
-    Step,
-    Transport,
-)
+from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
 from hitchopt.values import MAX_COORDINATE, coordinate
-
-__all__ = [
-    "Adjust",
-    "DronesStart",
-    "FollowVertex",
-    "Form",
-    "HitchStart",
-    "Hold",
-    "Land",
-    "Morph",
-    "MoveEdge",
-    "MoveVertex",
-    "Problem",
-    "Release",
-    "Start",
-    "Step",
-    "SwapSettings",
-    "Transport",
-]
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from hitchopt.requirements import Limits, Separation
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE
 
 MIN_QUANTITY = 1e-9
-"""In SI units. Smaller lengths, masses, times, … are typing errors, and would only underflow."""
+"""Smallest quantity, in SI units: smaller ones are typing errors and would only underflow."""
 
 MAX_QUANTITY = 1e9
-"""In SI units. Larger ones are typing errors, and would only overflow."""
+"""Largest quantity, in SI units: larger ones are typing errors and would only overflow."""
 
 MAX_STEPS = 1000
 """Steps of one mission."""
@@ -32,7 +32,7 @@ FAULT = "hitchopt"
 """Type of the errors that carry their own ``bound`` and ``remedy``."""
 
 ONE, EACH = "<one>", "<each>"
-"""Tags of the two ways to write a value: once for all robots, or one per robot."""
+"""Tags of the two forms of a value: once for all robots, or one per robot."""
 
 
 def one_or_each(value: object) -> str:

@@ -105,7 +105,7 @@ def _begun(
         if isinstance(start, Hitch):
             hitch = start
         else:
-            _tell(progress, "sharing the start's legs")
+            _tell(progress, "splitting the slack at the start")
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         check_at_rest(hitch, requirements, "at the start (t = 0)")
         return _Begun(Situation.holding(hitch))

@@ -11,7 +11,7 @@ from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.memory import Progress, remembered
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.steps.diagnosis import infeasible

@@ -9,11 +9,11 @@ from hitchopt.requirements import Separation
 
 REMEDIES = {
     "separation": "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.radius",
+    "another slack split, or a smaller separation.radius",
     "cable_clearance": "give the drones longer legs (a longer cable or a smaller polygon), "
-    "another sharing, or a smaller separation.cable",
+    "another slack split, or a smaller separation.cable",
     "crossing": "shorten the legs that meet (a shorter cable or a larger polygon), "
-    "share them otherwise, or lower separation.crossing",
+    "split their slack otherwise, or lower separation.crossing",
     "speed": "raise limits.speed",
     "acceleration": "raise limits.acceleration",
     "jerk": "raise limits.jerk",
@@ -22,7 +22,7 @@ REMEDIES = {
     "tilt": "raise limits.tilt_deg, or lower team.tension",
     "legs": "use a longer cable, a smaller polygon, or a smaller limits.leg",
     "span": "use a longer cable, a smaller polygon, or place the drones closer together",
-    "interlacing": "place the drones so that cables need not pass each other on their way",
+    "interlacing": "place the drones so that cables need not pass each other",
     "convexity": "go by a polygon in between, in two morphs",
     "arena": "enlarge the arena, or keep the hitch farther from its walls",
     "duration": "raise limits.duration, or the limits of motion",

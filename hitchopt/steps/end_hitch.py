@@ -92,7 +92,7 @@ def broken_on_the_way(
     """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
     given = legs_along(path, np.array([s]))[0]
     legs = np.where(path.team.layout.has_leg, given, np.inf)
-    place = f"at {s:.0%} of the way"
+    place = f"at {s:.0%} of the path"
     if np.min(legs) <= 0.0:
         k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         name = f"{'qr'[end]}{k}"

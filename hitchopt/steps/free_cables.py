@@ -19,7 +19,7 @@ from hitchopt.steps.situation import Situation
 from hitchopt.trajectory import PiecewisePolynomial
 
 LEVEL = 1e-9
-"""[m] Altitudes that differ by less are the same."""
+"""Altitudes that differ by less are the same [m]."""
 
 
 def hovering(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:

@@ -121,7 +121,7 @@ def _optimised(task: RouteTask) -> Certified | None:
     passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
     if task.optimize and passed.flight.duration > (task.duration or 0.0):
         passed = _led(passed, judge)
-    flight, remark = passed.flight, f"on an optimised way, first guess {found[0].name}: "
+    flight, remark = passed.flight, f"on an optimised route, first guess {found[0].name}: "
     if task.duration is None:
         phase = replace(task.phase, end=flight.duration, remark=remark)
         return Certified(
@@ -148,16 +148,16 @@ def _led(passed: _Passed, judge: _Judge) -> _Passed:
 
 
 def _why(*, shut: bool) -> str:
-    return "the step's own way is shut" if shut else "faster than the step's own way"
+    return "the step's own route is infeasible" if shut else "faster than the step's own route"
 
 
 def _refused(refusal: HitchoptError | None, task: RouteTask) -> HitchoptError:
     if isinstance(refusal, InfeasibleError) and task.optimiser:
         return InfeasibleError(refusal.violations, _found_nothing(refusal))
-    return refusal or HitchoptError("no way was found")
+    return refusal or HitchoptError("no route was found")
 
 
 def _found_nothing(refusal: InfeasibleError) -> str:
     if any(violation.constraint == "duration" for violation in refusal.violations):
-        return "the optimiser found no way that is fast enough either"
-    return "the optimiser found no other way"
+        return "the optimiser found no route that is fast enough either"
+    return "the optimiser found no other route"

@@ -11,7 +11,7 @@ from exported_plans import exported
 from hitchopt.errors import InfeasibleError
 from hitchopt.mission.loading import any_problem_from_dict, load_problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.motion.motion import Motion
 from problems.swarm import reversed_stack

@@ -14,17 +14,15 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon
 from hitchopt.mission.faults import MAX_LISTED
 from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
-from hitchopt.mission.problem import (
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.steps import (
     Adjust,
-    DronesStart,
     FollowVertex,
     Form,
-    HitchStart,
     Hold,
     Morph,
     MoveEdge,
     MoveVertex,
-    Problem,
     Transport,
 )
 from hitchopt.storage.yaml_file import read_yaml

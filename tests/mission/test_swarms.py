@@ -14,7 +14,7 @@ import pytest
 import hitchopt as ho
 from hitchopt.mission.json_schema import problem_schema
 from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm, read_problem
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import flyable_accelerations
 from hitchopt.storage.yaml_file import read_yaml
 from problems.swarm import (

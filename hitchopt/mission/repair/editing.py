@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +21,12 @@ from hitchopt.steps.edits import DECIMALS, StepEdit, outline_scaled, points_scal
 Array = NDArray[np.float64]
 
 
-def with_cables(problem: Problem, lengths: Array) -> Edited:
-    """Return the problem with cables (n,) [m]."""
-    values = [_rounded(length) for length in lengths]
-    team = replace(problem.team, cable_length=np.array(values))
-    return Edited(replace(problem, team=team), (Edit("team.cable_length", _one_or_all(values)),))
-
-
-def with_tensions(problem: Problem, tensions: Array) -> Edited:
-    """Return the problem with tensions (n,) [N]."""
-    values = [_rounded(tension) for tension in tensions]
-    team = replace(problem.team, tension=np.array(values))
-    return Edited(replace(problem, team=team), (Edit("team.tension", _one_or_all(values)),))
+def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
+    """Return the problem with other cable lengths [m] or tensions [N] of the robots (n,)."""
+    rounded = [_rounded(value) for value in values]
+    changes: dict[str, Any] = {name: np.array(rounded)}
+    team = replace(problem.team, **changes)
+    return Edited(replace(problem, team=team), (Edit(f"team.{name}", _one_or_all(rounded)),))
 
 
 def with_thrust(problem: Problem, factor: float) -> Edited:

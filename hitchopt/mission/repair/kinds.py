@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -15,12 +15,11 @@ from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
 from hitchopt.mission.repair.constraints import TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
-    with_cables,
     with_outlines_scaled,
     with_robots_apart,
     with_robots_drawn,
     with_separation,
-    with_tensions,
+    with_team_values,
 )
 from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
 from hitchopt.steps.edits import RATES, SPACE
@@ -35,7 +34,7 @@ MOST_NAMED = 3
 
 
 def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
-    """Return the kinds of changes that can mend everything that binds, safety left as it is."""
+    """Return the kinds of changes that can repair everything that binds, safety left as it is."""
     kinds = (
         *_starts(problem),
         *_lengths(problem, error.violations),
@@ -52,7 +51,6 @@ def last_resorts(problem: Problem, error: InfeasibleError) -> list[Kind]:
 
     All walls at once, and those that give up some of the distances that are there for safety.
     """
-    kept = problem.separation
     kinds = list(all_walls(problem, error.violations))
     for name, covers in (
         ("radius", frozenset({"separation"})),
@@ -60,7 +58,7 @@ def last_resorts(problem: Problem, error: InfeasibleError) -> list[Kind]:
         ("cable", frozenset({"cable_clearance"})),
         ("crossing", frozenset({"crossing"})),
     ):
-        old = float(getattr(kept, name))
+        old = float(getattr(problem.separation, name))
         if old > 0.0:
             quantity = Quantity(
                 f"separation.{name}", old, "m", partial(with_separation, problem, name)
@@ -76,11 +74,9 @@ def _covering(kinds: Sequence[Kind], error: InfeasibleError) -> list[Kind]:
 
 def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield changes of all cables, of single ones that are named, and of the outlines' size."""
-    lengths = problem.team.cable_length
-    put = partial(with_cables, problem)
-    for one in _single("team.cable_length", "m", "one cable", lengths, put, violations):
+    for one in _single(problem, "cable_length", "m", "one cable", violations):
         yield replace(raised(one, SPACE), family="one cable")
-    every = _every("team.cable_length", "m", "all cables", lengths, put)
+    every = _every(problem, "cable_length", "m", "all cables")
     yield raised(every, SPACE)
     yield lowered(every, TOO_CLOSE | {"arena"})
     outlines = Quantity(
@@ -93,43 +89,39 @@ def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind
 def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield lower tensions: of single cables that are named, where they differ, and of all."""
     covers = frozenset({"thrust", "tilt"})
-    tensions = problem.team.tension
-    put = partial(with_tensions, problem)
-    same = bool(np.all(tensions == tensions[0]))
+    same = bool(np.all(problem.team.tension == problem.team.tension[0]))
     if not same:
-        for one in _single("team.tension", "N", "one tension", tensions, put, violations):
+        for one in _single(problem, "tension", "N", "one tension", violations):
             # Tensions that differ turn legs, so that an odd one may be what brings drones together.
             yield replace(lowered(one, covers | SPACE | {"crossing"}), family="one tension")
-    yield lowered(
-        _every("team.tension", "N", "" if same else "all tensions", tensions, put), covers
-    )
+    yield lowered(_every(problem, "tension", "N", "" if same else "all tensions"), covers)
 
 
-def _every(
-    key: str, unit: str, words: str, values: Array, put: Callable[[Array], Edited]
-) -> Quantity:
-    """Return all robots' values (n,) as one quantity: the value that all have, or a factor."""
-    if np.all(values == values[0]):
-        equal = np.ones(len(values))
-        return Quantity(key, float(values[0]), unit, lambda new: put(new * equal), words)
-    return Quantity(key, 1.0, "times", lambda factor: put(values * factor), words)
+def _every(problem: Problem, name: str, unit: str, words: str) -> Quantity:
+    """Return the team's values (n,) as one quantity: the value that all have, or a factor."""
+    values: Array = getattr(problem.team, name)
+    same = bool(np.all(values == values[0]))
+    ratios = np.ones(len(values)) if same else values
+
+    def put(new: float) -> Edited:
+        return with_team_values(problem, name, new * ratios)
+
+    old = float(values[0]) if same else 1.0
+    return Quantity(f"team.{name}", old, unit if same else "times", put, words)
 
 
 def _single(
-    key: str,
-    unit: str,
-    words: str,
-    values: Array,
-    put: Callable[[Array], Edited],
-    violations: Sequence[Violation],
+    problem: Problem, name: str, unit: str, words: str, violations: Sequence[Violation]
 ) -> Iterator[Quantity]:
     """Yield the values of single robots that are named."""
+    values: Array = getattr(problem.team, name)
     for k in _named(violations, len(values)):
 
-        def put_one(new: float, k: int = k) -> Edited:
-            return put(np.where(np.arange(len(values)) == k, new, values))
+        def put(new: float, k: int = k) -> Edited:
+            changed = np.where(np.arange(len(values)) == k, new, values)
+            return with_team_values(problem, name, changed)
 
-        yield Quantity(f"{key}[{k}]", float(values[k]), unit, put_one, words)
+        yield Quantity(f"team.{name}[{k}]", float(values[k]), unit, put, words)
 
 
 def _starts(problem: Problem) -> Iterator[Kind]:

@@ -16,7 +16,7 @@ from hitchopt.mission.repair.editing import with_arena, with_limit, with_step_ed
 from hitchopt.steps.edits import PLAN_DURATION, Tunable
 
 STEEPEST = 80.0
-"""[deg] Tilts beyond are not suggested."""
+"""Largest tilt suggested [deg]."""
 
 WALLS = tuple((side, axis) for axis in range(3) for side in ("lower", "upper"))
 
