@@ -11,7 +11,7 @@ import click
 
 from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET, say
-from hitchopt.cli.paths import plan_path
+from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 RESULTS = "simulation"
 """Default directory of the results, in DIR."""
 
-PATH = click.Path(path_type=Path)
+PATH = GivenPath()
 
 
 @main.command()

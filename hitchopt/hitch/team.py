@@ -101,6 +101,7 @@ class Team:
                 "robots", robots, f"from {least} to {MAX_ROBOTS}", f"{topology} hitches need these"
             )
         n = int(robots)
+        kinds = kinds_of(quadrotor, n, "robot")
         values: dict[str, object] = {
             "robots": n,
             "cable_length": per_robot("cable_length", cable_length, n),
@@ -108,7 +109,7 @@ class Team:
             "cable_density": not_negative("cable_density", cable_density),
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
-            "quadrotor": kinds_of(quadrotor, n, "robot"),
+            "quadrotor": kinds,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
