@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from benchmarks.environment import print_environment
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.form_records import Assign
-from hitchopt.mission.free_flight import staged
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied
 from hitchopt.requirements import Limits, Requirements, Separation
+from hitchopt.steps.form import Assign
+from hitchopt.steps.free_cables import staged
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,11 @@ from benchmarks.environment import busy, print_environment
 from benchmarks.separation_rival import KNOTS, RivalError, RivalFlight, fly_opti
 from hitchopt.checks import certify
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.mission.swarm_problems import antipodal_circle, random_team
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.requirements import Requirements
+from problems.swarm import antipodal_circle, random_team
 
 CIRCLES = (6, 12, 24, 64, 200)
 RIVAL_CIRCLES = (6, 12, 24)

@@ -3,10 +3,13 @@
 from hitchopt.actions import (
     adjust as adjust,
     follow_vertex as follow_vertex,
+    form as form,
     hold as hold,
+    land as land,
     morph as morph,
     move_edge as move_edge,
     move_vertex as move_vertex,
+    release as release,
     transport as transport,
 )
 from hitchopt.checks import (
@@ -45,26 +48,15 @@ from hitchopt.mission.loading import (
 )
 from hitchopt.mission.memory import forget as forget
 from hitchopt.mission.problem import (
-    Adjust as Adjust,
     DronesStart as DronesStart,
-    FollowVertex as FollowVertex,
-    Form as Form,
     HitchStart as HitchStart,
-    Hold as Hold,
-    Land as Land,
-    Morph as Morph,
-    MoveEdge as MoveEdge,
-    MoveVertex as MoveVertex,
     Problem as Problem,
-    Release as Release,
-    SwapSettings as SwapSettings,
-    Transport as Transport,
 )
 from hitchopt.mission.repair import (
     Change as Change,
     Suggestion as Suggestion,
 )
-from hitchopt.mission.swarm import SwarmProblem as SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem as SwarmProblem
 from hitchopt.motion.motion import (
     Motion as Motion,
     Phase as Phase,
@@ -75,6 +67,7 @@ from hitchopt.plan import (
     closest as closest,
     load as load,
 )
+from hitchopt.planners.forming.swap_settings import SwapSettings as SwapSettings
 from hitchopt.planning import (
     repair as repair,
     separate as separate,
@@ -87,11 +80,18 @@ from hitchopt.requirements import (
     Prism as Prism,
     Separation as Separation,
 )
-from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
-from hitchopt.tying import (
-    form as form,
-    land as land,
-    release as release,
+from hitchopt.steps import (
+    Adjust as Adjust,
+    FollowVertex as FollowVertex,
+    Form as Form,
+    Hold as Hold,
+    Land as Land,
+    Morph as Morph,
+    MoveEdge as MoveEdge,
+    MoveVertex as MoveVertex,
+    Release as Release,
+    Transport as Transport,
 )
+from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
 __all__: list[str]

@@ -1,8 +1,10 @@
-"""The user's side of single steps: one function each, from a hitch to a certified plan.
+"""One function for each kind of step: plans it alone and returns the certified plan.
 
 All take ``limits``, ``separation`` and ``arena``, with the defaults of a problem file, and raise
 ``InputError`` for arguments that are wrong in themselves and ``InfeasibleError`` for what cannot be
 met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m].
+Names in a plan that forms a hitch go by role: ``plan.motion.assignment`` says which robot flies
+which.
 """
 
 from __future__ import annotations
@@ -13,24 +15,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.outlines import outline_after
-from hitchopt.mission.problem import (
+from hitchopt.mission.problem import DronesStart, Problem
+from hitchopt.mission.solving import solve_problem, solve_steps
+from hitchopt.plan import Plan
+from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps import (
     Adjust,
     FollowVertex,
-    HitchStep,
+    Form,
     Hold,
-    LegSharing,
+    Land,
     Morph,
     MoveEdge,
     MoveVertex,
+    Release,
+    Step,
     Transport,
-    leg_sharing,
 )
-from hitchopt.mission.solving import solve_steps
-from hitchopt.plan import Plan
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps.form import Assign
+from hitchopt.steps.slack_split import SlackSplit, slack_split
 
 Legs = str | Sequence[float] | ArrayLike
 
@@ -49,19 +55,19 @@ def morph(
 ) -> Plan:
     """Return the certified plan from one hitch to another.
 
-    Vertices go straight where that keeps all limits; where it does not, an optimised way is
+    Vertices go straight where that keeps all limits; where it does not, an optimised route is
     looked for.
 
     Parameters
     ----------
     start: the hitch at t = 0.
     polygon: the outline at the end, (n, 2) [m], clockwise.
-    limits, separation, arena: what is kept; defaults as in a problem file.
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for the sharing nearest to the start's
-        fractions.
+    limits, separation, arena: what the plan must satisfy; defaults as in a problem file.
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for those with fractions nearest to the
+        start's.
     duration: exactly that long [s]; None for as fast as the limits allow.
-    optimize: look for a faster way even where the straight one will do.
-    tension: smallest and largest [N] where tensions may change on the way.
+    optimize: look for a faster route even where the straight one satisfies all limits.
+    tension: smallest and largest [N] where tensions may change meanwhile.
 
     Raises
     ------
@@ -69,7 +75,7 @@ def morph(
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
     outline = fitting_polygon(start.team, polygon)
-    step = Morph(outline, _sharing(legs, start), duration, optimize=optimize, tension=tension)
+    step = Morph(outline, _split(legs, start.team), duration, optimize=optimize, tension=tension)
     return _planned(start, step, limits, separation, arena)
 
 
@@ -95,14 +101,14 @@ def move_vertex(
     start: the hitch at t = 0.
     vertex: which, from 0.
     to, by: its new place, or by how much it goes (2,) [m]; exactly one of them.
-    legs: the sharing at the end; None for the paper's, or the nearest to it that keeps the limits.
+    legs: at the end; None for the paper's, or the nearest to those within the limits.
     limits, separation, arena, duration: as of morph.
 
     Raises
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = MoveVertex(vertex, _array(to), _array(by), _sharing(legs, start), duration)
+    step = MoveVertex(vertex, _array(to), _array(by), _split(legs, start.team), duration)
     return _planned(start, step, limits, separation, arena)
 
 
@@ -134,7 +140,7 @@ def move_edge(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = MoveEdge(edge, _array(to), _array(by), _sharing(legs, start), duration)
+    step = MoveEdge(edge, _array(to), _array(by), _split(legs, start.team), duration)
     return _planned(start, step, limits, separation, arena)
 
 
@@ -152,14 +158,14 @@ def adjust(
     Parameters
     ----------
     start: the hitch at t = 0.
-    legs: the sharing at the end.
+    legs: at the end.
     limits, separation, arena, duration: as of morph.
 
     Raises
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = Adjust(leg_sharing(legs, start.team), duration)
+    step = Adjust(slack_split(legs, start.team), duration)
     return _planned(start, step, limits, separation, arena)
 
 
@@ -187,7 +193,7 @@ def follow_vertex(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = FollowVertex(vertex, np.array(path), _sharing(legs, start))
+    step = FollowVertex(vertex, np.array(path), _split(legs, start.team))
     return _planned(start, step, limits, separation, arena)
 
 
@@ -235,22 +241,127 @@ def hold(
     return _planned(start, Hold(seconds), limits, separation, arena)
 
 
+def form(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    polygon: Outline | ArrayLike,
+    altitude: float = 1.0,
+    *,
+    legs: str | ArrayLike | None = None,
+    assign: Assign = "auto",
+    swap: SwapSettings | None = None,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan that ties a hitch of drones on free cables.
+
+    Parameters
+    ----------
+    team: the team; robot k's drones start at ``q[k]`` and ``r[k]``.
+    q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
+    polygon: the hitch's outline, (n, 2) [m], clockwise.
+    altitude: of the hitch [m].
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with a margin to the cables
+        where drones stand close to them.
+    assign: ``auto``: which robot takes which edge is chosen, and which of its drones is q;
+        ``fixed``: robot k takes edge k as it is.
+    swap: how the drones turn about each other.
+    limits, separation, arena: what the plan must satisfy; defaults as in a problem file.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InputError: arguments that are wrong in themselves.
+    InfeasibleError: it cannot be met; says what binds, where and when.
+    """
+    outline = fitting_polygon(team, polygon)
+    step = Form(outline, altitude, _split(legs, team), assign, swap or SwapSettings(), duration)
+    return _from_drones(team, q, r, step, limits, separation, arena)
+
+
+def release(
+    start: Hitch,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan that unties a hitch, until its cables hang free.
+
+    It reverses ``form``, in which every q has gone up first.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    limits, separation, arena, duration: as of form.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as form.
+    """
+    return _planned(start, Release(duration), limits, separation, arena)
+
+
+def land(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    duration: float | None = None,
+) -> Plan:
+    """Return the certified plan in which drones on free cables go straight down to the ground.
+
+    The ground is the arena's floor, or z = 0 where there is none.
+
+    Parameters
+    ----------
+    team, q, r, limits, separation, arena, duration: as of form.
+
+    Raises
+    ------
+    InputError, InfeasibleError: as form.
+    """
+    return _from_drones(team, q, r, Land(duration), limits, separation, arena)
+
+
 def _array(value: ArrayLike | None) -> np.ndarray | None:
     return None if value is None else np.array(value)
 
 
-def _sharing(legs: Legs | None, start: Hitch) -> LegSharing | None:
-    return None if legs is None else leg_sharing(legs, start.team)
+def _split(legs: Legs | None, team: Team) -> SlackSplit | None:
+    return None if legs is None else slack_split(legs, team)
 
 
 def _planned(
     start: Hitch,
-    step: HitchStep,
+    step: Step,
     limits: Limits | None,
     separation: Separation | None,
     arena: Arena | None,
 ) -> Plan:
-    outline_after(start.team, start.polygon, step)  # what is wrong in itself is told first
+    step.polygon_left(start.team, start.polygon)  # what is wrong in itself is said first
     requirements = Requirements(limits or Limits(), separation or Separation(), arena)
     found = solve_steps(start, (step,), requirements)
+    return Plan(found.motion, found.certificate)
+
+
+def _from_drones(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    step: Form | Land,
+    limits: Limits | None,
+    separation: Separation | None,
+    arena: Arena | None,
+) -> Plan:
+    start = DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
+    problem = Problem(team, start, (step,), limits or Limits(), separation or Separation(), arena)
+    found = solve_problem(problem)
     return Plan(found.motion, found.certificate)

@@ -1,4 +1,4 @@
-"""The user's side of whole problems: plan one, or find what would mend it."""
+"""The user's side of whole problems: plan one, or find what change would make it feasible."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.plan import Plan
 from hitchopt.time_limit import Progress, time_limit
@@ -40,10 +40,12 @@ def solve(
         from hitchopt.mission.loading import read_problem  # heavy, as of all files
 
         problem = read_problem(problem)
-    if isinstance(problem, SwarmProblem):
-        return separate(problem, progress, limit=limit)
-    with time_limit(_seconds(limit), progress) as tell:
-        found = solve_problem(problem, tell)
+    seconds = None if limit is None else positive("limit", limit)
+    with time_limit(seconds, progress) as tell:
+        if isinstance(problem, SwarmProblem):
+            found = solve_swarm(tell, problem)
+        else:
+            found = solve_problem(problem, tell)
     return Plan(found.motion, found.certificate, problem.title)
 
 
@@ -71,15 +73,15 @@ def separate(
         from hitchopt.mission.loading import load_swarm
 
         problem = load_swarm(problem)
-    with time_limit(_seconds(limit), progress) as tell:
-        found = solve_swarm(problem, tell)
-    return Plan(found.motion, found.certificate, problem.title)
+    return solve(problem, progress, limit=limit)
 
 
 def suggestions(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> tuple[Suggestion, ...]:
-    """Return up to three single changes that mend a problem, the smallest first; none if it is met.
+    """Return up to three single changes that make a problem feasible, the smallest first.
+
+    There is none where it is feasible already.
 
     Each has been verified by planning the problem with it. None is no proof that there is none.
 
@@ -104,9 +106,9 @@ def suggestions(
 def repair(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> Plan:
-    """Return the certified plan of a problem, by the smallest single change that mends it.
+    """Return the certified plan of a problem, by the smallest single change that makes it feasible.
 
-    The plan's title tells the change; without need of one the plan is that of solve.
+    The plan's title names the change; a feasible problem gives the plan of ``solve``.
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ def repair(
 
     Raises
     ------
-    InfeasibleError: what binds; no single change was found that mends it.
+    InfeasibleError: what binds; no single change was found that makes it feasible.
     InputError, FileError: a problem that is wrong in itself.
     """
     task = _loaded(problem)
@@ -126,12 +128,8 @@ def repair(
             note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
             raise InfeasibleError(error.violations, note) from None
     change = found[0].change
-    mended = solve(change.problem, progress)
-    return replace(mended, title=f"{task.title} with {change}".strip())
-
-
-def _seconds(limit: float | None) -> float | None:
-    return None if limit is None else positive("limit", limit)
+    found_plan = solve(change.problem, progress)
+    return replace(found_plan, title=f"{task.title} with {change}".strip())
 
 
 def _loaded(problem: Problem | str | Path) -> Problem:

@@ -252,12 +252,11 @@ def _check_rate(rate: float) -> None:
 
 def _least_duration(problem: AnyProblem) -> float:
     """Return the sum of the steps' own durations [s], a lower bound of the plan's duration."""
-    from hitchopt.mission.problem import Hold, Problem
+    from hitchopt.mission.problem import Problem
 
     if not isinstance(problem, Problem):
         return problem.duration or 0.0
-    given = (step.seconds if isinstance(step, Hold) else step.duration for step in problem.mission)
-    return sum(seconds for seconds in given if seconds is not None)
+    return sum(step.given_duration or 0.0 for step in problem.mission)
 
 
 def _check_rows(rate: float, duration: float, drones: int) -> None:

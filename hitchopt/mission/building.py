@@ -1,120 +1,105 @@
-"""The models of a problem file to the records that planners take, every fault of them named."""
+"""The records that planners take, built from the models of a problem file; names every fault."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
-from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.faults import Collector
-from hitchopt.mission.form_records import Form, Land, Release
-from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
+from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.schema import (
+    Keys,
     MotionLimitsKeys,
-    QuadrotorKeys,
     StartKeys,
     TeamKeys,
 )
-from hitchopt.mission.step_records import (
-    Adjust,
-    FollowVertex,
-    Hold,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Step,
-    Transport,
-)
-from hitchopt.mission.steps import (
-    AdjustKeys,
-    FollowVertexKeys,
-    FormKeys,
-    HoldKeys,
-    MorphKeys,
-    MoveEdgeKeys,
-    MoveVertexKeys,
-    PlainKeys,
-    ProblemKeys,
-    StepKeys,
-    TransportKeys,
-)
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.requirements import Arena, Limits, Separation
-
-StepOfKeys = (
-    MorphKeys
-    | MoveVertexKeys
-    | MoveEdgeKeys
-    | AdjustKeys
-    | FollowVertexKeys
-    | TransportKeys
-    | HoldKeys
-    | FormKeys
-    | PlainKeys
-)
-"""Their models."""
+from hitchopt.mission.swarm_problem import SwarmProblem
+from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
+from hitchopt.requirements import Arena, Limits, Prism, Separation
+from hitchopt.steps import Step
+from hitchopt.steps.slack_split import SlackSplit, slack_split
+from hitchopt.steps.step import check_within
 
 
 def built_problem(keys: ProblemKeys) -> Problem:
-    """Return the problem that ``keys`` describe.
+    """Return the problem of a hitch that ``keys`` describe.
 
     Raises
     ------
     InputError: what single values do not tell, such as counts and shapes; a joint error if several.
     """
     faults = Collector()
-    attempt = faults.attempt
-    title = attempt("", lambda: checked_title(keys.title))
-    team = attempt("team", lambda: _team(keys.team))
-    limits = attempt("limits", lambda: built_limits(keys.limits))
-    separation = attempt("separation", lambda: Separation(**keys.separation.model_dump()))
-    box = keys.arena
-    arena = attempt("arena", lambda: Arena(box.lower, box.upper)) if box is not None else None
+    common = _common_parts(keys, faults)
+    team = faults.attempt("team", lambda: Team(**_team_values(keys.team)))
     start = _start(keys.start, keys.team, team, faults)
     steps = [_step(i, step, keys.team, team, faults) for i, step in enumerate(keys.mission)]
     mission = tuple(step for step in steps if step is not None)
-    error = faults.error()
-    if error is not None:
-        raise error
-    if title is None or team is None or limits is None or separation is None or start is None:
+    faults.check()
+    if team is None or start is None:
         raise RuntimeError("a part of the problem is missing although nothing was refused")
-    return Problem(team, start, mission, limits, separation, arena, title)
+    return Problem(team, start, mission, **common)
 
 
-def checked_title(title: str) -> str:
+def built_swarm(keys: SwarmKeys) -> SwarmProblem:
+    """Return the problem of single drones that ``keys`` describe; errors as ``built_problem``."""
+    faults = Collector()
+    common = _common_parts(keys, faults)
+    team = faults.attempt("team", lambda: Swarm(**_team_values(keys.team)))
+    prisms = [
+        faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
+        for k, prism in enumerate(keys.keep_out)
+    ]
+    if team is None or not common.keys() >= {"limits", "separation"}:
+        faults.check()
+        raise RuntimeError("a part of the problem is missing although nothing was refused")
+    common |= {"keep_out": [p for p in prisms if p is not None], "duration": keys.duration}
+    start, goal = np.array(keys.start), np.array(keys.goal)
+    problem = faults.attempt("", lambda: SwarmProblem(team, start, goal, **common))
+    faults.check()
+    if problem is None:
+        raise RuntimeError("no problem although nothing was refused")
+    return problem
+
+
+def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str, Any]:
+    """Return the parts that problems of both kinds have, by name, those refused left out."""
+    box = keys.arena
+    parts = {
+        "title": faults.attempt("", lambda: _title(keys.title)),
+        "limits": faults.attempt("limits", lambda: _limits(keys.limits)),
+        "separation": faults.attempt(
+            "separation", lambda: Separation(**keys.separation.model_dump())
+        ),
+        "arena": box and faults.attempt("arena", lambda: Arena(box.lower, box.upper)),
+    }
+    return {name: part for name, part in parts.items() if part is not None}
+
+
+def _title(title: str) -> str:
     """Return the title, or raise InputError where a terminal would obey it."""
     if not title.isprintable():  # a terminal would obey its control characters
         raise InputError("title", title, "printable text on one line", "remove such characters")
     return title
 
 
-def _team(keys: TeamKeys) -> Team:
-    return Team(
-        keys.robots,
-        keys.cable_length,
-        topology=keys.topology,
-        cable_density=keys.cable_density,
-        cable_friction=keys.cable_friction,
-        tension=keys.tension,
-        quadrotor=built_quadrotors(keys.quadrotor),
-    )
+def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
+    """Return the arguments of the team that ``keys`` describe."""
+    values = keys.model_dump()
+    kinds = values["quadrotor"]
+    one = isinstance(kinds, dict)
+    values["quadrotor"] = Quadrotor(**kinds) if one else [Quadrotor(**kind) for kind in kinds]
+    return values
 
 
-def built_quadrotors(
-    keys: QuadrotorKeys | list[QuadrotorKeys],
-) -> Quadrotor | list[Quadrotor]:
-    """Return the one kind, or the list of kinds, that ``keys`` describe."""
-    if isinstance(keys, list):
-        return [Quadrotor(kind.mass, kind.max_thrust) for kind in keys]
-    return Quadrotor(keys.mass, keys.max_thrust)
-
-
-def built_limits(keys: MotionLimitsKeys) -> Limits:
+def _limits(keys: MotionLimitsKeys) -> Limits:
     """Return the limits that ``keys`` describe, angles in rad."""
     values = keys.model_dump()
     return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
@@ -145,64 +130,22 @@ def _start(
 
 
 def _step(
-    i: int, keys: StepKeys, team_keys: TeamKeys, team: Team | None, faults: Collector
+    i: int, keys: Keys, team_keys: TeamKeys, team: Team | None, faults: Collector
 ) -> Step | None:
-    ((name, step),) = ((name, step) for name, step in keys if step is not None)
-    path = f"mission[{i}].{name}"
-    polygon = getattr(step, "polygon", None)
-    given = getattr(step, "legs", None)
-    outline = _outline(path, polygon, team_keys, team, faults) if polygon is not None else None
-    legs = _legs(path, given, team, faults) if given is not None else None
+    """Return the record of a step; None where a part of it has been refused."""
+    ((name, given),) = ((name, step) for name, step in keys if step is not None)
+    path, values = f"mission[{i}].{name}", given.model_dump()
+    parts: dict[str, object] = {}
+    if values.get("polygon") is not None:
+        parts["polygon"] = _outline(path, values["polygon"], team_keys, team, faults)
+    if values.get("legs") is not None:
+        parts["legs"] = _legs(path, values["legs"], team, faults)
     for key, count in (("vertex", _vertices(team_keys)), ("edge", team_keys.robots)):
-        index = getattr(step, key, None)
-        if index is not None and index >= count:
-            faults.inputs.append(
-                InputError(f"{path}.{key}", index, f"from 0 to {count - 1}", "indices start at 0")
-            )
-    if (given is not None and legs is None) or (polygon is not None and outline is None):
+        if values.get(key, 0) >= count:
+            faults.attempt(path, partial(check_within, key, values[key], count))
+    if any(part is None for part in parts.values()):
         return None
-    return faults.attempt(path, lambda: _record(name, step, outline, legs))
-
-
-def _record(
-    name: str, step: StepOfKeys, outline: Outline | None, legs: LegSharing | None
-) -> Step | None:
-    """Return the record of a step; None where a part of it has been refused already."""
-    if isinstance(step, PlainKeys):
-        return Release(step.duration) if name == Release.name else Land(step.duration)
-    if isinstance(step, FormKeys | MorphKeys):
-        return None if outline is None else _with_polygon(step, outline, legs)
-    if isinstance(step, HoldKeys):
-        return Hold(step.seconds)
-    if isinstance(step, AdjustKeys):
-        return Adjust(legs, step.duration, step.blend) if legs is not None else None
-    return _move(step, legs)
-
-
-def _with_polygon(
-    step: FormKeys | MorphKeys, outline: Outline, legs: LegSharing | None
-) -> Form | Morph:
-    if isinstance(step, MorphKeys):
-        tension = None if step.tension is None else (step.tension.min, step.tension.max)
-        return Morph(outline, legs, step.duration, step.blend, step.optimize, tension)
-    swap = step.swap
-    tilt = None if swap.tilt_deg is None else math.radians(swap.tilt_deg)
-    sense = {"up": 1, "down": -1, "auto": 0}[swap.sense]
-    settings = SwapSettings(swap.radius, tilt, swap.seconds, sense)
-    return Form(outline, step.altitude, legs, step.assign, settings, step.duration)
-
-
-def _move(
-    step: MoveVertexKeys | MoveEdgeKeys | FollowVertexKeys | TransportKeys, legs: LegSharing | None
-) -> Step:
-    if isinstance(step, TransportKeys):
-        return Transport(np.array(step.to), math.radians(step.yaw_deg), step.duration)
-    if isinstance(step, FollowVertexKeys):
-        return FollowVertex(step.vertex, np.array(step.path), legs)
-    to, by = (None if value is None else np.array(value) for value in (step.to, step.by))
-    if isinstance(step, MoveEdgeKeys):
-        return MoveEdge(step.edge, to, by, legs, step.duration, step.blend)
-    return MoveVertex(step.vertex, to, by, legs, step.duration, step.blend)
+    return faults.attempt(path, lambda: STEP_KINDS[name].from_file(values | parts))
 
 
 def _outline(
@@ -221,13 +164,13 @@ def _outline(
 
 def _legs(
     path: str, legs: str | list[float], team: Team | None, faults: Collector
-) -> LegSharing | None:
+) -> SlackSplit | None:
     if team is None:
         return None
     if isinstance(legs, list) and len(legs) != team.robots:
         _refuse_count(f"{path}.legs", legs, f"{team.robots} q-legs", faults)
         return None
-    return faults.attempt(path, lambda: leg_sharing(legs, team))
+    return faults.attempt(path, lambda: slack_split(legs, team))
 
 
 def _vertices(keys: TeamKeys) -> int:
@@ -235,7 +178,7 @@ def _vertices(keys: TeamKeys) -> int:
 
 
 def _check_count(path: str, count: int, expected: int, faults: Collector) -> bool:
-    """Return whether a count is the expected one; the fault is kept if not."""
+    """Return whether a count is the expected one; a fault is gathered if not."""
     if count != expected:
         _refuse_count(path, f"{count} points", f"{expected} points", faults)
     return count == expected

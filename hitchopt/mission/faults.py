@@ -1,4 +1,4 @@
-"""Several faults of one problem file, told at once."""
+"""Several faults of one problem file, reported at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TypeVar
 from hitchopt.errors import InputError
 
 MAX_LISTED = 20
-"""Faults told of one file; whoever has more will have fewer after mending these."""
+"""Most faults listed for one file; whoever has more will have fewer after repairing these."""
 
 T = TypeVar("T")
 
@@ -42,16 +42,17 @@ class Collector:
         self.inputs: list[InputError] = []
 
     def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
-        """Return ``make()``, or None where it raises; the error is kept as one of ``parent``."""
+        """Return ``make()``, or None where it raises, gathering the error under ``parent``."""
         try:
             return make()
         except InputError as error:
             self.inputs.append(error.within(parent) if parent else error)
         return None
 
-    def error(self) -> InputError | None:
-        """Return what was gathered as one error."""
-        return one_or_all(self.inputs) if self.inputs else None
+    def check(self) -> None:
+        """Raise what was gathered, as one error."""
+        if self.inputs:
+            raise one_or_all(self.inputs)
 
 
 def one_or_all(errors: Sequence[InputError]) -> InputError:

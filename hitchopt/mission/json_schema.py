@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.schema import Keys
-from hitchopt.mission.steps import ProblemKeys
 from hitchopt.mission.swarm_schema import SwarmKeys
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -26,7 +26,7 @@ SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
 
 
 class _Untitled(GenerateJsonSchema):
-    """Without the titles that only repeat a key's or a model's name."""
+    """A generator without titles that only repeat a key's or a model's name."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
         return False
@@ -39,8 +39,8 @@ def problem_schema() -> dict[str, Any]:
     )
     for definition in schema["$defs"].values():
         del definition["title"]
-    ways = [{"$ref": f"#/$defs/{model.__name__}"} for model in KINDS]
-    return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": ways, **schema}
+    forms = [{"$ref": f"#/$defs/{model.__name__}"} for model in KINDS]
+    return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": forms, **schema}
 
 
 def kind_schema(model: type[Keys]) -> dict[str, Any]:
@@ -55,25 +55,27 @@ def schema_text() -> str:
 
 
 def entries_at(schema: dict[str, Any], path: Sequence[str | int]) -> list[dict[str, Any]]:
-    """Return what the schema says of the value at ``path``, one entry per way to write it."""
-    found = _ways(schema, schema)
+    """Return what the schema says of the value at ``path``, one entry per form."""
+    found = _forms(schema, schema)
     for part in path:
         if isinstance(part, int):
-            inner = [way["items"] for way in found if "items" in way]
+            inner = [form["items"] for form in found if "items" in form]
         else:
-            inner = [way["properties"][part] for way in found if part in way.get("properties", {})]
-        found = [way for entry in inner for way in _ways(schema, entry)]
+            inner = [
+                form["properties"][part] for form in found if part in form.get("properties", {})
+            ]
+        found = [form for entry in inner for form in _forms(schema, entry)]
     return found
 
 
-def _ways(schema: dict[str, Any], entry: dict[str, Any]) -> list[dict[str, Any]]:
+def _forms(schema: dict[str, Any], entry: dict[str, Any]) -> list[dict[str, Any]]:
     if "$ref" in entry:
         entry = {**schema["$defs"][entry["$ref"].rsplit("/", 1)[1]], **entry}
         del entry["$ref"]
     choices = [*entry.get("oneOf", ()), *entry.get("anyOf", ())]
     if not choices:
         return [entry]
-    return [way for choice in choices for way in _ways(schema, choice)]
+    return [form for choice in choices for form in _forms(schema, choice)]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A problem file, or the same as a mapping, to a Problem."""
+"""Loading of problems from files, or from mappings with the keys of one."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.mission.building import built_problem
+from hitchopt.mission.building import built_problem, built_swarm
 from hitchopt.mission.faults import JointInputError
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.steps import ProblemKeys
-from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.mission.swarm_building import built_swarm
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
@@ -33,7 +32,7 @@ _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
 
 AnyProblem = Problem | SwarmProblem
-"""Of a hitch, or of single drones."""
+"""A problem of a hitch, or of single drones."""
 
 
 def read_problem(path: str | Path) -> AnyProblem:

@@ -11,45 +11,11 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.form_records import Form, Land, Release
-from hitchopt.mission.leg_sharing import LegSharing, leg_sharing
-from hitchopt.mission.outlines import fitting_steps
-from hitchopt.mission.step_records import (
-    Adjust,
-    FollowVertex,
-    HitchStep,
-    Hold,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Step,
-    Transport,
-)
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.mission.step_order import fitting_steps
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steps import Step
+from hitchopt.steps.slack_split import SlackSplit, slack_split
 from hitchopt.values import MAX_COORDINATE, coordinate
-
-__all__ = [
-    "Adjust",
-    "DronesStart",
-    "FollowVertex",
-    "Form",
-    "HitchStart",
-    "HitchStep",
-    "Hold",
-    "Land",
-    "LegSharing",
-    "Morph",
-    "MoveEdge",
-    "MoveVertex",
-    "Problem",
-    "Release",
-    "Start",
-    "Step",
-    "SwapSettings",
-    "Transport",
-    "leg_sharing",
-]
 
 Array = NDArray[np.float64]
 
@@ -67,7 +33,7 @@ class HitchStart:
 
     polygon: Outline
     altitude: float
-    legs: LegSharing = "spread"
+    legs: SlackSplit = "spread"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
@@ -111,7 +77,7 @@ class DronesStart:
 
     @property
     def drones(self) -> Array:
-        """(2n, 3) [m], in the order q0, r0, q1, r1, …."""
+        """Starts of all drones (2n, 3) [m]: q0, r0, q1, r1, …."""
         return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
 
 
@@ -167,7 +133,7 @@ def _fitting_start(team: Team, start: Start) -> Start:
     """
     try:
         if isinstance(start, HitchStart):
-            outline, legs = fitting_polygon(team, start.polygon), leg_sharing(start.legs, team)
+            outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
             return replace(start, polygon=outline, legs=legs)
         if len(start.q) != team.robots:
             raise InputError(

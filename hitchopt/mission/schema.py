@@ -14,12 +14,13 @@ from pydantic_core import PydanticCustomError
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.requirements import Limits, Separation
+from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE
 
 MIN_QUANTITY = 1e-9
-"""In SI units. Smaller lengths, masses, times, … are typing errors, and would only underflow."""
+"""Smallest quantity, in SI units: smaller ones are typing errors and would only underflow."""
 
 MAX_QUANTITY = 1e9
-"""In SI units. Larger ones are typing errors, and would only overflow."""
+"""Largest quantity, in SI units: larger ones are typing errors and would only overflow."""
 
 MAX_STEPS = 1000
 """Steps of one mission."""
@@ -31,7 +32,7 @@ FAULT = "hitchopt"
 """Type of the errors that carry their own ``bound`` and ``remedy``."""
 
 ONE, EACH = "<one>", "<each>"
-"""Tags of the two ways to write a value: once for all robots, or one per robot."""
+"""Tags of the two forms of a value: once for all robots, or one per robot."""
 
 
 def one_or_each(value: object) -> str:
@@ -63,12 +64,20 @@ Legs = Annotated[
     Discriminator(one_or_each),
 ]
 
-OUTLINE_TEXT = (
-    "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
-    "of the convex arc of an open chain"
-)
-LEGS_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
-DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
+KINDS: dict[str, Any] = {
+    "Angle": float,
+    "Flag": bool,
+    "Index": Index,
+    "Legs": Legs,
+    "Number": Number,
+    "Outline": Outline,
+    "Point2": Point2,
+    "Point3": Point3,
+    "Positive": Positive,
+    "TimedPath": Annotated[list[TimedPoint], Field(min_length=1)],
+    "TwoPoints": Annotated[list[Point2], Field(min_length=2, max_length=2)],
+}
+"""Types of the keys of steps, by the names that ``hitchopt.steps.keys.Key`` gives them."""
 
 
 class Keys(BaseModel):
@@ -203,9 +212,7 @@ class ArenaKeys(Keys):
 class HitchKeys(Keys):
     """A formed hitch."""
 
-    polygon: Outline = Field(
-        description=OUTLINE_TEXT, examples=[[[0, -1], [-0.4, 0.5], [0.4, 0.5]]]
-    )
+    polygon: Outline = Field(description=OUTLINE_TEXT, examples=[TRIANGLE])
     altitude: Number = Field(default=1.0, description="Height of the hitch's plane [m]")
     legs: Legs = Field(default="spread", description=LEGS_TEXT)
 

@@ -1,4 +1,4 @@
-"""A problem to a plan, step by step, certified as a whole."""
+"""Planning of a problem, step by step, certified as a whole."""
 
 from __future__ import annotations
 
@@ -6,25 +6,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hitchopt.checks import Certificate, merged
-from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.ends import shared_hitch
-from hitchopt.mission.form_records import Form, Land, Release
-from hitchopt.mission.form_steps import plan_form, plan_release
-from hitchopt.mission.free_flight import check_above_ground, check_start, plan_hover, plan_land
-from hitchopt.mission.friction_steps import against_friction
 from hitchopt.mission.memory import Progress, remembered
-from hitchopt.mission.motions import Certified, certified, check_at_rest
-from hitchopt.mission.planning import plan_blended, plan_step
 from hitchopt.mission.problem import DronesStart, Problem, Start
-from hitchopt.mission.situation import Situation, Tied
-from hitchopt.mission.step_records import FollowVertex, Hold, ShapeStep, Step
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
+from hitchopt.steps import Form, Step
+from hitchopt.steps.blending import plan_blended
+from hitchopt.steps.certified_motions import Certified, certified, check_at_rest
+from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.end_hitch import split_hitch
+from hitchopt.steps.free_cables import check_above_ground, check_start
+from hitchopt.steps.situation import Situation, StepTask
 
 __all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
 
@@ -38,7 +34,7 @@ def solve_problem(
     ----------
     problem: what is to be flown.
     progress: called with what is being done now.
-    optimiser: try optimised ways too; without them steps go their own way or not at all.
+    optimiser: try optimised routes too; without them steps take their own route or none.
 
     Raises
     ------
@@ -71,16 +67,15 @@ def _solved(
 ) -> Certified:
     begun = _begun(progress, team, start, _first_form(steps), requirements)
     situation = begun.situation
-    motions: list[Motion] = []
-    certificates: list[Certificate] = []
+    parts: list[Certified] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
-        planned = _step(progress, situation, group, first, requirements, optimiser)
-        motions.append(planned.motion)
-        certificates.append(planned.certificate)
-        situation = planned.after
-    motion = joined_motions(motions)
-    certificate = merged(motion, certificates)
+        part, situation = _step(
+            progress, group, StepTask(situation, first, requirements, optimiser)
+        )
+        parts.append(part)
+    motion = joined_motions([part.motion for part in parts])
+    certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
         broken = infeasible(certificate, requirements.separation, motion.phases)
         raise _advised(broken, certificate, motion, steps)
@@ -110,8 +105,8 @@ def _begun(
         if isinstance(start, Hitch):
             hitch = start
         else:
-            _tell(progress, "sharing the start's legs")
-            hitch = shared_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+            _tell(progress, "splitting the slack at the start")
+            hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         check_at_rest(hitch, requirements, "at the start (t = 0)")
         return _Begun(Situation.holding(hitch))
     check_start(Situation(team, start.drones), requirements)  # drones have the file's names
@@ -126,33 +121,21 @@ def _first_form(steps: Sequence[Step]) -> Form | None:
     return next((step for step in steps if isinstance(step, Form)), None)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """The motion of steps without a stop, where it ends, and its certificate, duration left out."""
-
-    motion: Motion
-    after: Situation
-    certificate: Certificate
-
-
 @remembered
 def _step(
-    progress: Progress | None,
-    before: Situation,
-    group: tuple[Step, ...],
-    first: int,
-    requirements: Requirements,
-    optimiser: bool,
-) -> _Step:
+    progress: Progress | None, group: tuple[Step, ...], task: StepTask
+) -> tuple[Certified, Situation]:
+    """Return the certified motion of steps without a stop, and where it ends."""
+    first, step = task.index, group[0]
     try:
-        planned = _planned(before, group, first, requirements, optimiser=optimiser)
+        planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
     except InfeasibleError as error:
         raise _in_step(error, first, group) from None
     certificate = planned.certificate
     if certificate is None:
-        _tell(progress, f"certifying step {first} ({group[0].name})")
+        _tell(progress, f"certifying step {first} ({step.name})")
         certificate = certified(planned.motion).certificate
-    return _Step(planned.motion, planned.after, certificate)
+    return Certified(planned.motion, certificate), planned.after
 
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
@@ -160,42 +143,11 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
     group: list[Step] = []
     for i, step in enumerate(steps):
         group.append(step)
-        if not getattr(step, "blend", False):
+        if not step.blends:
             yield i + 1 - len(group), tuple(group)
             group = []
     if group:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
-
-
-def _planned(
-    before: Situation,
-    group: Sequence[Step],
-    first: int,
-    requirements: Requirements,
-    *,
-    optimiser: bool,
-) -> Tied:
-    """Return the plan of steps that follow one another without a stop; mostly there is one."""
-    step = group[0]
-    if isinstance(step, Form):
-        return plan_form(before, step, first, requirements)
-    if isinstance(step, Release):
-        return plan_release(before, step, first, requirements)
-    if isinstance(step, Land):
-        return plan_land(before, step, first, requirements)
-    if before.hitch is None:
-        if isinstance(step, Hold):
-            return plan_hover(before, step.seconds, first, requirements)
-        raise InputError(f"mission[{first}].{step.name}", None, "given a hitch", "form one before")
-    if len(group) == 1:
-        planned = plan_step(before.hitch, step, first, requirements, optimiser=optimiser)
-    else:
-        shapes = [step for step in group if isinstance(step, ShapeStep)]
-        planned = plan_blended(before.hitch, shapes, first, requirements)
-    timed = any(getattr(step, "duration", None) is not None for step in group)
-    planned = against_friction(planned, requirements, timed=timed)
-    after = replace(before, hitch=planned.end, drones=planned.end.drones)
-    return Tied(planned.motion, after, planned.certificate)
 
 
 def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
@@ -234,9 +186,10 @@ def _advised(
 def _advice(steps: Sequence[Step], i: int, check: str) -> str:
     if check == "duration":
         return ""
-    if isinstance(steps[i], FollowVertex) and RULE_OF[check].derivative:
-        return "give the points more time"
-    blends = any(getattr(step, "blend", False) for step in steps[max(0, i - 1) : i + 1])
+    own = steps[i].advice(check)
+    if own:
+        return own
+    blends = any(step.blends for step in steps[max(0, i - 1) : i + 1])
     return "leave out blend" if blends else ""
 
 

@@ -47,7 +47,7 @@ class SwarmTeamKeys(Keys):
 
 
 class SwarmSeparationKeys(Keys):
-    """The ellipsoids that are kept apart."""
+    """The ellipsoids that must not overlap."""
 
     radius: Positive = Field(
         default=Separation.radius,

@@ -1,47 +1,35 @@
-"""A problem of single drones to its certified plan."""
+"""Planning of a problem of single drones."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY
-from hitchopt.mission.diagnosis import infeasible
 from hitchopt.mission.memory import Progress, remembered
-from hitchopt.mission.swarm import SwarmProblem
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.steps.certified_motions import Certified
+from hitchopt.steps.diagnosis import infeasible
 
 Array = NDArray[np.float64]
 
 SHARE = 1.0 - 1e-6
-"""Of what thrust and tilt allow, so that rounding is of no matter."""
+"""Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
 
 
-@dataclass(frozen=True, eq=False)
-class CertifiedSwarm:
-    """A motion and the certificate that holds for it."""
-
-    motion: Motion
-    certificate: Certificate
-
-
-def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> CertifiedSwarm:
-    """Return the plan with its certificate.
+@remembered
+def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
+    """Return the plan with its certificate; ``progress`` is called with what is being done now.
 
     Raises
     ------
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
-    return _solved(progress, problem)
-
-
-@remembered
-def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
     from hitchopt.planners.separation import SeparationTask, separate
 
     longest = problem.limits.duration
@@ -61,7 +49,7 @@ def _solved(progress: Progress | None, problem: SwarmProblem) -> CertifiedSwarm:
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
         raise infeasible(certificate, problem.separation, motion.phases)
-    return CertifiedSwarm(motion, certificate)
+    return Certified(motion, certificate)
 
 
 def flyable_accelerations(problem: SwarmProblem) -> Array:

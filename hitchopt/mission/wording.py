@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 from hitchopt.errors import InputError
 from hitchopt.mission.faults import one_or_all
+from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.json_schema import entries_at, kind_schema
 from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE, Keys
-from hitchopt.mission.steps import ProblemKeys
 from hitchopt.storage.plain import key_path
 
 Schema = dict[str, Any]
@@ -93,11 +93,11 @@ def _range(ctx: dict[str, Any], value: object) -> _Words:
 
 
 def _keys_at(path: list[str | int], schema: Schema) -> list[str]:
-    return [key for way in entries_at(schema, path) for key in way.get("properties", {})]
+    return [key for form in entries_at(schema, path) for key in form.get("properties", {})]
 
 
 def _options(path: list[str | int], schema: Schema) -> list[str]:
-    return [str(option) for way in entries_at(schema, path) for option in way.get("enum", ())]
+    return [str(option) for form in entries_at(schema, path) for option in form.get("enum", ())]
 
 
 def _nearest(word: str, known: Sequence[str]) -> str:
@@ -107,21 +107,21 @@ def _nearest(word: str, known: Sequence[str]) -> str:
 
 def _example(path: list[str | int], schema: Schema) -> str:
     inside = entries_at(schema, path[:-1])
-    for way in inside:
-        entry = way.get("properties", {}).get(path[-1], {})
+    for form in inside:
+        entry = form.get("properties", {}).get(path[-1], {})
         for example in entry.get("examples", ()):
             return json.dumps(example).replace('"', "")
     return "…"
 
 
 def _counted(path: list[str | int], schema: Schema) -> str:
-    for way in entries_at(schema, path):
-        least, most = way.get("minItems", 0), way.get("maxItems", way.get("maxLength", math.inf))
+    for form in entries_at(schema, path):
+        least, most = form.get("minItems", 0), form.get("maxItems", form.get("maxLength", math.inf))
         if least == most:
             return f"a list of {least} numbers"
-        if "maxLength" in way:
+        if "maxLength" in form:
             return f"at most {most} characters long"
-        if "minItems" in way:
+        if "minItems" in form:
             return f"a list of at least {least}" + (
                 f" and at most {most} entries" if most < math.inf else " entries"
             )
@@ -141,19 +141,19 @@ _TYPES = {
 
 def _type_at(path: list[str | int], schema: Schema) -> str:
     names: list[str] = []
-    for way in entries_at(schema, path):
-        name = " or ".join(way["enum"]) if "enum" in way else _TYPES.get(way.get("type", ""), "")
+    for form in entries_at(schema, path):
+        name = " or ".join(form["enum"]) if "enum" in form else _TYPES.get(form.get("type", ""), "")
         if name == "a mapping":
-            name = f"a mapping with keys of {', '.join(way['properties'])}"
-        elif name == "a list" and "minItems" in way:
-            name = _counted(path, schema) if way["minItems"] == way.get("maxItems") else "a list"
+            name = f"a mapping with keys of {', '.join(form['properties'])}"
+        elif name == "a list" and "minItems" in form:
+            name = _counted(path, schema) if form["minItems"] == form.get("maxItems") else "a list"
         if name and name not in names:
             names.append(name)
     return ", or ".join(names) if names else "of another type"
 
 
 def _type_remedy(path: list[str | int], value: object, schema: Schema) -> str:
-    types = {way.get("type") for way in entries_at(schema, path)}
+    types = {form.get("type") for form in entries_at(schema, path)}
     if value is None:
         remedy = "remove the key, or write its value after it"
     elif isinstance(value, str) and types & {"number", "integer"}:

@@ -16,7 +16,6 @@ from hitchopt.checks.bounds import chord_crossings as chord_crossings_module
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.checks.bounds.strands import entered
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.free_flight import staged
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stage import Stage
@@ -25,6 +24,7 @@ from hitchopt.planners.forming.swap_clock import swap
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied, undone
 from hitchopt.requirements import Limits, Requirements, Separation
+from hitchopt.steps.free_cables import staged
 from hitchopt.trajectory import PiecewisePolynomial
 
 KEPT = Requirements(Limits(), Separation(), None)

@@ -10,8 +10,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks.certificate import TOLERANCE, Check
-from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import certificate_at_rest
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 

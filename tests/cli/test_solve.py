@@ -103,7 +103,7 @@ def test_an_overstretched_start_is_refused_before_any_search(
         raise AssertionError
 
     monkeypatch.setattr("hitchopt.mission.solving.assigned", searched)
-    monkeypatch.setattr("hitchopt.mission.solving.plan_form", searched)
+    monkeypatch.setattr("hitchopt.steps.form.Form.plan", searched)
     path = next(path for path in INFEASIBLE if path.stem == "overstretched_start")
     result = run("solve", path, "-o", "out", "--no-repair")
     assert result.exit_code == 3, result.output
@@ -170,7 +170,7 @@ def test_a_refusal_says_what_would_mend_it(place: Path) -> None:
     path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
     result = run("solve", path, "-o", "out")
     assert result.exit_code == 3, result.output
-    told = [line for line in result.stderr.splitlines() if line.startswith("mended by: ")]
+    told = [line for line in result.stderr.splitlines() if line.startswith("suggested change: ")]
     found = json.loads((place / "out" / "diagnosis.json").read_text())
     assert [entry["message"] for entry in found["suggestions"]] == told
     best = found["suggestions"][0]
@@ -187,7 +187,7 @@ def test_a_refusal_that_nothing_mends_says_so(place: Path) -> None:
     path = next(path for path in INFEASIBLE if path.stem == "points_begin_elsewhere")
     result = run("solve", path, "-o", "out")
     assert result.exit_code == 3, result.output
-    assert "no single change was found that mends it" in result.stderr.splitlines()
+    assert "no single change was found that makes it feasible" in result.stderr.splitlines()
     assert json.loads((place / "out" / "diagnosis.json").read_text())["suggestions"] == []
 
 

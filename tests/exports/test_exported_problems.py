@@ -11,10 +11,10 @@ from exported_plans import exported
 from hitchopt.errors import InfeasibleError
 from hitchopt.mission.loading import any_problem_from_dict, load_problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.mission.swarm_problems import reversed_stack
+from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.motion.motion import Motion
+from problems.swarm import reversed_stack
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -67,7 +67,7 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
         }
     )
     assert isinstance(problem, SwarmProblem)
-    motion = solve_swarm(problem).motion
+    motion = solve_swarm(None, problem).motion
     exported(motion, "csv", tmp_path / "csv")
     with pytest.raises(InfeasibleError, match="keep_out"):
         exported(motion, "compressed", tmp_path / "compressed")
@@ -76,5 +76,5 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
 def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None:
     problem = any_problem_from_dict(reversed_stack(3))
     assert isinstance(problem, SwarmProblem)
-    (part,) = exported(solve_swarm(problem).motion, "crazyswarm2", tmp_path)
+    (part,) = exported(solve_swarm(None, problem).motion, "crazyswarm2", tmp_path)
     assert any("would take off from one place" in note for note in part.notes)

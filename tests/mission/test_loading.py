@@ -14,17 +14,15 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon
 from hitchopt.mission.faults import MAX_LISTED
 from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
-from hitchopt.mission.problem import (
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.steps import (
     Adjust,
-    DronesStart,
     FollowVertex,
     Form,
-    HitchStart,
     Hold,
     Morph,
     MoveEdge,
     MoveVertex,
-    Problem,
     Transport,
 )
 from hitchopt.storage.yaml_file import read_yaml
@@ -364,7 +362,7 @@ FAULTS: list[tuple[list[str | int], object, str]] = [
     (
         ["mission", 3, "move_vertex", "to"],
         [2, 2],
-        r"move_vertex = {'vertex': 2, 'by': [0.1, 0.05], ",
+        r"mission[3].move_vertex.to = [2.0, 2.0]: must be given where by is not, and only there",
     ),
     (
         ["mission", 3, "move_vertex", "blend"],
@@ -400,7 +398,7 @@ FAULTS: list[tuple[list[str | int], object, str]] = [
     (
         ["mission", 6, "follow_vertex", "path"],
         [[0, 2, 1]],
-        r"must be a path with a point after t = 0",
+        r"mission[6].follow_vertex.path = [[0.0, 2.0, 1.0]]: must be a path whose times increase",
     ),
     (
         ["mission", 6, "follow_vertex", "path", 1],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass, replace
 from typing import Any
 
@@ -18,6 +18,9 @@ import hitchopt as ho
 from hitchopt.mission import solving
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.memory import VARIABLE, Memory, Progress, remembered
+from hitchopt.steps import STEPS
+from hitchopt.steps.blending import plan_blended
+from hitchopt.steps.situation import StepPlan, StepTask
 from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -137,13 +140,17 @@ def test_what_is_done_to_the_inputs_afterwards_changes_no_plan() -> None:
 def planned(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The first steps of all groups that the planners are asked for."""
     asked: list[int] = []
-    planner = solving._planned
 
-    def counting(before: Any, group: Sequence[Any], first: int, *args: Any, **keys: Any) -> Any:
-        asked.append(first)
-        return planner(before, group, first, *args, **keys)
+    def counted(planner: Callable[[Any, StepTask], StepPlan]) -> Any:
+        def counting(step: Any, task: StepTask) -> StepPlan:
+            asked.append(task.index)
+            return planner(step, task)
 
-    monkeypatch.setattr(solving, "_planned", counting)
+        return counting
+
+    for kind in STEPS:
+        monkeypatch.setattr(kind, "plan", counted(kind.plan))
+    monkeypatch.setattr(solving, "plan_blended", counted(plan_blended))
     return asked
 
 

@@ -10,7 +10,7 @@ import pytest
 import hitchopt as ho
 from hitchopt.cli.console_tables import phase_table
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.mission.problem import Step
+from hitchopt.steps import Step
 
 HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
 MOVES: tuple[Step, ...] = (

@@ -165,11 +165,9 @@ def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
 
 
 def outlines(problem: ho.Problem) -> list[Any]:
-    from hitchopt.mission.outlines import outline_left
-
     found: list[Any] = [hitch_start(problem).polygon]
     for step in problem.mission:
-        found.append(outline_left(problem.team, found[-1], step))
+        found.append(step.polygon_left(problem.team, found[-1]))
     return found
 
 

@@ -8,8 +8,8 @@ from problem_cases import hitch_start
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.mission import morphing
 from hitchopt.mission.loading import problem_from_dict
+from hitchopt.steps import route_choice
 from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -250,7 +250,7 @@ def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
     straight, optimised = ho.morph(start, goal), ho.morph(start, goal, optimize=True)
     assert straight.phases[0].remark == ""
     assert optimised.duration < straight.duration
-    assert "faster than the step's own way" in optimised.phases[0].remark
+    assert "faster than the step's own route" in optimised.phases[0].remark
     exact = ho.morph(start, goal, optimize=True, duration=3.0)
     assert exact.duration == 3.0
     assert exact.certificate.certified
@@ -262,11 +262,11 @@ def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
     square = ho.regular_polygon(4, 1.2, np.pi / 4)
     start = ho.Hitch.spread(ho.Team(4, 2.4), square)
     half = ho.morph(start, square.renumbered(2))
-    assert "the step's own way is shut" in half.phases[0].remark
+    assert "the step's own route is infeasible" in half.phases[0].remark
     assert half.certificate.certified
-    monkeypatch.setattr(morphing, "candidates", lambda *_: [])
-    with pytest.raises(ho.InfeasibleError, match="the optimiser found no other way") as caught:
+    monkeypatch.setattr(route_choice, "candidates", lambda *_: [])
+    with pytest.raises(ho.InfeasibleError, match="the optimiser found no other route") as caught:
         ho.morph(start, square.renumbered(2))
     assert caught.value.violations[0].constraint == "convexity"
-    with pytest.raises(ho.InfeasibleError, match="no way that is fast enough"):
+    with pytest.raises(ho.InfeasibleError, match="no route that is fast enough"):
         ho.morph(start, square.renumbered(1), duration=2.0)

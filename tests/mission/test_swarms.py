@@ -14,16 +14,16 @@ import pytest
 import hitchopt as ho
 from hitchopt.mission.json_schema import problem_schema
 from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm, read_problem
-from hitchopt.mission.swarm import SwarmProblem
-from hitchopt.mission.swarm_problems import (
+from hitchopt.mission.swarm_problem import SwarmProblem
+from hitchopt.mission.swarm_solving import flyable_accelerations
+from hitchopt.storage.yaml_file import read_yaml
+from problems.swarm import (
     antipodal_circle,
     random_team,
     reversed_stack,
     swapping_grids,
     through_a_door,
 )
-from hitchopt.mission.swarm_solving import flyable_accelerations
-from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = Path(__file__).parents[2] / "problems" / "swarms"
 GOOD = sorted(SWARMS.glob("*.yaml"))

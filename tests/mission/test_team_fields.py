@@ -14,10 +14,10 @@ from hitchopt import Hitch, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.mission.repair import editing
-from hitchopt.mission.step_records import Hold
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.requirements import Requirements
+from hitchopt.steps import Hold
 from hitchopt.trajectory import PiecewisePolynomial
 
 ORDER = (2, 0, 3, 1)
@@ -102,13 +102,16 @@ def test_a_renumbered_team_has_every_field() -> None:
 @pytest.mark.parametrize(
     ("edit", "changed"),
     [
-        (lambda p: editing.with_cables(p, p.team.cable_length * 1.1), "cable_length"),
-        (lambda p: editing.with_tensions(p, p.team.tension * 1.1), "tension"),
+        (
+            lambda p: editing.with_team_values(p, "cable_length", p.team.cable_length * 1.1),
+            "cable_length",
+        ),
+        (lambda p: editing.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
         (lambda p: editing.with_thrust(p, 1.1), "quadrotor"),
         (lambda p: editing.with_limit(p, "tilt_deg", 50.0), ""),
         (lambda p: editing.with_separation(p, "cable", 0.05), ""),
         (lambda p: editing.with_outlines_scaled(p, 0.9), ""),
-        (lambda p: editing.with_seconds(p, 0, 3.0), ""),
+        (lambda p: editing.with_step_edit(p, 0, next(p.mission[0].tunables()).put(3.0)), ""),
     ],
 )
 def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:

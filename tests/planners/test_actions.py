@@ -251,7 +251,7 @@ def test_a_limit_that_binds_on_the_way_only_lets_cables_slide_there(far: float) 
     )
     remark = plan.phases[0].remark
     assert remark.startswith("r0, q5 slide as well: ")
-    assert "of the way" in remark
+    assert "of the path" in remark
     assert movers(plan) == names(6, q=[0, 1, 5], r=[5, 4, 0])
     np.testing.assert_allclose(end_of(plan).legs, start.legs, atol=1e-9)
     state = plan.at(4.5)

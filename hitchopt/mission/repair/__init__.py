@@ -1,4 +1,4 @@
-"""What would mend a problem that cannot be met, found by planning it."""
+"""Changes that make an infeasible problem feasible, verified by planning it."""
 
 from hitchopt.mission.repair.change import Change, Edit, Suggestion
 from hitchopt.mission.repair.suggest import BUDGET, NO_CHANGE, find_suggestions

@@ -1,4 +1,4 @@
-"""Changes of a problem, kinds of them by size, and those that are verified to mend it."""
+"""Changes of a problem, kinds of them by size, and those that are verified to make it feasible."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Suggestion:
     duration: float
 
     def __str__(self) -> str:
-        return f"mended by: {self.change}, verified: plan of {self.duration:.3g} s certified"
+        return f"suggested change: {self.change}, verified: plan of {self.duration:.3g} s certified"
 
     def to_dict(self) -> dict[str, object]:
         """Return the suggestion as plain values, for JSON."""
@@ -97,11 +97,11 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """Changes of one quantity one way, by their size.
+    """Changes of one quantity in one direction, by their size.
 
     Attributes
     ----------
-    covers: constraints that it can mend; where others are broken too it is not tried.
+    covers: constraints that it can repair; where others are broken too it is not tried.
     of_size: the change of a relative size, rounded up to DIGITS; raises InputError where there
         is none.
     least: sizes below are known not to do.

@@ -5,20 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from hitchopt.checks.registry import RULES
-from hitchopt.checks.rule import Ease
 from hitchopt.errors import InfeasibleError, Violation
-
-PLAN_DURATION = "plan duration"
-"""The plan's duration as a constraint, told apart from a step's, which is too short."""
-
-SPACE, RATES, FORCES = (
-    frozenset(rule.name for rule in RULES if rule.ease is ease)
-    for ease in (Ease.LENGTH, Ease.TIME, Ease.TENSION)
-)
-"""Checks that longer legs, slower or shorter motion, and lower tensions ease."""
+from hitchopt.steps.edits import PLAN_DURATION
 
 TIMES = frozenset({"duration", PLAN_DURATION})
+"""Constraints that a faster plan, or more time, repairs."""
 
 
 def broken_constraints(error: InfeasibleError) -> frozenset[str]:

@@ -5,45 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.form_records import Form, Land, Release
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited
-from hitchopt.mission.step_records import (
-    FollowVertex,
-    Hold,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Step,
-    Transport,
-)
 from hitchopt.requirements import Arena
+from hitchopt.steps import Step
+from hitchopt.steps.edits import DECIMALS, StepEdit, outline_scaled, points_scaled
 
 Array = NDArray[np.float64]
 
-DECIMALS = 9
-"""Of numbers in edits: far below any tolerance, and short enough to read."""
 
-
-def with_cables(problem: Problem, lengths: Array) -> Edited:
-    """Return the problem with cables (n,) [m]."""
-    values = [_rounded(length) for length in lengths]
-    team = replace(problem.team, cable_length=np.array(values))
-    return Edited(replace(problem, team=team), (Edit("team.cable_length", _one_or_all(values)),))
-
-
-def with_tensions(problem: Problem, tensions: Array) -> Edited:
-    """Return the problem with tensions (n,) [N]."""
-    values = [_rounded(tension) for tension in tensions]
-    team = replace(problem.team, tension=np.array(values))
-    return Edited(replace(problem, team=team), (Edit("team.tension", _one_or_all(values)),))
+def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
+    """Return the problem with other cable lengths [m] or tensions [N] of the robots (n,)."""
+    rounded = [_rounded(value) for value in values]
+    changes: dict[str, Any] = {name: np.array(rounded)}
+    team = replace(problem.team, **changes)
+    return Edited(replace(problem, team=team), (Edit(f"team.{name}", _one_or_all(rounded)),))
 
 
 def with_thrust(problem: Problem, factor: float) -> Edited:
@@ -86,23 +69,30 @@ def with_spread_start(problem: Problem, start: HitchStart) -> Edited:
 
 
 def with_spread_legs(problem: Problem, i: int) -> Edited:
-    """Return the problem whose step i ends with its legs spread."""
+    """Return the problem whose step i, one that has legs, ends with its legs spread."""
+    return with_step_edit(problem, i, StepEdit("legs", "spread", {"legs": "spread"}))
+
+
+def with_step_edit(problem: Problem, i: int, edit: StepEdit) -> Edited:
+    """Return the problem with another value in step i."""
+    step, edits = _edited_step(problem, i, edit)
+    mission = (*problem.mission[:i], step, *problem.mission[i + 1 :])
+    return Edited(replace(problem, mission=mission), edits)
+
+
+def _edited_step(problem: Problem, i: int, edit: StepEdit | None) -> tuple[Step, tuple[Edit, ...]]:
+    """Return step i with an edit, and what to write into the problem's file for it."""
     step = problem.mission[i]
-    if isinstance(step, Hold | Transport | Release | Land):
-        return Edited(problem, ())  # they keep their legs
-    return _with_step(problem, i, replace(step, legs="spread"), "legs", "spread")
-
-
-def with_radius(problem: Problem, i: int, step: Form, radius: float) -> Edited:
-    """Return the problem whose step i forms with a smaller swap [m]."""
-    changed = replace(step, swap=replace(step.swap, radius=radius))
-    return _with_step(problem, i, changed, "swap.radius", radius)
+    if edit is None:
+        return step, ()
+    key = f"mission[{i}].{step.name}.{edit.key}"
+    return replace(step, **edit.changes), (Edit(key, edit.value),)
 
 
 def with_robots_apart(problem: Problem, start: DronesStart, factor: float) -> Edited:
     """Return the problem whose robots start farther from their middle, each as wide as it was."""
     middles = 0.5 * (start.q + start.r)[:, :2]
-    moved = _about(middles, factor, np.mean(middles, axis=0)) - middles
+    moved = points_scaled(middles, factor, np.mean(middles, axis=0)) - middles
     return _starting(problem, start, moved, moved)
 
 
@@ -122,23 +112,6 @@ def _starting(problem: Problem, start: DronesStart, q: Array, r: Array) -> Edite
     return Edited(replace(problem, start=DronesStart(**places)), edits)
 
 
-def with_seconds(problem: Problem, i: int, seconds: float) -> Edited:
-    """Return the problem whose step i, one that has a duration, takes ``seconds`` [s]."""
-    step = problem.mission[i]
-    if isinstance(step, FollowVertex):
-        return Edited(problem, ())  # its points have times of their own
-    if isinstance(step, Hold):
-        return _with_step(problem, i, Hold(seconds), "seconds", seconds)
-    return _with_step(problem, i, replace(step, duration=seconds), "duration", seconds)
-
-
-def with_times(problem: Problem, i: int, step: FollowVertex, factor: float) -> Edited:
-    """Return the problem whose step i has its points' times multiplied."""
-    path = step.path.copy()
-    path[:, 0] = [_rounded(t) for t in path[:, 0] * factor]
-    return _with_step(problem, i, replace(step, path=path), "path", path.tolist())
-
-
 def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
     """Return the problem with the start's outline and those of all steps scaled.
 
@@ -150,60 +123,15 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
     if isinstance(start, HitchStart):
         outline = fitting_polygon(team, start.polygon)
         centre = outline.centroid
-        start = replace(start, polygon=_scaled(outline, factor, centre))
+        start = replace(start, polygon=outline_scaled(outline, factor))
         edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
     steps: list[Step] = []
     for i, step in enumerate(problem.mission):
-        key, value = "", np.empty(0)
-        scaled: Step = step
-        if isinstance(step, Morph | Form):
-            goal = fitting_polygon(team, step.polygon)
-            centre = goal.centroid
-            polygon = _scaled(goal, factor, centre)
-            key, value, scaled = "polygon", polygon.vertices, replace(step, polygon=polygon)
-        elif isinstance(step, MoveVertex | MoveEdge):
-            if step.to is not None:
-                key, value = "to", _about(step.to, factor, centre)
-                scaled = replace(step, to=value)
-            else:
-                key, value = "by", _about(np.asarray(step.by), factor, np.zeros(2))
-                scaled = replace(step, by=value)
-        elif isinstance(step, FollowVertex):
-            points = _about(step.path[:, 1:], factor, centre)
-            key, value = "path", np.column_stack([step.path[:, 0], points])
-            scaled = replace(step, path=value)
-        elif isinstance(step, Transport):
-            centre = step.to[:2]
-        if key:
-            edits.append(Edit(f"mission[{i}].{step.name}.{key}", value.tolist()))
+        edit, centre = step.scaled(factor, centre)
+        scaled, written = _edited_step(problem, i, edit)
         steps.append(scaled)
-    changed = replace(problem, start=start, mission=tuple(steps))
-    return Edited(changed, tuple(edits))
-
-
-def seconds_of(step: Step) -> tuple[str, float] | None:
-    """Return key and value [s] of the duration that a step was given; None where it was not."""
-    if isinstance(step, Hold):
-        return "seconds", step.seconds
-    if isinstance(step, FollowVertex) or step.duration is None:
-        return None
-    return "duration", step.duration
-
-
-def _with_step(problem: Problem, i: int, step: Step, key: str, value: object) -> Edited:
-    mission = (*problem.mission[:i], step, *problem.mission[i + 1 :])
-    edit = Edit(f"mission[{i}].{step.name}.{key}", value)
-    return Edited(replace(problem, mission=mission), (edit,))
-
-
-def _scaled(outline: Outline, factor: float, centre: Array) -> Outline:
-    return type(outline)(_about(outline.vertices, factor, centre))
-
-
-def _about(points: Array, factor: float, centre: Array) -> Array:
-    """Return the points (…, 2) [m] moved away from ``centre`` by a factor."""
-    scaled: Array = np.round(centre + factor * (points - centre), DECIMALS)
-    return scaled
+        edits += written
+    return Edited(replace(problem, start=start, mission=tuple(steps)), tuple(edits))
 
 
 def _one_or_all(values: Sequence[object]) -> object:

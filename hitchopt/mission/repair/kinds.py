@@ -1,4 +1,4 @@
-"""Which changes can mend what binds: constraints to kinds of changes."""
+"""Which kinds of changes can repair the constraints that bind."""
 
 from __future__ import annotations
 
@@ -8,36 +8,39 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.mission.form_records import Form
-from hitchopt.mission.problem import DronesStart, Problem, SwapSettings
+from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
-from hitchopt.mission.repair.constraints import FORCES, RATES, SPACE, TIMES, broken_constraints
+from hitchopt.mission.repair.constraints import TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
-    with_cables,
     with_outlines_scaled,
-    with_radius,
     with_robots_apart,
     with_robots_drawn,
     with_separation,
-    with_tensions,
+    with_team_values,
 )
-from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, time_kinds, wall_kinds
+from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
+from hitchopt.steps.edits import FORCES, RATES, SPACE
+
+Array = NDArray[np.float64]
+
+TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
+"""Constraints that more distance repairs."""
 
 MOST_NAMED = 3
-"""Single cables tried, those that the broken limits name first."""
+"""Most single cables tried, those that the broken limits name first."""
 
 
 def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
-    """Return the kinds of changes that can mend everything that binds, safety left as it is."""
+    """Return the kinds of changes that can repair everything that binds, safety left as it is."""
     kinds = (
         *_starts(problem),
-        *_radii(problem),
         *_lengths(problem, error.violations),
         *_tensions(problem, error.violations),
         *limit_kinds(problem, error.violations),
-        *time_kinds(problem, error.violations),
+        *step_kinds(problem, error.violations),
         *wall_kinds(problem, error.violations),
     )
     return _covering(kinds, error)
@@ -48,7 +51,6 @@ def last_resorts(problem: Problem, error: InfeasibleError) -> list[Kind]:
 
     All walls at once, and those that give up some of the distances that are there for safety.
     """
-    kept = problem.separation
     kinds = list(all_walls(problem, error.violations))
     for name, covers in (
         ("radius", frozenset({"separation"})),
@@ -56,7 +58,7 @@ def last_resorts(problem: Problem, error: InfeasibleError) -> list[Kind]:
         ("cable", frozenset({"cable_clearance"})),
         ("crossing", frozenset({"crossing"})),
     ):
-        old = float(getattr(kept, name))
+        old = float(getattr(problem.separation, name))
         if old > 0.0:
             quantity = Quantity(
                 f"separation.{name}", old, "m", partial(with_separation, problem, name)
@@ -72,40 +74,53 @@ def _covering(kinds: Sequence[Kind], error: InfeasibleError) -> list[Kind]:
 
 def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield changes of all cables, of single ones that are named, and of the outlines' size."""
-    lengths = problem.team.cable_length
-    tight = frozenset({"crossing", "cable_clearance", "separation", "arena"})
-    if np.all(lengths == lengths[0]):
-        every = Quantity(
-            "team.cable_length",
-            float(lengths[0]),
-            "m",
-            lambda new: with_cables(problem, np.full(len(lengths), new)),
-            "all cables",
-        )
-    else:
-        every = Quantity(
-            "team.cable_length",
-            1.0,
-            "times",
-            lambda factor: with_cables(problem, lengths * factor),
-            "all cables",
-        )
-    for k in _named(violations, len(lengths)):
-        one = Quantity(
-            f"team.cable_length[{k}]",
-            float(lengths[k]),
-            "m",
-            partial(_with_cable, problem, k),
-            "one cable",
-        )
+    for one in _single(problem, "cable_length", "m", "one cable", violations):
         yield replace(raised(one, SPACE), family="one cable")
+    every = _every(problem, "cable_length", "m", "all cables")
     yield raised(every, SPACE)
-    yield lowered(every, tight)
+    yield lowered(every, TOO_CLOSE | {"arena"})
     outlines = Quantity(
         "polygon", 1.0, "times", partial(with_outlines_scaled, problem), "scale of all polygons"
     )
     yield lowered(outlines, SPACE | RATES | TIMES | {"arena"})
-    yield raised(outlines, frozenset({"crossing", "cable_clearance", "separation"}))
+    yield raised(outlines, TOO_CLOSE)
+
+
+def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
+    """Yield lower tensions: of single cables that are named, where they differ, and of all."""
+    same = bool(np.all(problem.team.tension == problem.team.tension[0]))
+    if not same:
+        for one in _single(problem, "tension", "N", "one tension", violations):
+            # Tensions that differ turn legs, so that an odd one may be what brings drones together.
+            yield replace(lowered(one, FORCES | SPACE | {"crossing"}), family="one tension")
+    yield lowered(_every(problem, "tension", "N", "" if same else "all tensions"), FORCES)
+
+
+def _every(problem: Problem, name: str, unit: str, words: str) -> Quantity:
+    """Return the team's values (n,) as one quantity: the value that all have, or a factor."""
+    values: Array = getattr(problem.team, name)
+    same = bool(np.all(values == values[0]))
+    ratios = np.ones(len(values)) if same else values
+
+    def put(new: float) -> Edited:
+        return with_team_values(problem, name, new * ratios)
+
+    old = float(values[0]) if same else 1.0
+    return Quantity(f"team.{name}", old, unit if same else "times", put, words)
+
+
+def _single(
+    problem: Problem, name: str, unit: str, words: str, violations: Sequence[Violation]
+) -> Iterator[Quantity]:
+    """Yield the values of single robots that are named."""
+    values: Array = getattr(problem.team, name)
+    for k in _named(violations, len(values)):
+
+        def put(new: float, k: int = k) -> Edited:
+            changed = np.where(np.arange(len(values)) == k, new, values)
+            return with_team_values(problem, name, changed)
+
+        yield Quantity(f"team.{name}[{k}]", float(values[k]), unit, put, words)
 
 
 def _starts(problem: Problem) -> Iterator[Kind]:
@@ -113,41 +128,13 @@ def _starts(problem: Problem) -> Iterator[Kind]:
     start = problem.start
     if not isinstance(start, DronesStart):
         return
-    apart = Quantity(
-        "start.drones",
-        1.0,
-        "times",
-        partial(with_robots_apart, problem, start),
-        "robots from their middle",
-    )
-    yield raised(apart, frozenset({"separation", "cable_clearance", "crossing"}))
-    drawn = Quantity(
-        "start.drones",
-        1.0,
-        "times",
-        partial(with_robots_drawn, problem, start),
-        "two drones of a robot",
-    )
-    yield lowered(drawn, frozenset({"span"}))
-
-
-def _radii(problem: Problem) -> Iterator[Kind]:
-    """Yield smaller swaps, where they are larger than they need to be."""
-    for i, step in enumerate(problem.mission):
-        if isinstance(step, Form) and step.swap.radius > SwapSettings.radius:
-            radius = Quantity(
-                f"mission[{i}].form.swap.radius",
-                step.swap.radius,
-                "m",
-                partial(with_radius, problem, i, step),
-            )
-            yield lowered(radius, SPACE | {"interlacing", "arena", "crossing"})
-
-
-def _with_cable(problem: Problem, k: int, length: float) -> Edited:
-    lengths = problem.team.cable_length.copy()
-    lengths[k] = length
-    return with_cables(problem, lengths)
+    for put, words, kind, covers in (
+        (with_robots_apart, "robots from their middle", raised, TOO_CLOSE),
+        (with_robots_drawn, "two drones of a robot", lowered, frozenset({"span"})),
+    ):
+        yield kind(
+            Quantity("start.drones", 1.0, "times", partial(put, problem, start), words), covers
+        )
 
 
 def _named(violations: Sequence[Violation], robots: int) -> list[int]:
@@ -159,46 +146,3 @@ def _named(violations: Sequence[Violation], robots: int) -> list[int]:
         if (match := re.fullmatch(r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)", name))
     ]
     return [k for k in dict.fromkeys(found) if k < robots][:MOST_NAMED]
-
-
-def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield lower tensions: of single cables that are named, where they differ, and of all."""
-    tensions = problem.team.tension
-    same = bool(np.all(tensions == tensions[0]))
-    for k in [] if same else _named(violations, len(tensions)):
-        one = Quantity(
-            f"team.tension[{k}]",
-            float(tensions[k]),
-            "N",
-            partial(_with_tension, problem, k),
-            "one tension",
-        )
-        # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-        yield replace(lowered(one, FORCES | SPACE | {"crossing"}), family="one tension")
-    if same:
-        yield lowered(
-            Quantity(
-                "team.tension",
-                float(tensions[0]),
-                "N",
-                lambda new: with_tensions(problem, np.full(len(tensions), new)),
-            ),
-            FORCES,
-        )
-    else:
-        yield lowered(
-            Quantity(
-                "team.tension",
-                1.0,
-                "times",
-                lambda factor: with_tensions(problem, tensions * factor),
-                "all tensions",
-            ),
-            FORCES,
-        )
-
-
-def _with_tension(problem: Problem, k: int, tension: float) -> Edited:
-    tensions = problem.team.tension.copy()
-    tensions[k] = tension
-    return with_tensions(problem, tensions)

@@ -11,27 +11,12 @@ import numpy as np
 from hitchopt.errors import Violation
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
-from hitchopt.mission.repair.constraints import (
-    FORCES,
-    PLAN_DURATION,
-    RATES,
-    TIMES,
-    beyond,
-    needed,
-    short,
-)
-from hitchopt.mission.repair.editing import (
-    seconds_of,
-    with_arena,
-    with_limit,
-    with_seconds,
-    with_thrust,
-    with_times,
-)
-from hitchopt.mission.step_records import FollowVertex
+from hitchopt.mission.repair.constraints import TIMES, beyond, needed, short
+from hitchopt.mission.repair.editing import with_arena, with_limit, with_step_edit, with_thrust
+from hitchopt.steps.edits import PLAN_DURATION, Tunable
 
 STEEPEST = 80.0
-"""[deg] Tilts beyond are not suggested."""
+"""Largest tilt suggested [deg]."""
 
 WALLS = tuple((side, axis) for axis in range(3) for side in ("lower", "upper"))
 
@@ -69,8 +54,8 @@ def limit_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     yield lowered(leg, frozenset({"legs"}), relaxes=True)
 
 
-def time_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield the plan's duration and those of steps, longer or shorter as what binds has it."""
+def step_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
+    """Yield the plan's longest duration raised, and the numbers of steps that can be changed."""
     longest = problem.limits.duration
     if longest is not None:
         quantity = Quantity(
@@ -79,27 +64,19 @@ def time_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Ki
         least = needed(violations, PLAN_DURATION)
         yield raised(quantity, frozenset({PLAN_DURATION}), least, relaxes=True)
     for i, step in enumerate(problem.mission):
-        if isinstance(step, FollowVertex):
-            times = Quantity(
-                f"mission[{i}].{step.name}.path",
-                1.0,
-                "times",
-                partial(with_times, problem, i, step),
-                "times of its points",
-            )
-            yield raised(times, RATES | FORCES)
-            yield lowered(times, frozenset({PLAN_DURATION}))
-        given = seconds_of(step)
-        if given is None:
-            continue
-        key, seconds = given
-        lasting = Quantity(
-            f"mission[{i}].{step.name}.{key}", seconds, "s", partial(with_seconds, problem, i)
-        )
-        if key == "duration":
-            own = [v for v in violations if f"step {i} " in v.when]
-            yield raised(lasting, frozenset({"duration"}), short(own), relaxes=True)
-        yield lowered(lasting, frozenset({PLAN_DURATION}))
+        own = short([v for v in violations if f"step {i} " in v.when])
+        for tunable in step.tunables():
+            key = f"mission[{i}].{step.name}.{tunable.key}"
+            put = partial(_tuned, problem, i, tunable)
+            quantity = Quantity(key, tunable.old, tunable.unit, put, tunable.words)
+            lasts = "duration" in tunable.raises  # a longer step takes nothing away
+            if tunable.raises:
+                yield raised(quantity, tunable.raises, own if lasts else 0.0, relaxes=lasts)
+            yield lowered(quantity, tunable.lowers)
+
+
+def _tuned(problem: Problem, i: int, tunable: Tunable, value: float) -> Edited:
+    return with_step_edit(problem, i, tunable.put(value))
 
 
 def wall_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:

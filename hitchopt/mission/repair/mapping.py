@@ -27,7 +27,7 @@ def edited(data: Mapping[str, Any], edits: Iterable[Edit]) -> dict[str, Any]:
 def put(data: Any, key: str, value: object) -> None:
     """Set one value; ``key`` is a path such as ``mission[0].morph.duration``.
 
-    Sections that are missing on the way, or empty, are made.
+    Sections that are missing or empty are created.
     """
     *parents, last = _parts(key)
     place = data

@@ -9,12 +9,13 @@ import numpy as np
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.cable_slack import balanced_legs
-from hitchopt.mission.ends import shared_hitch
-from hitchopt.mission.outlines import outline_left
-from hitchopt.mission.problem import HitchStart, LegSharing, Problem
+from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.mission.repair.change import Change, Edited
-from hitchopt.mission.repair.constraints import SPACE, broken_constraints
+from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.editing import with_spread_legs, with_spread_start
+from hitchopt.steps.edits import SPACE
+from hitchopt.steps.end_hitch import split_hitch
+from hitchopt.steps.slack_split import SlackSplit
 
 COVERS = SPACE | {"crossing", "arena"}
 
@@ -27,12 +28,12 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
     if not broken_constraints(error) <= COVERS:
         return
     outline, start = problem.start_outline, problem.start
-    places: list[tuple[str, LegSharing, Outline, Edited]] = []
+    places: list[tuple[str, SlackSplit, Outline, Edited]] = []
     if isinstance(start, HitchStart) and outline is not None:
         edited = with_spread_start(problem, start)
         places.append(("start.hitch.legs", start.legs, outline, edited))
     for i, step in enumerate(problem.mission):
-        outline = outline_left(problem.team, outline, step)
+        outline = step.polygon_left(problem.team, outline)
         legs = getattr(step, "legs", None)
         if legs is not None and outline is not None:
             key = f"mission[{i}].{step.name}.legs"
@@ -48,10 +49,10 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
         yield Change(key, "", words, "spread", "", relative, edited.problem, edited.edits)
 
 
-def _farthest(problem: Problem, outline: Outline, legs: LegSharing) -> float:
+def _farthest(problem: Problem, outline: Outline, legs: SlackSplit) -> float:
     """Return how far a leg is from the spread ones at most, over its cable's length."""
     team = problem.team
     requirements = problem.requirements
     given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
-    spread = shared_hitch(team, outline, 0.0, "spread", requirements)
+    spread = split_hitch(team, outline, 0.0, "spread", requirements)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

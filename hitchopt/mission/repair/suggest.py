@@ -1,4 +1,4 @@
-"""The smallest single change that mends a problem: sizes go up, the planner is the judge."""
+"""Search for the smallest single change that makes a problem feasible."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from hitchopt.mission.solving import Progress, solve_problem
 from hitchopt.time_limit import TimeIsUp, time_left
 
 BUDGET = 15.0
-"""[s] After this no further plan is begun: a user waits for it."""
+"""Time [s] after which no further plan is begun: a user waits for it."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes tried in turn, those of all kinds before the next size."""
 
 RESOLUTION = 0.005
-"""To what share of the new value the smallest size is found."""
+"""Resolution of the smallest size, as a share of the new value."""
 
 FAR = 4.0
 """Times the smallest change: those that are larger still are not looked for."""
 
 ENOUGH = 3
-"""Suggestions: more would not be read."""
+"""Most suggestions: more would not be read."""
 
 
-NO_CHANGE = "no single change was found that mends it"
-"""What is said where there is no suggestion."""
+NO_CHANGE = "no single change was found that makes it feasible"
+"""Message where there is no suggestion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class _Judge:
         except HitchoptError:
             return _Verdict(None)  # no timing found: larger changes may do
         except TimeIsUp:
-            return _Verdict(None)  # the search is over; what it has found is kept
+            return _Verdict(None)  # the search is over; what it has found stays
         return _Verdict(found.motion.duration)
 
 
@@ -90,7 +90,7 @@ def find_suggestions(
     budget: float = BUDGET,
     progress: Progress | None = None,
 ) -> tuple[Suggestion, ...]:
-    """Return up to three single changes that mend a problem, the smallest one first.
+    """Return up to three single changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. They are the smallest that were found: no value between
     the last one that failed and the one suggested is known to do. None proves nothing.

@@ -1,4 +1,4 @@
-"""The best certified way of a step: its own where that will do, else an optimised one."""
+"""The best certified motion of a step: its own where that satisfies all limits, else optimised."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from hitchopt.checks import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.hitch import Hitch
-from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.motions import Certified, certified, flying
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise.candidates import candidates
 from hitchopt.planners.path.leading_legs import leading
@@ -18,19 +16,21 @@ from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import Certified, certified, flying
+from hitchopt.steps.diagnosis import infeasible
 
 
 @dataclass(frozen=True, eq=False)
-class WayTask:
-    """One hitch to another, in one step of a mission.
+class RouteTask:
+    """What a route planner is asked: one hitch to another, in one step of a mission.
 
     Attributes
     ----------
     start, end: at one altitude, both within all limits at rest.
-    kept: what every step has to keep.
-    phase: the step's name and index, and within what tensions may change on the way.
+    requirements: what the motion must satisfy.
+    phase: the step's name and index, and within what tensions may change meanwhile.
     duration: exactly that long [s], or None.
-    optimize: look for a faster way even where the step's own one will do.
+    optimize: look for a faster route even where the step's own one satisfies all limits.
     optimiser: whether the optimiser may be used.
     """
 
@@ -43,7 +43,7 @@ class WayTask:
     optimiser: bool = True
 
 
-def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
+def best_motion(own: Callable[[], Motion], task: RouteTask) -> Certified:
     """Return the motion of a step: its own one, or an optimised one where that is better.
 
     Parameters
@@ -53,8 +53,8 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
 
     Raises
     ------
-    InfeasibleError: what the step's own way breaks, no other way having been found either.
-    HitchoptError: that one could not be timed, and no other way was found.
+    InfeasibleError: what the step's own route breaks, no other route having been found either.
+    HitchoptError: that one could not be timed, and no other route was found.
     """
     motion: Motion | None = None
     refusal: HitchoptError | None = None
@@ -66,7 +66,7 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
         motion, refusal = None, error
     found = _optimised(task) if task.optimiser else None
     if motion is not None and (found is None or motion.duration <= found.motion.duration):
-        try:  # only now, as it is not needed where another way is faster
+        try:  # only now, as it is not needed where another route is faster
             return _sound(motion, task)
         except InfeasibleError as error:
             motion, refusal = None, error
@@ -77,7 +77,7 @@ def best_way(own: Callable[[], Motion], task: WayTask) -> Certified:
     return Certified(replace(found.motion, phases=phases), found.certificate)
 
 
-def _sound(motion: Motion, task: WayTask) -> Certified:
+def _sound(motion: Motion, task: RouteTask) -> Certified:
     """Return the motion with its certificate, or raise InfeasibleError for what it breaks."""
     found = certified(motion)
     if not found.certificate.certified:
@@ -95,9 +95,9 @@ class _Passed:
 
 
 class _Judge:
-    """Flies paths and believes the certificate alone; keeps what has passed."""
+    """Flies paths and accepts those whose certificates hold, which it collects."""
 
-    def __init__(self, task: WayTask) -> None:
+    def __init__(self, task: RouteTask) -> None:
         self.task = task
         self.passed: list[_Passed] = []
 
@@ -112,7 +112,7 @@ class _Judge:
         return flight
 
 
-def _optimised(task: WayTask) -> Certified | None:
+def _optimised(task: RouteTask) -> Certified | None:
     """Return the fastest optimised motion in the step's duration; None where there is none."""
     judge = _Judge(task)
     found = candidates(task.start, task.end, task.requirements, judge, task.phase.tension)
@@ -121,7 +121,7 @@ def _optimised(task: WayTask) -> Certified | None:
     passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
     if task.optimize and passed.flight.duration > (task.duration or 0.0):
         passed = _led(passed, judge)
-    flight, remark = passed.flight, f"on an optimised way, first guess {found[0].name}: "
+    flight, remark = passed.flight, f"on an optimised route, first guess {found[0].name}: "
     if task.duration is None:
         phase = replace(task.phase, end=flight.duration, remark=remark)
         return Certified(
@@ -148,16 +148,16 @@ def _led(passed: _Passed, judge: _Judge) -> _Passed:
 
 
 def _why(*, shut: bool) -> str:
-    return "the step's own way is shut" if shut else "faster than the step's own way"
+    return "the step's own route is infeasible" if shut else "faster than the step's own route"
 
 
-def _refused(refusal: HitchoptError | None, task: WayTask) -> HitchoptError:
+def _refused(refusal: HitchoptError | None, task: RouteTask) -> HitchoptError:
     if isinstance(refusal, InfeasibleError) and task.optimiser:
         return InfeasibleError(refusal.violations, _found_nothing(refusal))
-    return refusal or HitchoptError("no way was found")
+    return refusal or HitchoptError("no route was found")
 
 
 def _found_nothing(refusal: InfeasibleError) -> str:
     if any(violation.constraint == "duration" for violation in refusal.violations):
-        return "the optimiser found no way that is fast enough either"
-    return "the optimiser found no other way"
+        return "the optimiser found no route that is fast enough either"
+    return "the optimiser found no other route"

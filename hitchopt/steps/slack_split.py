@@ -1,4 +1,4 @@
-"""How a user says that cables share their slack."""
+"""How a user says where a cable's slack goes: the legs of its two drones."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.values import not_negative, per_robot, positive
 
-LegSharing = Literal["balanced", "spread"] | NDArray[np.float64]
-"""How a cable's slack is shared: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""
+SlackSplit = Literal["balanced", "spread"] | NDArray[np.float64]
+"""The slack split of a hitch: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""
 
 
-def leg_sharing(legs: str | Sequence[float] | ArrayLike, team: Team) -> LegSharing:
-    """Return what a user wrote for ``legs`` as a LegSharing.
+def slack_split(legs: str | Sequence[float] | ArrayLike, team: Team) -> SlackSplit:
+    """Return what a user wrote for ``legs``, checked.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Drones on free cables: motions of theirs, landing, hovering, and whether they may start so."""
+"""Motions of drones on free cables, their stages, and whether drones may start so."""
 
 from __future__ import annotations
 
@@ -11,38 +11,31 @@ from hitchopt.checks import certify
 from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.diagnosis import infeasible
-from hitchopt.mission.form_records import Land
-from hitchopt.mission.situation import Situation, Tied
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming.stage import Stage
-from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.timing.flight_curves import check_duration
 from hitchopt.requirements import Requirements
+from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.situation import Situation
 from hitchopt.trajectory import PiecewisePolynomial
 
 LEVEL = 1e-9
-"""[m] Altitudes that differ by less are the same."""
+"""Altitudes that differ by less are the same [m]."""
 
 
-def plan_land(before: Situation, step: Land, i: int, requirements: Requirements) -> Tied:
-    """Return the plan straight down to the ground; errors as plan_form."""
-    down = before.drones.copy()
-    down[:, 2] = requirements.floor
-    flight = straight(before.team, requirements.limits, before.drones, down)
-    motion = _free(Stage("land", flight), before.team, i, requirements)
-    return Tied(lasting(motion, step.duration, i, step.name), replace(before, drones=down))
-
-
-def plan_hover(before: Situation, seconds: float, i: int, requirements: Requirements) -> Tied:
-    """Return the plan in which drones on free cables stay for ``seconds`` [s]."""
-    return Tied(_resting(before, seconds, i, requirements), before)
+def hovering(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:
+    """Return the motion in which drones on free cables stay: parked, or hovering."""
+    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
+    motion = free_motion(Stage("parked", rest), before.team, i, requirements)
+    (phase,) = motion.phases
+    hanging = phase.state is CableState.FREE
+    return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
 
 
 def check_start(before: Situation, requirements: Requirements) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     try:
-        check_part(_resting(before, 1.0, 0, requirements), requirements, "at the start (t = 0)")
+        check_part(hovering(before, 1.0, 0, requirements), requirements, "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
@@ -87,15 +80,6 @@ def check_above_ground(motion: Motion) -> None:
     )
 
 
-def _resting(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:
-    """Return the motion in which drones on free cables stay: parked, or holding in the air."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    motion = _free(Stage("parked", rest), before.team, i, requirements)
-    (phase,) = motion.phases
-    hanging = phase.state is CableState.FREE
-    return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
-
-
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
     return joined_motions([_staged(stage, hitch, i, requirements) for stage in stages])
@@ -106,8 +90,8 @@ def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> M
     return _motion(stage, hitch.team, where, i, requirements)
 
 
-def _free(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
-    """Return the motion of drones on free cables that no hitch is told of."""
+def free_motion(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
+    """Return the motion of drones on free cables, of which no hitch is made."""
     breaks = stage.drones.breaks
     middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
     nothing = PiecewisePolynomial.constant

@@ -1,4 +1,4 @@
-"""Motions of single steps: a hitch at rest, a flight, and what every step has to keep."""
+"""Motions of single steps, at rest or flying, with their certificates."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.diagnosis import infeasible
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
+from hitchopt.steps.diagnosis import infeasible
 from hitchopt.trajectory import PiecewisePolynomial
 
 

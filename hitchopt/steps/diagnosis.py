@@ -1,4 +1,4 @@
-"""From a certificate that does not hold to what binds, where and when, and what to change."""
+"""What a certificate that does not hold says: what binds, where and when, and what to change."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def infeasible(
     Parameters
     ----------
     certificate: one that does not hold.
-    separation: what was to be kept, to tell in metres by how much drones are too close.
-    phases: of the plan, to name the step in which it happens.
-    when: told instead, for a certificate of something at rest.
+    separation: the distances required, to tell in metres by how much drones are too close.
+    phases: the plan's, to name the step in which it happens.
+    when: said instead, for a certificate of something at rest.
     """
     return InfeasibleError(
         [

@@ -1,4 +1,4 @@
-"""The hitch that a step ends with, and why its legs are not those that the paper keeps."""
+"""The hitch that a step ends with, and why its legs are not those of the paper."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
-from hitchopt.mission.leg_sharing import LegSharing
-from hitchopt.mission.motions import certificate_at_rest
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.sliding import SLIDES
 from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import certificate_at_rest
+from hitchopt.steps.slack_split import SlackSplit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,21 +26,21 @@ class End:
     Attributes
     ----------
     hitch: at rest.
-    reason: what the legs that should have been kept would break, in words; nothing if they are.
+    reason: what the action's own legs would break, in words; nothing if they break nothing.
     """
 
     hitch: Hitch
     reason: str = ""
 
 
-def shared_hitch(
+def split_hitch(
     team: Team,
     polygon: Outline | ArrayLike,
     altitude: float,
-    legs: LegSharing,
+    legs: SlackSplit,
     requirements: Requirements,
 ) -> Hitch:
-    """Return the hitch with its legs shared as asked."""
+    """Return the hitch whose slack is split as ``legs`` says."""
     if isinstance(legs, np.ndarray):
         return Hitch(team, polygon, altitude, legs)
     if legs == "balanced":
@@ -51,22 +51,22 @@ def shared_hitch(
 
 
 def end_of_morph(
-    start: Hitch, polygon: Outline, legs: LegSharing | None, requirements: Requirements
+    start: Hitch, polygon: Outline, legs: SlackSplit | None, requirements: Requirements
 ) -> End:
-    """Return the hitch on ``polygon``; without ``legs`` shared nearest to the fractions before."""
+    """Return the hitch on ``polygon``; without ``legs`` with fractions nearest to those before."""
     if legs is not None:
-        return End(shared_hitch(start.team, polygon, start.altitude, legs, requirements))
+        return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
     return End(_nearest(start, polygon, start.fractions, requirements))
 
 
-def end_of_action(action: Action, legs: LegSharing | None, requirements: Requirements) -> End:
-    """Return the hitch after an action; without ``legs`` the nearest to those that its law keeps.
+def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
+    """Return the hitch after an action; without ``legs`` with those nearest to its law's.
 
     Those themselves where they keep every limit.
     """
     start, polygon = action.start, action.polygon
     if legs is not None:
-        return End(shared_hitch(start.team, polygon, start.altitude, legs, requirements))
+        return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
     wanted = action.kept_legs
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted)
@@ -92,7 +92,7 @@ def broken_on_the_way(
     """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
     given = shapes_along(path, np.array([s])).legs[0]
     legs = np.where(path.team.layout.has_leg, given, np.inf)
-    place = f"at {s:.0%} of the way"
+    place = f"at {s:.0%} of the path"
     if np.min(legs) <= 0.0:
         k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         name = f"{'qr'[end]}{k}"

@@ -1,39 +1,39 @@
-"""Steps whose cables slide against friction: the planned way again, with legs that lean."""
+"""Steps whose cables slide against friction: the planned motion with legs that lean."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
-from hitchopt.mission.motions import certified
-from hitchopt.mission.planning import Planned
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.friction.leaning import leaning, worth_leaning
 from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import certified
+from hitchopt.steps.situation import StepPlan
 
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
-"""Of the friction that is counted on: the largest at which every limit is kept."""
+"""Shares of the friction to lean against, tried in turn until every limit is satisfied."""
 
 REFUSED = 0.5
-"""Of a share with which a limit is broken, what is tried next: certificates take time."""
+"""Factor of a share that breaks a limit to the next one tried: certificates take time."""
 
 NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
 LONGER = 1.5
-"""Times as long as without friction, and no longer, may a step last for legs to lean so far."""
+"""Most times as long as without friction that a step may last for legs to lean so far."""
 
 
-def against_friction(planned: Planned, requirements: Requirements, *, timed: bool) -> Planned:
+def against_friction(planned: StepPlan, requirements: Requirements, *, timed: bool) -> StepPlan:
     """Return the plan with legs that lean against friction as far as limits allow.
 
     It is the given one where the team's cables have no friction or none of them slides, and where
-    limits leave no room for leaning, which its remarks then say. The way may take up to LONGER
+    limits leave no room for leaning, which its remarks then say. The motion may take up to LONGER
     times as long for it, unless its time is given or the whole plan's is limited.
 
     Parameters
     ----------
     planned: from rest to rest, of a hitch.
-    kept: what every step has to keep.
+    requirements: what the plan must satisfy.
     timed: whether the step's own time is given.
     """
     motion = planned.motion

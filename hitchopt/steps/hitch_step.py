@@ -1,0 +1,169 @@
+"""Steps that a hitch does and is one afterwards: those that change its shape, and actions."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Hitch
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.actions.action import Action
+from hitchopt.planners.actions.flying import Flying, fly_action
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import check_at_rest, flying, resting
+from hitchopt.steps.edits import StepEdit, points_scaled
+from hitchopt.steps.end_hitch import End, broken_on_the_way, end_of_action
+from hitchopt.steps.friction_lean import against_friction
+from hitchopt.steps.route_choice import RouteTask, best_motion
+from hitchopt.steps.situation import StepPlan, StepTask
+from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.steps.step import Array, Step, numbers
+
+IDLE = 0.01
+"""Duration [s] of a step that moves nothing and was given none."""
+
+
+class HitchStep(Step):
+    """A step that begins and ends with a hitch."""
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the step, its legs leaning against friction."""
+        return against_friction(
+            self.fly(task), task.requirements, timed=self.given_duration is not None
+        )
+
+    @abstractmethod
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan as if cables had no friction."""
+
+    def check_end(self, end: Hitch, index: int, requirements: Requirements) -> None:
+        """Raise InfeasibleError where the hitch after the step breaks a limit at rest."""
+        check_at_rest(end, requirements, f"at the end of step {index} ({self.name})")
+
+    def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
+        """Return the motion of a flight, or of a rest where nothing moves."""
+        duration = 0.0 if flight is None else flight.duration
+        phase = Phase(self.name, task.index, 0.0, duration, remark)
+        if flight is None:
+            return resting(end, task.requirements, self.given_duration or IDLE, phase)
+        return flying(flight, end.team, task.requirements, [phase])
+
+
+class ShapeStep(HitchStep):
+    """A step that changes the shape by untimed vertices and legs."""
+
+    blendable: ClassVar[bool] = True
+    legs: SlackSplit | None
+
+    @abstractmethod
+    def end(self, start: Hitch, requirements: Requirements) -> End:
+        """Return the hitch after the step."""
+
+    @abstractmethod
+    def own_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the step's own motion, straight and by its own law of the legs."""
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the step's own plan, or an optimised one where that is needed or asked for."""
+        end = self.end(task.hitch, task.requirements)
+        self.check_end(end.hitch, task.index, task.requirements)
+        found = best_motion(lambda: self.own_motion(task, end), self.route_task(task, end))
+        return task.ended(found.motion, end.hitch, found.certificate)
+
+    def route_task(self, task: StepTask, end: End) -> RouteTask:
+        """Return what a route planner is asked."""
+        return RouteTask(
+            task.hitch,
+            end.hitch,
+            task.requirements,
+            Phase(self.name, task.index, 0.0, 0.0, tension=getattr(self, "tension", None)),
+            self.given_duration,
+            getattr(self, "optimize", False),
+            task.optimiser,
+        )
+
+
+class ActionStep(ShapeStep):
+    """A step that is an action of the paper, which names the drones that move."""
+
+    @abstractmethod
+    def action(self, start: Hitch, requirements: Requirements) -> Action:
+        """Return the action."""
+
+    def end(self, start: Hitch, requirements: Requirements) -> End:
+        """Return the hitch after the action."""
+        return end_of_action(self.action(start, requirements), self.legs, requirements)
+
+    def own_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the motion of the action to the hitch that it ends with."""
+        action = self.action(task.hitch, task.requirements)
+        found = fly_action(action, end.hitch, task.requirements, self.given_duration)
+        remark = self._remark(action, end, found, task.requirements)
+        return self.motion(task, found.flight, end.hitch, remark)
+
+    def _remark(self, action: Action, end: End, found: Flying, requirements: Requirements) -> str:
+        """Return which drones move that the paper does not name, and why."""
+        parts = []
+        if found.turning:
+            parts.append(
+                f"{_all_of(found.turning, 'turn')} as well: tensions differ, so legs turn with "
+                "both edges at their vertex"
+            )
+        if found.sliding:
+            reasons = ["legs are to change"] if self.legs is not None else []
+            reasons += [end.reason] if end.reason else []
+            if found.worst is not None:
+                path = action.path(end.hitch.q_legs)
+                altitude = action.start.altitude
+                reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
+            parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
+        return "; ".join(parts)
+
+
+class MoveStep(ActionStep):
+    """An action that takes something ``to`` a place or ``by`` an offset."""
+
+    to: Array | None
+    by: Array | None
+
+    def check_to_or_by(self, shape: tuple[int, ...], words: str) -> None:
+        """Raise InputError where not exactly one of ``to`` and ``by`` is given, or of wrong shape.
+
+        Parameters
+        ----------
+        shape, words: of ``to``, and how to say it.
+        """
+        if (self.to is None) == (self.by is None):
+            value = None if self.to is None else np.asarray(self.to).tolist()
+            raise InputError(
+                "to", value, "given where by is not, and only there", "give either to or by"
+            )
+        if self.to is not None:
+            object.__setattr__(self, "to", numbers("to", self.to, shape, words))
+        if self.by is not None:
+            object.__setattr__(self, "by", numbers("by", self.by, (2,), "an offset [dx, dy]"))
+
+    def moved(self, points: Array) -> Array:
+        """Return where points (…, 2) [m] go."""
+        return points + np.asarray(self.by) if self.to is None else self.to
+
+    @property
+    def moved_key(self) -> tuple[str, Array | None]:
+        """The key that tells where to, and its value."""
+        return ("by", self.by) if self.to is None else ("to", self.to)
+
+    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit | None, Array]:
+        """Return the edit that scales the place about ``centre``, or the offset."""
+        key, value = self.moved_key
+        about = np.zeros(2) if key == "by" else centre
+        points = points_scaled(np.asarray(value), factor, about)
+        return StepEdit(key, points.tolist(), {key: points}), centre
+
+
+def _all_of(names: tuple[str, ...], verb: str) -> str:
+    """Return such as "r0 slides" or "q1, r0 slide"."""
+    return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"

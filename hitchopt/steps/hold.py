@@ -1,0 +1,56 @@
+"""Hold: nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from hitchopt.motion.motion import Phase
+from hitchopt.steps.certified_motions import resting
+from hitchopt.steps.edits import Tunable, lasting_for
+from hitchopt.steps.free_cables import hovering
+from hitchopt.steps.hitch_step import HitchStep
+from hitchopt.steps.keys import Key
+from hitchopt.steps.situation import StepPlan, StepTask
+from hitchopt.values import positive
+
+
+@dataclass(frozen=True)
+class Hold(HitchStep):
+    """Nothing moves.
+
+    Parameters
+    ----------
+    seconds: how long [s].
+    """
+
+    name: ClassVar[str] = "hold"
+    summary: ClassVar[str] = "Stay"
+    needs_hitch: ClassVar[bool | None] = None
+    seconds: Annotated[float, Key("Positive", "How long [s]", (1.0,))]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seconds", positive("seconds", self.seconds))
+
+    @property
+    def given_duration(self) -> float:
+        """How long it takes [s]."""
+        return self.seconds
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan in which a hitch, or drones on free cables, stay."""
+        if task.before.hitch is not None:
+            return super().plan(task)
+        hover = hovering(task.before, self.seconds, task.index, task.requirements)
+        return StepPlan(hover, task.before)
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan in which a hitch stays."""
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        motion = resting(task.hitch, task.requirements, self.seconds, phase)
+        return task.ended(motion, task.hitch)
+
+    def tunables(self) -> Iterator[Tunable]:
+        """Yield the seconds."""
+        yield lasting_for("seconds", self.seconds)

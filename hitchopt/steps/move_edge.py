@@ -1,0 +1,58 @@
+"""Move an edge: both ends of one edge go elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.planners.actions.action import Action
+from hitchopt.planners.actions.shape_moves import move_edge
+from hitchopt.requirements import Requirements
+from hitchopt.steps.hitch_step import MoveStep
+from hitchopt.steps.keys import VERTEX, Blend, By, Key, LegsAtEnd, Seconds
+from hitchopt.steps.step import Array, check_index, check_within, convex_outline
+
+
+@dataclass(frozen=True, eq=False)
+class MoveEdge(MoveStep):
+    """Both ends of one edge go elsewhere.
+
+    Four drones move, or six where edges turn.
+
+    Parameters
+    ----------
+    edge: which, from 0; edge k runs from vertex k to vertex k + 1.
+    to, by: the new places of its ends (2, 2), or by how much both go (2,) [m]; exactly one of them.
+    legs, duration, blend: as of MoveVertex.
+    """
+
+    name: ClassVar[str] = "move_edge"
+    summary: ClassVar[str] = "Move one edge"
+    edge: Annotated[int, VERTEX]
+    to: Annotated[
+        Array | None,
+        Key("TwoPoints", "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"),
+    ] = None
+    by: By = None
+    legs: LegsAtEnd = None
+    duration: Seconds = None
+    blend: Blend = False
+
+    def __post_init__(self) -> None:
+        check_index("edge", self.edge)
+        self.check_to_or_by((2, 2), "two points [[x, y], [x, y]]")
+        super().__post_init__()
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline with the edge's ends at their new places."""
+        check_within("edge", self.edge, team.robots)
+        points = outline.vertices.copy()
+        ends = [self.edge, (self.edge + 1) % len(points)]
+        points[ends] = self.moved(points[ends])
+        return convex_outline(team, points, *self.moved_key)
+
+    def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
+        """Return the action."""
+        return move_edge(start, self.polygon_after(start.team, start.polygon), self.edge)

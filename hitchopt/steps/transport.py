@@ -1,0 +1,91 @@
+"""Transport: the whole hitch goes elsewhere and turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.planners.path.path_feasibility import check_loads
+from hitchopt.planners.path.rigid_path import RigidPath
+from hitchopt.planners.timing.fly_path import fly
+from hitchopt.steps.hitch_step import HitchStep
+from hitchopt.steps.keys import Key, Seconds
+from hitchopt.steps.situation import StepPlan, StepTask
+from hitchopt.steps.step import Array, convex_outline, numbers
+from hitchopt.values import MAX_COORDINATE, finite
+
+MAX_TURNS = 5
+"""Most turns of one transport: a bounded number of polynomials would not follow more closely."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transport(HitchStep):
+    """The whole hitch goes elsewhere and turns; its shape and legs stay.
+
+    Parameters
+    ----------
+    to: (3,) [m], where the centroid of the outline goes.
+    yaw: by how much it turns about that, counter-clockwise [rad]; more than a turn is one.
+    duration: as of Morph.
+    """
+
+    name: ClassVar[str] = "transport"
+    summary: ClassVar[str] = "Carry the whole hitch"
+    to: Annotated[Array, Key("Point3", "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],))]
+    yaw: Annotated[
+        float,
+        Key(
+            "Angle",
+            "By how much it turns, counter-clockwise [°]",
+            name="yaw_deg",
+            bounds={"ge": -360 * MAX_TURNS, "le": 360 * MAX_TURNS},
+        ),
+    ] = 0.0
+    duration: Seconds = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "to", numbers("to", self.to, (3,), "a point [x, y, z]"))
+        object.__setattr__(self, "yaw", finite("yaw", self.yaw))
+        if abs(self.yaw) > MAX_TURNS * 2.0 * math.pi:
+            raise InputError(
+                "yaw", self.yaw, f"at most {MAX_TURNS} turns either way", "turn in several steps"
+            )
+        super().__post_init__()
+
+    @classmethod
+    def from_file(cls, values: dict[str, Any]) -> Self:
+        """Return the step with the values of a problem file."""
+        return cls(values["to"], math.radians(values["yaw_deg"]), values["duration"])
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline turned about its centroid, which goes to its new place."""
+        if abs(self.to[2]) > MAX_COORDINATE:
+            raise InputError(
+                "to", self.to.tolist(), f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
+            )
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
+        return convex_outline(team, turned + self.to[:2], "to", self.to)
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan of a rigid motion."""
+        start, limits = task.hitch, task.requirements.limits
+        path = RigidPath(start, self.to, self.yaw)
+        outline = self.polygon_after(start.team, start.polygon)
+        end = Hitch(start.team, outline, float(self.to[2]), start.q_legs)
+        self.check_end(end, task.index, task.requirements)
+        if path.still:
+            return task.ended(self.motion(task, None, end), end)
+        check_loads(path, limits)
+        flight = fly(path, limits, self.duration)
+        return task.ended(self.motion(task, flight, end), end)
+
+    def scaled(self, factor: float, centre: Array) -> tuple[None, Array]:  # noqa: ARG002
+        """Return no edit, and the place that the hitch is carried to."""
+        return None, self.to[:2]
