@@ -44,6 +44,7 @@ from hitchopt.hitch.assignment import Assignment as Assignment
 from hitchopt.mission.loading import (
     load_problem as load_problem,
     load_swarm as load_swarm,
+    problem_from_dict as problem_from_dict,
     read_problem as read_problem,
 )
 from hitchopt.mission.memory import forget as forget

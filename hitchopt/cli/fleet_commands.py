@@ -76,7 +76,7 @@ def export(directory: Path, folder: Path | None, **options: Any) -> None:
     """
     from hitchopt.cli.progress import LateProgress
     from hitchopt.exports.export_options import ExportOptions
-    from hitchopt.exports.formats.registry import format_of
+    from hitchopt.exports.formats.known_formats import format_of
     from hitchopt.exports.plan_export import export_motion
     from hitchopt.motion.plan_file import read_plan, read_title
 

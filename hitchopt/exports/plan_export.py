@@ -14,7 +14,7 @@ from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export, export_plan, silent
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
 from hitchopt.exports.formats.format import Format, Progress, Task
-from hitchopt.exports.formats.registry import format_of
+from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.manifest import FILE
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.cutting import stretched

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hitchopt.cli import main
-from hitchopt.exports.formats.registry import HOMES
+from hitchopt.exports.formats.known_formats import HOMES
 from hitchopt.exports.refit import rounding_repair
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem

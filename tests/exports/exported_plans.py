@@ -15,7 +15,7 @@ from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.fleet import placeholder_fleet
 from hitchopt.exports.formats.format import Task
-from hitchopt.exports.formats.registry import format_of
+from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.exports.verification import FLOWN
 from hitchopt.hitch import Quadrotor, Swarm

@@ -28,6 +28,7 @@ from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.fleet import fleet_from_dict, placeholder_fleet, read_fleet
 from hitchopt.exports.formats.crazyswarm2 import KIND
+from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.formats.poly_csv import (
     PIECE_BYTES,
     from_powers,
@@ -35,7 +36,6 @@ from hitchopt.exports.formats.poly_csv import (
     to_powers,
     write_poly_csv,
 )
-from hitchopt.exports.formats.registry import format_of
 from hitchopt.exports.manifest import read_manifest
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at

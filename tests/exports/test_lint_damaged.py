@@ -16,7 +16,7 @@ from exported_plans import exported, swarm_plan
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
-from hitchopt.exports.formats.registry import HOMES
+from hitchopt.exports.formats.known_formats import HOMES
 from hitchopt.exports.formats.skybrush_show import drones_of_show
 from hitchopt.exports.lint.linting import lint
 

@@ -21,7 +21,7 @@ from hitchopt.checks import Certificate
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_plan
-from hitchopt.exports.formats.registry import format_of
+from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.formats.skybrush import write_show
 from hitchopt.exports.formats.skybrush_csv import HEADER, lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import drones_of_show, storage_scale, stored
