@@ -68,9 +68,9 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    still = gaps < STILL
+    resting = gaps < STILL
     # A stretch ends where the vertex stops or starts.
-    changes = np.flatnonzero(still[1:] | still[:-1]) + 1
+    changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
     coefficients = np.empty((len(gaps), places.shape[1], 6))
     still = np.zeros(places.shape[1])
