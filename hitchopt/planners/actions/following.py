@@ -77,7 +77,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
     for first, last in pairwise(bounds):
         span = slice(first, last)
-        if still[first]:
+        if resting[first]:
             coefficients[span] = places[span, :, None]
             continue
         knots = times[first : last + 1]
