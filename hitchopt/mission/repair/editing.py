@@ -32,11 +32,21 @@ def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
 def with_thrust(problem: Problem, factor: float) -> Edited:
     """Return the problem with every largest thrust times ``factor``."""
     kinds = [
-        Quadrotor(kind.mass, _rounded(kind.max_thrust * factor)) for kind in problem.team.quadrotor
+        replace(kind, max_thrust=_rounded(kind.max_thrust * factor))
+        for kind in problem.team.quadrotor
     ]
     team = replace(problem.team, quadrotor=tuple(kinds))
-    values = [{"mass": kind.mass, "max_thrust": kind.max_thrust} for kind in kinds]
+    values = [_as_written(kind) for kind in kinds]
     return Edited(replace(problem, team=team), (Edit("team.quadrotor", _one_or_all(values)),))
+
+
+def _as_written(kind: Quadrotor) -> dict[str, float | bool | None]:
+    """Return what a file says of a kind: mass, thrust, and whatever else is not its default."""
+    return {
+        name: value
+        for name, value in vars(kind).items()
+        if name in ("mass", "max_thrust") or value != getattr(Quadrotor, name)
+    }
 
 
 def with_limit(problem: Problem, name: str, value: float) -> Edited:
