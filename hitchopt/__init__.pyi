@@ -81,6 +81,8 @@ from hitchopt.requirements import (
     Prism as Prism,
     Separation as Separation,
 )
+from hitchopt.settling.settle import settle as settle
+from hitchopt.settling.settled_hitch import Settled as Settled
 from hitchopt.steps import (
     Adjust as Adjust,
     FollowVertex as FollowVertex,
