@@ -84,15 +84,6 @@ class CableLaw:
                 break
         return np.asarray(np.maximum(self.least, T))
 
-    def excess(self, chords: Array, tensions: Array) -> Array:
-        """Return (…, n) [m]: by how much chords, arcs and stretch together exceed L.
-
-        Zero where the cable is taut; negative where it is slack.
-        """
-        found: Array = np.sum(chords, axis=-1) - self.lengths
-        found -= self.compliance * (tensions - self.reference)
-        return found + self._ratio(self._arcs(chords), tensions**2)
-
     def slack(self, tensions: Array) -> NDArray[np.bool_]:
         """Return (…, n) whether cables of these tensions [N] are slack."""
         return np.asarray(tensions <= self.least)
