@@ -10,11 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
+from hitchopt.hitch.position_control import undetermined_tension
 from hitchopt.values import Array, not_negative, positive
 
 AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm: at 0.5 N it is longer by 5e-5. Cables that are
 all but inextensible; without any stretch the tension between rigid drones would be undetermined."""
+
+FRICTION = (
+    "clasps are taken to be without friction: at a clasp where the cable bends by β its tension "
+    "may differ by a factor of up to exp(friction·β)"
+)
+"""What is to be known of a team whose cables rub."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +93,16 @@ class Conditions:
         """Return (2n,), whether the drones' controllers add the cable force."""
         given = team.feed_forward if self.feed_forward is None else self.feed_forward
         return np.broadcast_to(np.asarray(given, np.bool_), (team.drones,))
+
+    def notes(self, team: Team) -> tuple[str, ...]:
+        """Return why the plan does not determine the tensions, and what else is to be known."""
+        integral = team.integral if self.integral is None else np.array(self.integral)
+        notes = undetermined_tension(
+            integral=bool(np.any(integral)), feed_forward=bool(np.all(self.fed_forward(team)))
+        )
+        if team.cable_friction > 0.0:
+            notes += (FRICTION,)
+        return notes
 
     def errors(self, name: str, team: Team) -> Array:
         """Return the ``offsets`` or ``forces`` (…, 2n, 3)."""

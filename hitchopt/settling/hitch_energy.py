@@ -91,11 +91,11 @@ class HitchEnergy:
         across = slack / np.where(spans.chords > 0.0, spans.chords, 1.0)
         stiff = self.law.chord_stiffness(spans.chords, T)
         # by the spans' vectors, then by their ends
-        inner = np.einsum("snpq,snpi,snqj->snpiqj", stiff, u, u)
+        inner = stiff[:, :, :, None, :, None] * u[..., None, None] * u[:, :, None, None]
         side = across[..., None, None] * (np.eye(3) - u[..., :, None] * u[..., None, :])
         own = np.arange(3)
         inner[:, :, own, :, own, :] += np.moveaxis(side, 2, 0)
-        blocks = np.einsum("pa,snpiqj,qb->snaibj", INCIDENCE, inner, INCIDENCE, optimize=True)
+        blocks = _by_ends(_by_ends(inner, 2), 4)
         if self.law.weight > 0.0:
             lift = self.law.weight * np.einsum("pa,snpi,pb,j->snaibj", INCIDENCE, u, MIDDLES, UP)
             blocks += lift + np.einsum("snaibj->snbjai", lift)
@@ -112,3 +112,10 @@ class HitchEnergy:
     def _soft(self) -> Array:
         free = self.rigging.free[: self.rigging.drones]
         return np.where(free, np.where(free, self.stiffness, 1.0), 0.0)
+
+
+def _by_ends(values: Array, axis: int) -> Array:
+    """Return what derivatives by three spans are by their four ends, along ``axis``: INCIDENCEᵀ."""
+    wide = [(0, 0)] * values.ndim
+    wide[axis] = (1, 1)
+    return np.asarray(-np.diff(np.pad(values, wide), axis=axis))
