@@ -64,8 +64,12 @@ class CompressedBytes(CrazyflieFormat):
     accuracy = 2e-3
     feed_forward = (
         "not in these files: the on-board controller differentiates the curve and adds gravity, "
-        "but not the cable's pull; its integral has to find it, or stream full states (ros2bag)"
+        "but not the cable's pull; its integral brings drones to their places and leaves the "
+        "tension to the cables' lengths: stream full states (ros2bag), or turn it off and export "
+        "with --hold-tension"
     )
+    carries_pull = False
+    receiver_integral = True
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many segments memory holds: they are longer the more axes move."""

@@ -169,10 +169,22 @@ To start in step by other means:
  4. startTrajectory(0, relative=False), as one broadcast to all drones. With relative=True, which
     is the default, every drone would add its own position, and the team would fly apart.
 
-The cables' pull is not in the polynomials: the on-board controller has to find it by its integral.
+{pull}
 Drones stand below their first points before take-off: mind the cables there.
 Before every flight: hitchopt lint on this folder.
 """
+
+
+NO_PULL = """\
+The cables' pull is not in the polynomials, and the on-board controller's integral does not find
+it: that brings drones to their places, where any tension may be. Turn it off and export with
+--hold-tension, or stream full states."""
+"""What the note says of the cables' pull."""
+
+HELD_PULL = """\
+The polynomials are moved outward: drones without feed-forward of the cables' pull are where the
+plan says. Turn the on-board controller's integral off, and set the gains that the export stated."""
+"""What it says where set points hold the tension."""
 
 
 def note_text(task: Task, duration: float) -> str:
@@ -184,4 +196,5 @@ def note_text(task: Task, duration: float) -> str:
         frame=task.frame.name,
         duration=duration,
         placeholders="" if task.fleet.given else hint,
+        pull=HELD_PULL if task.options.hold_tension else NO_PULL,
     )
