@@ -15,15 +15,17 @@ that set points end at rest, too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchopt.checks.bounds.rates import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.exports.recording import lasted
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import on_breaks
 from hitchopt.values import Array, positive
@@ -49,6 +51,10 @@ PROBES = 3
 REST = 2.0
 """[s] Time by which the plan is prolonged; what is left of the offset's motion is then
 ``exp(-REST c/2m)``, 5e-5 at c/m = 10/s, and nothing that receivers could resolve."""
+
+SPARE = 0.2
+"""Share by which limits of speed and acceleration exceed the set points': whole millimetres cost
+some cm/s where pieces are short."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,15 +161,30 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     degree = max(split.drones.degree, DEGREE)
     places = bernstein.elevate(split.drones.coefficients, degree)
     places = places + bernstein.elevate(offsets.coefficients, degree)
-    parts = dict(vars(split)) | {"drones": PiecewisePolynomial(breaks, places)}
+    drones = PiecewisePolynomial(breaks, places)
+    parts = dict(vars(split)) | {
+        "drones": drones,
+        "requirements": _eased(split.requirements, drones),
+    }
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
     return HeldTension(Motion(**parts), loop, largest, miss)
+
+
+def _eased(requirements: Requirements, drones: PiecewisePolynomial) -> Requirements:
+    """Return requirements whose speed and acceleration set points keep: shows state such limits."""
+    limits, share = requirements.limits, 1.0 + SPARE
+    eased = replace(
+        limits,
+        speed=max(limits.speed, share * largest_rate(drones, 1).worst),
+        acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
+    )
+    return replace(requirements, limits=eased)
 
 
 def _prolonged(motion: Motion) -> Motion:
     end = float(motion.drones.breaks[-1]) + REST
     *phases, last = motion.phases
-    longer = (*phases, type(last)(**{**vars(last), "end": end}))
+    longer = (*phases, replace(last, end=end))
     return motion.untimed.changed(lambda part: lasted(part, end), longer)
 
 

@@ -42,6 +42,9 @@ KIND = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=LONGEST)
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
 
+UNLIMITED = 1e6
+"""[m/s], [N] Speed and thrust beyond all that is flown."""
+
 BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
 """Errors of the refit over Scale, the best first: long pieces fit worse and suffer less from
 rounding."""
@@ -131,13 +134,19 @@ def compressed(task: Task, bound: float, accuracy: float) -> dict[str, bytes]:
 
 
 def keeping_of(task: Task, breaks: Array, accuracy: float) -> Keeping:
-    """Return the limits that rounding may break: speed and thrust, in the file's axes."""
+    """Return the limits that rounding may break: speed and thrust, in the file's axes.
+
+    Set points that hold the tension have none: they are not where the drones are.
+    """
     motion = task.motion
     t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
     mass = motion.team.mass
     weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
     load = task.frame.vectors(weight - states_at(motion, t).cable_forces)
-    return Keeping(motion.requirements.limits.speed, mass, motion.team.max_thrust, load, accuracy)
+    speed, thrust = motion.requirements.limits.speed, motion.team.max_thrust
+    if task.options.hold_tension:
+        speed, thrust = UNLIMITED, np.full(len(mass), UNLIMITED)
+    return Keeping(speed, mass, thrust, load, accuracy)
 
 
 def read_compressed(path: Path) -> PiecewisePolynomial:
