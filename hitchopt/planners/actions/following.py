@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InfeasibleError, Violation
@@ -14,8 +13,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import legs_kept_by_vertex, vertex_movers
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SAME_PLACE = 1e-6
 """[m] Largest distance of a point at t = 0 from the vertex."""

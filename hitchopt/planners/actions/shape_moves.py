@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action, drone_names, straight_vertices
 from hitchopt.planners.timing.flight_curves import MOVES
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:

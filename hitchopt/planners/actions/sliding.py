@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.planners.path.leg_law import (
@@ -20,8 +19,6 @@ from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
-
-Array = NDArray[np.float64]
 
 SLIDES = 1e-6
 """[m] A cable whose legs would change by less keeps them exactly."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.planners.path.jets import polynomials_through
 from hitchopt.planners.path.shape_path import ShapePath, path_jets
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.fly_path import FINEST, MODEL_ERROR
 from hitchopt.trajectory import PiecewisePolynomial, joined
-
-Array = NDArray[np.float64]
 
 PROBES = np.array([0.21, 0.5, 0.79])
 """Places in a piece where its polynomials are compared with the model."""

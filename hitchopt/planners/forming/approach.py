@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
@@ -26,8 +25,7 @@ from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.separation import SeparationTask, Tether, separate
 from hitchopt.requirements import Limits, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DRAWN = 1.6
 """Separation [1] of a gathered robot's two drones."""
@@ -220,5 +218,4 @@ def _spaced(points: Array, least: float) -> Array:
 def _lowest(team: Team, drones: Array) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m]."""
     q, r = drones[0::2], drones[1::2]
-    lowest: Array = q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
-    return lowest
+    return q[:, 2] + Catenary.between(q, r, team.cable_length).lowest

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.planners.forming.clock import advanced
 from hitchopt.planners.forming.reserve import SHARE
 from hitchopt.planners.path.jets import chained
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 Curve = Callable[[Array, int], Array]
 """Function of parameters (J,) and the order of a derivative by them; gives (J, drones, 3) [m]."""

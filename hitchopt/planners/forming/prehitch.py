@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
@@ -21,8 +20,7 @@ from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.planners.forming.turns import APART, Turns, half_that_clears, rise_that_clears
 from hitchopt.requirements import Separation
 from hitchopt.time_limit import check_time
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 """Shares of the hitch's legs, in the order in which they are tried."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import hanging_forces
 from hitchopt.requirements import Limits
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SHARE = 0.999
 """Share of every limit that plans use."""

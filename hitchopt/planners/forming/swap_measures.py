@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.turns import Turns
 from hitchopt.requirements import Separation
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ANGLES = 73
 """Number of angles that are measured; the certificate bounds all of them."""

@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.requirements import Separation
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""

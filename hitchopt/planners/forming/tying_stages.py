@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import PreHitch
@@ -15,8 +14,7 @@ from hitchopt.planners.forming.swap_clock import swap
 from hitchopt.planners.forming.swap_settings import SwapSettings
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 PULL_SECONDS = 1.0
 """[s] Duration of the rise of the tensions, against which drones tilt."""

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.planners.forming.clock import fastest_clock
@@ -15,8 +14,7 @@ from hitchopt.planners.forming.reserve import accelerations
 from hitchopt.planners.forming.straight import PAUSE
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LEAST_TURN = 1e-6
 """[rad] Smallest angle that is turned."""

@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SHORTEST_EDGE = 0.3
 """Least share of the shorter of an edge's two lengths on the path."""
@@ -83,8 +81,7 @@ def _unwrapped(polygon: ConvexPolygon) -> Array:
 
 
 def _line(first: Array, last: Array, s: Array) -> Array:
-    line: Array = first + s[:, None, None] * (last - first)
-    return line
+    return first + s[:, None, None] * (last - first)
 
 
 def _rotated(points: Array, angles: Array) -> Array:

@@ -17,8 +17,6 @@ from hitchopt.planners.optimise.nlp_draft import Draft
 from hitchopt.planners.optimise.search_task import Search, SolverStep
 from hitchopt.planners.optimise.separating_rows import instants, rows_at_knots, rows_between
 
-Array = NDArray[np.float64]
-
 FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 

@@ -11,9 +11,7 @@ from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.parts import Parts, end_combinations
 from hitchopt.requirements import Separation
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +27,10 @@ class NearPairs:
     enforced: (m,) [m], the distance to enforce.
     """
 
-    frame: Index
-    first: Index
-    second: Index
-    kind: Index
+    frame: Indices
+    first: Indices
+    second: Indices
+    kind: Indices
     normal: Array
     enforced: Array
 
@@ -40,7 +38,7 @@ class NearPairs:
         """Return the pairs where ``which`` (m,) holds."""
         return NearPairs(*(getattr(self, field.name)[which] for field in fields(self)))
 
-    def sides(self) -> tuple[Index, Index, Index]:
+    def sides(self) -> tuple[Indices, Indices, Indices]:
         """Return (pair, node of the first, node of the second) of all their ends against all.
 
         Bodies whose ends all lie on their sides of a normal are apart by as much.
@@ -74,7 +72,7 @@ def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: floa
 
 def _near(
     nodes: Array, parts: Parts, limits: Array, cutoff: float
-) -> tuple[Index, Index, Index, Index]:
+) -> tuple[Indices, Indices, Indices, Indices]:
     """Return (instant, body, body, kind) of all pairs whose boxes come near; nodes (K, 3n, 2)."""
     corners = nodes[:, parts.nodes]
     lower, upper = corners.min(axis=2).reshape(-1, 2), corners.max(axis=2).reshape(-1, 2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import length
@@ -22,8 +21,6 @@ from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
 
 CLOSEST = 0.3
 """Share of their limits that the distances of a guess must exceed for it to be tried."""

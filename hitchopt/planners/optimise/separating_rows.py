@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
 from hitchopt.planners.optimise.search_task import Search
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 FINER = 4
 """Factor on the instants in the first and the last step, where a hitch starts or ends that barely
@@ -94,7 +91,7 @@ def _pairs_apart(path: KnotPath, there: Array, places: Array, pairs: NearPairs) 
 
 
 def _chords(
-    at_knots: Array, there: Array, places: Array, sums: tuple[Index, Index, Array]
+    at_knots: Array, there: Array, places: Array, sums: tuple[Indices, Indices, Array]
 ) -> tuple[sparse.csc_matrix, Array]:
     """Return sums of variables at places, by those at the knots around: ``rows @ x + bow``.
 
@@ -109,7 +106,7 @@ def _chords(
     knot = places[frame].astype(np.intp)
     share = places[frame] - knot
     bow = np.sum(weights * there[frame[:, None], variables], axis=1)
-    entries: list[tuple[Array, Index, Index]] = []
+    entries: list[tuple[Array, Indices, Indices]] = []
     for at, part in ((knot, 1.0 - share), (knot + 1, share)):
         inner = np.flatnonzero((at > 0) & (at < steps) & (part > 0.0))
         slope, own = part[inner, None] * weights[inner], variables[inner]

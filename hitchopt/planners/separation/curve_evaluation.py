@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
@@ -19,8 +18,7 @@ from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STRETCH = 1.0 / LIMIT_SHARE
 """Stretch of the shortest duration: a reserve for the rounding and refitting of exports."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.checks.certificate import within
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.planners.separation.task import SeparationTask
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 HALF = 0.5
 """Share of the checks' tolerance that is used here; certificates need the rest for rounding."""

@@ -12,12 +12,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.time_limit import check_time, time_left
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ACCURACY = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""

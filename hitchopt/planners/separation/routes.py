@@ -19,8 +19,7 @@ from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena, Prism
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STAND_OFF = 1.25
 """Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
@@ -19,8 +18,8 @@ from hitchopt.planners.separation.separation_program import MARGIN, Around, buil
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
 from hitchopt.planners.separation.walls import walls_before
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 GUESSES = (

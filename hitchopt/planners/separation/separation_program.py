@@ -21,9 +21,7 @@ from hitchopt.planners.separation.setting import Setting, inside
 from hitchopt.planners.separation.spline import DEGREE, HELD
 from hitchopt.planners.separation.walls import Walls
 from hitchopt.requirements import Arena
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 MARGIN = 0.01
 """Margin of every plane, in separations: OSQP errs by some thousandths."""

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.planners.separation.delays import departures, progress_along
 from hitchopt.planners.separation.fastest import fastest_ramps
@@ -14,8 +13,7 @@ from hitchopt.planners.separation.routes import routes_along, routes_around
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 RAMP_PIECES = 3
 """Number of pieces of a ramp: the fastest flight is resolved to within 2 %."""

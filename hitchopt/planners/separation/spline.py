@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DEGREE = 5
 """Degree of the curves, with which jerk is continuous as well."""
@@ -71,8 +69,7 @@ class Grid:
         """Return the basis functions, or a derivative of theirs, at ``s`` as (*s.shape, count)."""
         splines = BSpline(self.knots, np.eye(self.count), DEGREE)
         function = splines.derivative(derivative) if derivative else splines
-        values: Array = function(np.clip(s, 0.0, 1.0))
-        return values
+        return function(np.clip(s, 0.0, 1.0))
 
     @cached_property
     def quadrature(self) -> tuple[Array, Array]:

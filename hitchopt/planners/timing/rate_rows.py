@@ -13,13 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 ACCELERATION, JERK, THRUST, TILT = range(4)
 
@@ -77,7 +74,7 @@ class RateRows:
     e: Array
 
     @classmethod
-    def of(cls, path: ClockedPath, drones: Index) -> RateRows:
+    def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
         """Return the rows of the speed and of given drones.
 
         Parameters
@@ -161,8 +158,7 @@ class RateRows:
 
 def _square(A: Array) -> Array:
     """Return AᵀA for A (…, d, 3)."""
-    square: Array = np.swapaxes(A, -1, -2) @ A
-    return square
+    return np.swapaxes(A, -1, -2) @ A
 
 
 def _double(A: Array, load: Array) -> Array:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import toppra
-from numpy.typing import NDArray
 from toppra import algorithm, constraint
 from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
@@ -17,8 +16,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 logging.getLogger("toppra").setLevel(logging.ERROR)  # its complaints become a TimingError
 
@@ -36,8 +34,7 @@ class TimingError(HitchoptError):
 
 def path_grid(steps: int) -> Array:
     """Return (steps + 1,) from 0 to 1, closer at the ends, where the path is left from rest."""
-    grid: Array = 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
-    return grid
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +66,11 @@ class SpeedProfile:
         times = self.times
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         inside = (t >= 0.0) & (t <= times[-1])
-        acceleration: Array = np.where(inside, (np.diff(self.speed) / np.diff(times))[i], 0.0)
-        return acceleration
+        return np.where(inside, (np.diff(self.speed) / np.diff(times))[i], 0.0)
 
     def mean(self, t: Array, width: float) -> Array:
         """Return the mean of s over the ``width`` [s] before t (…); at rest before and after."""
-        mean: Array = (self._integral(t) - self._integral(t - width)) / width
-        return mean
+        return (self._integral(t) - self._integral(t - width)) / width
 
     def _integral(self, t: Array) -> Array:
         """Return the integral of s from 0 to t (…)."""

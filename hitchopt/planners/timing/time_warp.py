@@ -27,8 +27,8 @@ from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.fastest_rate import DEGREE, RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
 from hitchopt.planners.timing.speed_profile import SpeedProfile
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 DemandsAt = Callable[[Array], Demands]
 """Demands of the path at given s."""
 
