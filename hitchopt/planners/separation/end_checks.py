@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -19,69 +21,63 @@ MOST = 10
 
 def check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
-    ends = (
+    found: list[Violation] = []
+    for points, when, end in (
         (task.start, "at the start (t = 0)", "start"),
         (task.goal, "at the goals (the plan's end)", "goal"),
-    )
-    checks = (_too_close, _outside, _within, _parted)
-    found = [violation for end in ends for check in checks for violation in check(task, *end)]
+    ):
+        found += _too_close(task, points, when, end)
+        found += _outside(task, points, when, end)
+        found += _within(task, points, when, end)
+        found += _parted(task, points, when, end)
     if found:
         raise InfeasibleError(found)
 
 
-def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+def _worst(values: Array, limit: float, sense: str, size: float) -> list[tuple[int, float]]:
+    """Return the index of each value that is beyond its limit and the value, MOST at most."""
+    sign = 1.0 if sense == "min" else -1.0
+    least = sign * within(limit, sense, size, HALF)
+    order = np.argsort(sign * values)[:MOST].tolist()
+    return [(i, float(values[i])) for i in order if sign * values[i] < least]
+
+
+def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
     scaled = points * task.requirements.separation.scale
-    least = within(1.0, "min", float(np.max(np.abs(scaled))), HALF)
-    pairs = cKDTree(scaled).query_pairs(least, output_type="ndarray")
-    ratio = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
-    found = []
-    for k in np.argsort(ratio)[:MOST]:
-        i, j = sorted(pairs[k])
-        apart = float(np.linalg.norm(points[i] - points[j]))
+    pairs = np.sort(cKDTree(scaled).query_pairs(1.0, output_type="ndarray"), axis=1)
+    ratios = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
+    for k, ratio in _worst(ratios, 1.0, "min", float(np.max(np.abs(scaled)))):
+        i, j = pairs[k]
+        apart = np.linalg.norm(points[i] - points[j])
         remedy = f"they are {apart:.3g} m apart: move one {end} away from the other"
         names = (task.names[i], task.names[j])
-        value = float(ratio[k])
-        found.append(Violation("separation", value, 1.0, "min", "ratio", names, when, remedy))
-    return found
+        yield Violation("separation", ratio, 1.0, "min", "ratio", names, when, remedy)
 
 
-def _outside(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
-    if task.requirements.arena is None:
-        return []
-    lower, upper = task.requirements.arena.lower, task.requirements.arena.upper
-    room = np.minimum(points - lower, upper - points).min(axis=1)
-    least = within(0.0, "min", float(np.max(np.abs(points))), HALF)
-    remedy = f"move the {end} inside, or the wall out"
-    return [
-        Violation("arena", float(room[i]), 0.0, "min", "m", (task.names[i],), when, remedy)
-        for i in np.argsort(room)[:MOST]
-        if room[i] < least
-    ]
+def _outside(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
+    arena = task.requirements.arena
+    if arena is not None:
+        inside = np.minimum(points - arena.lower, arena.upper - points).min(axis=1)
+        remedy = f"move the {end} inside, or the wall out"
+        for i, distance in _worst(inside, 0.0, "min", float(np.max(np.abs(points)))):
+            yield Violation("arena", distance, 0.0, "min", "m", (task.names[i],), when, remedy)
 
 
-def _within(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+def _within(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
     limit = task.requirements.separation.radius
-    least = within(limit, "min", float(np.max(np.abs(points))), HALF)
     remedy = f"move the {end} away from the prism"
-    found = []
     for k, prism in enumerate(task.requirements.keep_out):
-        distance = np.maximum(prism.clearance(points).distance, 0.0)
-        for i in np.argsort(distance)[:MOST]:
-            if distance[i] < least:
-                where = (task.names[i], f"prism {k}")
-                value = float(distance[i])
-                found.append(Violation("keep_out", value, limit, "min", "m", where, when, remedy))
-    return found
+        distances = np.maximum(prism.clearance(points).distance, 0.0)
+        for i, distance in _worst(distances, limit, "min", float(np.max(np.abs(points)))):
+            where = (task.names[i], f"prism {k}")
+            yield Violation("keep_out", distance, limit, "min", "m", where, when, remedy)
 
 
-def _parted(task: SeparationTask, points: Array, when: str, end: str) -> list[Violation]:
+def _parted(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
     first, second, longest = task.tether_arrays
     ratios = np.linalg.norm(points[first] - points[second], axis=1) / longest
-    sizes = np.max(np.abs(points)) / longest
+    size = float(np.max(np.abs(points)) / np.min(longest, initial=np.inf))
     remedy = f"move the {end}s together, or take a longer cable"
-    found = []
-    for i, j, ratio, size in zip(first, second, ratios.tolist(), sizes.tolist(), strict=True):
-        if ratio > within(1.0, "max", size, HALF):
-            names = (task.names[i], task.names[j])
-            found.append(Violation("span", ratio, 1.0, "max", "ratio", names, when, remedy))
-    return found
+    for k, ratio in _worst(ratios, 1.0, "max", size):
+        names = (task.names[first[k]], task.names[second[k]])
+        yield Violation("span", ratio, 1.0, "max", "ratio", names, when, remedy)
