@@ -119,7 +119,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
             solution = solver.solve(built.program, first, built.common_rows)
         except ProgramError:
             break
-        here = evaluate(setting, built.moved(solution.x))
+        here = evaluate(setting, built.moved(solution))
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
         idle = 0 if _merit(setting, here) < (1.0 - GAIN) * _merit(setting, best) else idle + 1
         if _merit(setting, here) < _merit(setting, best):

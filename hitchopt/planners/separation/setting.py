@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.planners.separation.delays import departures, progress_along
-from hitchopt.planners.separation.fastest import fastest_ramps
 from hitchopt.planners.separation.routes import routes_along, routes_around
+from hitchopt.planners.separation.single_flights import departures, fastest_ramps, progress_along
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Arena
@@ -123,18 +122,11 @@ def inside(arena: Arena, points: Array) -> Array:
     return np.clip(points, arena.lower + room, arena.upper - room)
 
 
-def at_rest(grid: Grid, start: Array, goal: Array) -> Array:
-    """Return coefficients (N, count, 3) that hold both ends and are zero in between."""
-    coefficients = np.zeros((len(start), grid.count, 3))
-    coefficients[:, :HELD] = start[:, None]
-    coefficients[:, -HELD:] = goal[:, None]
-    return coefficients
-
-
 def _fitted(task: SeparationTask, grid: Grid, s: Array, points: Array) -> Array:
-    """Return the splines nearest to points (N, samples, 3) at ``s``."""
+    """Return the splines from start to goal nearest to points (N, samples, 3) at ``s``."""
     basis = grid.sampled(s)
-    coefficients = at_rest(grid, task.start, task.goal)
+    coefficients = np.zeros((len(points), grid.count, 3))
+    coefficients[:, :HELD], coefficients[:, -HELD:] = task.start[:, None], task.goal[:, None]
     rest = points - np.einsum("sc,ncd->nsd", basis, coefficients)
     free = basis[:, grid.free]
     fitting = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
