@@ -18,9 +18,8 @@ from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.swap_clock import swap
 from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.turns import APART, Turns, rise_that_clears
+from hitchopt.planners.forming.turns import APART, Turns, rise_that_clears, swap
 from hitchopt.planners.forming.tying_stages import tied, undone
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.requirements import Limits, Separation

@@ -144,7 +144,7 @@ def test_osqp_that_was_interrupted_ends_the_plan() -> None:
         sp.csc_array(sp.eye(2)), 0.3 * one, sp.csc_array(sp.eye(2)), -one, one
     )
     found = Solver()
-    np.testing.assert_allclose(found.solve(program, one, 0).x, -0.3 * one, atol=1e-3)
+    np.testing.assert_allclose(found.solve(program, one, 0), -0.3 * one, atol=1e-3)
     found._osqp = Interrupted(found._osqp)
     with pytest.raises(KeyboardInterrupt):
         found.solve(program, one, 0)

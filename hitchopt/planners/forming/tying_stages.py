@@ -10,8 +10,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import PreHitch
 from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import tightened
-from hitchopt.planners.forming.swap_clock import swap
 from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import swap
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
