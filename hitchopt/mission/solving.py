@@ -77,7 +77,7 @@ def _solved(
     motion = joined_motions([part.motion for part in parts])
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
-        broken = infeasible(certificate, requirements.separation, motion.phases)
+        broken = infeasible(certificate, motion)
         raise _advised(broken, certificate, motion, steps)
     if isinstance(start, DronesStart):
         check_above_ground(motion)

@@ -48,7 +48,7 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
     motion = Motion.single(problem.team, problem.requirements, found.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise infeasible(certificate, problem.separation, motion.phases)
+        raise infeasible(certificate, motion)
     return Certified(motion, certificate)
 
 

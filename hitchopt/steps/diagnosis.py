@@ -5,25 +5,21 @@ from __future__ import annotations
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError
-from hitchopt.motion.motion import Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.requirements import Separation
 
 
-def infeasible(
-    certificate: Certificate,
-    separation: Separation,
-    phases: tuple[Phase, ...] = (),
-    when: str = "",
-) -> InfeasibleError:
+def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
     """Return the error that tells what a certificate's broken checks say.
 
     Parameters
     ----------
     certificate: one that does not hold.
-    separation: the distances required, to tell in metres by how much drones are too close.
-    phases: the plan's, to name the step in which it happens.
+    motion: whose it is: its separation tells in metres by how much drones are too close, its phases
+        in which step it happens.
     when: said instead, for a certificate of something at rest.
     """
+    separation, phases = motion.requirements.separation, motion.phases
     return InfeasibleError(
         [
             check.violation(

@@ -106,7 +106,7 @@ class FollowVertex(ActionStep):
         """Return the plan along the points; there is no other route."""
         end = self.end(task.hitch, task.requirements)
         self.check_end(end.hitch, task.index, task.requirements)
-        return task.ended(self.own_motion(task, end), end.hitch)
+        return task.ended(self.own_route(task, end).motion(), end.hitch)
 
     def advice(self, check: str) -> str:
         """Return that more time helps, where it does."""

@@ -11,7 +11,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action
-from hitchopt.planners.actions.shape_moves import legs_kept_by_vertex, vertex_movers
+from hitchopt.planners.actions.shape_moves import vertex_law
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -46,17 +46,8 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     coefficients = np.repeat(still, track.degree + 1, axis=-1)
     coefficients[:, vertex, :2] = track.coefficients
     seconds = float(times[-1])
-    breaks = times / seconds
-    length, share = legs_kept_by_vertex(start, vertex)
-    return Action(
-        start,
-        polygon,
-        PiecewisePolynomial(breaks, coefficients),
-        length,
-        share,
-        vertex_movers(start, vertex),
-        seconds,
-    )
+    path = PiecewisePolynomial(times / seconds, coefficients)
+    return Action(start, polygon, *vertex_law(start, vertex), path, seconds)
 
 
 def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
@@ -79,12 +70,8 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
             coefficients[span] = places[span, :, None]
             continue
         knots = times[first : last + 1]
-        spline = make_interp_spline(
-            knots - knots[0],
-            places[first : last + 1],
-            k=5,
-            bc_type=(rest, rest),  # type: ignore[arg-type]
-        )
+        met = places[first : last + 1]
+        spline = make_interp_spline(knots - knots[0], met, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
         coefficients[span] = PiecewisePolynomial.from_spline(spline).coefficients
         coefficients[span, :, 0] = places[first:last]
         coefficients[span, :, -1] = places[first + 1 : last + 1]
@@ -94,18 +81,11 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
 def _check_begin(here: Array, first: Array, vertex: int) -> None:
     away = float(np.linalg.norm(first - here))
     if away > SAME_PLACE:
+        where = (f"p{vertex}",)
+        remedy = (
+            f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
+            f"{here.round(9).tolist()}: begin there, or later"
+        )
         raise InfeasibleError(
-            [
-                Violation(
-                    "continuity",
-                    away,
-                    SAME_PLACE,
-                    "max",
-                    "m",
-                    (f"p{vertex}",),
-                    "at t = 0",
-                    f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
-                    f"{here.round(9).tolist()}: begin there, or later",
-                )
-            ]
+            [Violation("continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy)]
         )

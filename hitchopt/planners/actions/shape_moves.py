@@ -6,7 +6,7 @@ import numpy as np
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
-from hitchopt.planners.actions.action import Action, drone_names, straight_vertices
+from hitchopt.planners.actions.action import Action, drone_names
 from hitchopt.planners.timing.flight_curves import MOVES
 from hitchopt.values import Array
 
@@ -17,35 +17,24 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     ``e_k`` and ``d_{k-1}`` are kept, so ``q_k``, ``r_{k-1}`` go with the vertex and ``q_{k+1}``,
     ``r_{k-2}`` turn with its edges; where tensions differ, so may others at ``p_{k-1}, p_{k+1}``.
     """
-    length, share = legs_kept_by_vertex(start, vertex)
-    return Action(
-        start,
-        polygon,
-        straight_vertices(start, polygon),
-        length,
-        share,
-        vertex_movers(start, vertex),
-    )
+    return Action(start, polygon, *vertex_law(start, vertex))
 
 
-def legs_kept_by_vertex(start: Hitch, vertex: int) -> tuple[Array, Array]:
-    """Return length and share of the law under which a vertex moves: ``e_k`` kept, else ``d``."""
-    length, share = start.q_legs.copy(), np.zeros(start.team.robots)
-    if start.team.layout.closed or vertex < start.team.robots:
-        length[vertex], share[vertex] = -start.legs[vertex, 1], 1.0
-    return length, share
+def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return length and share of the law by which a vertex moves, and the drones that it names.
 
-
-def vertex_movers(start: Hitch, vertex: int) -> tuple[str, ...]:
-    """Return the four drones that the paper names, fewer near a chain's ends.
-
-    At its very ends the edge's cable has one leg only, whose drone moves as the edge's length does.
+    ``e_k`` is kept, else ``d``. The paper names four drones, fewer near a chain's ends. At its very
+    ends the edge's cable has one leg only, whose drone moves as the edge's length does.
     """
+    closed, n = start.team.layout.closed, start.team.robots
+    length, share = start.q_legs.copy(), np.zeros(n)
+    if closed or vertex < n:
+        length[vertex], share[vertex] = -start.legs[vertex, 1], 1.0
     q, r = [vertex, vertex + 1], [vertex - 1, vertex - 2]
-    if not start.team.layout.closed:
+    if not closed:
         r += [0] if vertex == 0 else []
-        q += [vertex - 1] if vertex == start.team.robots else []
-    return drone_names(start.team, q, r)
+        q += [vertex - 1] if vertex == n else []
+    return length, share, drone_names(start.team, q, r)
 
 
 def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
@@ -66,8 +55,7 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
         r.append(edge - 2)
     if _turned(start, polygon, edge + 1):
         q.append(edge + 2)
-    named = drone_names(start.team, q, r)
-    return Action(start, polygon, straight_vertices(start, polygon), length, share, named)
+    return Action(start, polygon, length, share, drone_names(start.team, q, r))
 
 
 def adjust(start: Hitch, q_legs: Array) -> Action:
@@ -75,15 +63,9 @@ def adjust(start: Hitch, q_legs: Array) -> Action:
 
     Drones move of those cables only whose legs change.
     """
-    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES)
-    return Action(
-        start,
-        start.polygon,
-        straight_vertices(start, start.polygon),
-        start.q_legs.copy(),
-        np.zeros(start.team.robots),
-        drone_names(start.team, sliding.tolist(), sliding.tolist()),
-    )
+    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES).tolist()
+    named = drone_names(start.team, sliding, sliding)
+    return Action(start, start.polygon, start.q_legs, np.zeros(start.team.robots), named)
 
 
 def _turned(start: Hitch, polygon: Outline, edge: int) -> bool:

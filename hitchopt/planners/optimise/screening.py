@@ -102,10 +102,10 @@ def clear(knots: KnotPath, search: Search) -> bool:
     return bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
 
 
-def judged(path: KnotPath, search: Search) -> Flight | None:
+def judged(path: ShapePath, search: Search) -> Flight | None:
     """Return the flight along a path if it satisfies every limit all of the time."""
     try:
-        flight = search.judge(path.path())
+        flight = search.judge(path)
     except (InfeasibleError, TimingError, WarpError):
         return None
     return flight if flight and _tensions_within(flight, search.tension) else None
