@@ -75,15 +75,12 @@ def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) 
 
     At the hitch's own altitude. The certificate bounds it at every time.
     """
-    best: PreHitch | None = None
+    looked_at = []
     for found in _candidates(hitch, separation, settings):
         if found.shortfall <= 0.0:
             return found
-        if best is None or found.shortfall < best.shortfall:
-            best = found
-    if best is None:
-        raise RuntimeError("no pre-hitch was looked at")
-    return best
+        looked_at.append(found)
+    return min(looked_at, key=lambda found: found.shortfall)
 
 
 def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:

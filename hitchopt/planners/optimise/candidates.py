@@ -204,11 +204,8 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
             continue
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
-        choices = [path]
-        if faster:
-            best = min([*faster, path], key=lambda choice: estimate(choice, search.requirements))
-            choices = list(dict.fromkeys([best, path]))
-        for choice in choices:
+        best = min([*faster, path], key=lambda choice: estimate(choice, search.requirements))
+        for choice in dict.fromkeys([best, path]):
             shape = choice.path()
             flight = judged(shape, search)
             if flight is not None:

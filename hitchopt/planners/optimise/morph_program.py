@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.model_rows import keep_apart, tie_drones
-from hitchopt.planners.optimise.nlp_draft import Draft
+from hitchopt.planners.optimise.model_rows import Draft, keep_apart, tie_drones
 from hitchopt.planners.optimise.search_task import Search, SolverStep, variable_bounds
 from hitchopt.values import Array
 
