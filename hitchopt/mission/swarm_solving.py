@@ -13,8 +13,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.steps.certified_motions import Certified
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, infeasible
 
 Array = NDArray[np.float64]
 

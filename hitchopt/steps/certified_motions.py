@@ -1,16 +1,17 @@
-"""Motions of single steps, at rest or flying, with their certificates."""
+"""Motions of single steps, at rest or flying, with their certificates and what these say."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.requirements import Requirements
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -68,3 +69,49 @@ def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
     checked(at_rest(hitch, requirements), when)
+
+
+def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
+    """Return the error that tells what a certificate's broken checks say.
+
+    Parameters
+    ----------
+    certificate: one that does not hold.
+    motion: whose it is: its separation tells in metres by how much drones are too close, its phases
+        in which step it happens.
+    when: said instead, for a certificate of something at rest.
+    """
+    separation, phases = motion.requirements.separation, motion.phases
+    return InfeasibleError(
+        [
+            check.violation(
+                _metres(check, separation) + (when or _moment(check, phases)),
+                _remedy(check, phases),
+            )
+            for check in certificate.violated
+        ]
+    )
+
+
+def _remedy(check: Check, phases: tuple[Phase, ...]) -> str:
+    formed = [phase.formed for phase in phases if phase.start <= check.time <= phase.end]
+    rule = RULE_OF[check.name]
+    return (rule.free_remedy if formed and not any(formed) else "") or rule.remedy
+
+
+def _metres(check: Check, separation: Separation) -> str:
+    """Return how far apart drones are and should be; a hitch's drones fly at one height."""
+    if check.name != "separation":
+        return ""
+    needed = 2.0 * separation.radius * check.limit
+    apart = check.bound * 2.0 * separation.radius
+    return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
+
+
+def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
+    if check.name == "duration":
+        return ""
+    for phase in phases:
+        if phase.start <= check.time <= phase.end:
+            return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
+    return f"at t = {check.time:.4g} s"

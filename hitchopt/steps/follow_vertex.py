@@ -13,7 +13,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
-from hitchopt.planners.actions.following import follow_vertex
+from hitchopt.planners.actions.shape_moves import follow_vertex
 from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import (
     DECIMALS,

@@ -15,9 +15,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-from hitchopt.planners.forming.stage import Stage
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.tying_stages import tied
+from hitchopt.planners.forming.turns import SwapSettings
+from hitchopt.planners.forming.tying_stages import Stage, tied
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest, check_at_rest, checked
 from hitchopt.steps.edits import SPACE, StepEdit, Tunable, outline_edit

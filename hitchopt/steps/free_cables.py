@@ -11,7 +11,7 @@ from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
-from hitchopt.planners.forming.stage import Stage
+from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import checked, flying

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 import hitchopt as ho
 from hitchopt.hitch.convex_qp import QuadraticProgram
-from hitchopt.planners.optimise.deferred_signals import answered_later
+from hitchopt.planners.optimise.ipopt_steps import answered_later
 from hitchopt.planners.separation.qp import Solver
 
 QUARTER = ho.regular_polygon(3, 1.0).rotated(0.5)

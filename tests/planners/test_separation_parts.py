@@ -17,6 +17,7 @@ from scipy.optimize import LinearConstraint, minimize
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.planners.separation import SeparationTask, Tether
+from hitchopt.planners.separation.departures import departures, progress_along
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import (
     ClosePieces,
@@ -28,13 +29,9 @@ from hitchopt.planners.separation.qp import Solver
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.separation_program import Around, Built, build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
-from hitchopt.planners.separation.single_flights import (
-    departures,
-    fastest_ramps,
-    progress_along,
-)
 from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
 from hitchopt.planners.separation.walls import walls_before
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import bernstein
 

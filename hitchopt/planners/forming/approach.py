@@ -17,10 +17,10 @@ from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.planners.forming.clock import SHARE, accelerations
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.reserve import SHARE, accelerations
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import STILL, straight
+from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.separation import SeparationTask, Tether, separate
 from hitchopt.requirements import Requirements, Separation

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
-from hitchopt.planners.forming.clock import fastest_clock
-from hitchopt.planners.forming.reserve import SHARE, accelerations
+from hitchopt.planners.forming.clock import SHARE, accelerations
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices

@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.planners.forming.clock import fastest_clock, flown
-from hitchopt.planners.forming.reserve import accelerations
+from hitchopt.planners.forming.clock import accelerations, flown
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, acute, not_negative, positive
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""
@@ -152,3 +153,30 @@ def _half_turn(
     return flown(
         lambda angle, order: turns.drones(start + angle, order), clock, PIECE, limits, reserve
     )
+
+
+@dataclass(frozen=True)
+class SwapSettings:
+    """Settings of pairs of drones that turn about each other.
+
+    Parameters
+    ----------
+    radius: no semi-axis of the ellipses is smaller than this [m].
+    tilt: of the axis of turning, upward from level [rad]; None: chosen.
+    seconds: no half turn is faster than this [s]; None: as fast as the limits allow.
+    sense: 1: every q goes up first; -1: down first; 0: chosen for every vertex.
+    """
+
+    radius: float = 0.15
+    tilt: float | None = None
+    seconds: float | None = None
+    sense: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", positive("radius", self.radius))
+        if self.seconds is not None:
+            object.__setattr__(self, "seconds", positive("seconds", self.seconds))
+        if self.tilt is not None:
+            object.__setattr__(self, "tilt", acute("tilt", not_negative("tilt", self.tilt)))
+        if self.sense not in {-1, 0, 1}:
+            raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")

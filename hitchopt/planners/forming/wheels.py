@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.hitch import Team
-from hitchopt.planners.forming.clock import fastest_clock, flown
-from hitchopt.planners.forming.reserve import accelerations
+from hitchopt.planners.forming.clock import accelerations, flown
 from hitchopt.planners.forming.straight import PAUSE
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

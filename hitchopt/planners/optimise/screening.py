@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
@@ -65,16 +65,19 @@ def sound(path: KnotPath) -> bool:
 
 def loose(path: KnotPath, requirements: Requirements) -> bool:
     """Return whether a path's bodies are not all in one heap."""
-    bare = replace(requirements, arena=None)
-    task = LegTask(path.team, bare, path.polygons, path.q_legs, 0.0, WIDEST)
-    return reference_margin(task) >= CLOSEST
+    return _margin(path.team, requirements, path.polygons, path.q_legs) >= CLOSEST
 
 
 def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch's distances are."""
-    bare = replace(requirements, arena=None)
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return reference_margin(LegTask(hitch.team, bare, polygon, q_legs, 0.0, WIDEST)) * BELOW
+    return _margin(hitch.team, requirements, polygon, q_legs) * BELOW
+
+
+def _margin(team: Team, requirements: Requirements, polygons: Array, q_legs: Array) -> float:
+    """Return how many times their limits the distances of hitches are, walls left out."""
+    bare = replace(requirements, arena=None)
+    return reference_margin(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST))
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
-from hitchopt.planners.separation.end_checks import check_ends
+from hitchopt.planners.separation.curve_evaluation import Evaluation, check_ends, evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
 from hitchopt.planners.separation.qp import ProgramError, Solver

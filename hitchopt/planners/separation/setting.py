@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.planners.separation.departures import departures, progress_along
 from hitchopt.planners.separation.routes import routes_along, routes_around
-from hitchopt.planners.separation.single_flights import departures, fastest_ramps, progress_along
 from hitchopt.planners.separation.spline import HELD, Grid
 from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena
 from hitchopt.values import Array
 
