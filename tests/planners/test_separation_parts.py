@@ -28,8 +28,7 @@ from hitchopt.planners.separation.planes import (
 from hitchopt.planners.separation.qp import Solver
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.separation_program import Around, Built, build_program
-from hitchopt.planners.separation.setting import Setting, setting_of
-from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
+from hitchopt.planners.separation.setting import DEGREE, HELD, Grid, Setting, setting_of
 from hitchopt.planners.separation.walls import walls_before
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation

@@ -21,6 +21,7 @@ from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
 
 CLOSEST = 0.3
 """Share of their limits that the distances of a guess must exceed for it to be tried."""

@@ -6,8 +6,7 @@ import numpy as np
 
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.hitch.convex_qp import Rows
-from hitchopt.planners.separation.setting import Setting
-from hitchopt.planners.separation.spline import HELD
+from hitchopt.planners.separation.setting import HELD, Setting
 from hitchopt.values import Array
 
 ACROSS = (0.3, 0.7)

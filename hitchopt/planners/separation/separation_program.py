@@ -17,8 +17,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
-from hitchopt.planners.separation.setting import Setting, inside
-from hitchopt.planners.separation.spline import DEGREE, HELD
+from hitchopt.planners.separation.setting import DEGREE, HELD, Setting, inside
 from hitchopt.planners.separation.walls import Walls
 from hitchopt.values import Array, Indices
 
