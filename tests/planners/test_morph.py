@@ -5,7 +5,7 @@ import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
+from hitchopt.planners.path.leg_law import leg_task_along, with_legs_clear
 from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.requirements import Requirements
@@ -16,7 +16,7 @@ KEPT = Requirements(Limits(), Separation(), None)
 
 def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return reference_margin(sharing_task(path, KEPT, s, 1.0))
+    return reference_margin(leg_task_along(path, KEPT, s, 1.0))
 
 
 def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:

@@ -54,7 +54,7 @@ class Action:
 
     @property
     def vertices(self) -> PiecewisePolynomial:
-        """Of shape (n, 3) over s from 0 to 1 [m]: the vertices' path."""
+        """The vertices' path, of shape (n, 3) over s from 0 to 1 [m]."""
         if self.track is not None:
             return self.track
         start, points = self.start, self.polygon.vertices

@@ -132,14 +132,7 @@ def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array
         shape=(2 * J, J * n),
     )
     both = sparse.csc_array(sparse.vstack([rows, -rows]))
-    x = solve_qp(
-        QuadraticProgram(
-            sparse.csc_array(sparse.eye_array(J * n)),
-            -lengths.ravel(),
-            both,
-            np.zeros(4 * J),
-            np.full(4 * J, np.inf),
-            np.tile(shortest, J),
-        )
-    )
+    zero, most, least = np.zeros(4 * J), np.full(4 * J, np.inf), np.tile(shortest, J)
+    nearest = sparse.csc_array(sparse.eye_array(J * n))
+    x = solve_qp(QuadraticProgram(nearest, -lengths.ravel(), both, zero, most, least))
     return None if x is None else x.reshape(J, n)

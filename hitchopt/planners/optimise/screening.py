@@ -13,7 +13,7 @@ from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search
-from hitchopt.planners.path.leg_law import CLEAR, sharing_task
+from hitchopt.planners.path.leg_law import CLEAR, leg_task_along
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes, exterior_angles
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight_curves import Flight
@@ -127,7 +127,7 @@ def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:
     s = np.unique(np.concatenate([inner, near, 1.0 - near]))
     if np.min(shapes_along(path, s).legs[1:-1]) < requirements.limits.leg:
         return False
-    return reference_margin(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
+    return reference_margin(leg_task_along(path, requirements, s, CLEAR)) >= CLEAR
 
 
 def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:
