@@ -20,7 +20,7 @@ from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.solving import solve_problem, solve_steps
 from hitchopt.plan import Plan
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steps import (
     Adjust,
