@@ -6,10 +6,10 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.outline import Outline
+from hitchopt.values import Array
 
 
 class ConvexArc(Outline):
@@ -27,10 +27,10 @@ class ConvexArc(Outline):
     closed: ClassVar[bool] = False
 
     @property
-    def centroid(self) -> NDArray[np.float64]:
+    def centroid(self) -> Array:
         """(2,) [m]: centre of the arc's length."""
         middles = 0.5 * (self.vertices[1:] + self.vertices[:-1])
-        centroid: NDArray[np.float64] = np.average(middles, axis=0, weights=self.edge_lengths)
+        centroid: Array = np.average(middles, axis=0, weights=self.edge_lengths)
         return centroid
 
     def _check_turns(self) -> None:

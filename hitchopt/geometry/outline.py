@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.values import MAX_COORDINATE
-
-Array = NDArray[np.float64]
+from hitchopt.values import MAX_COORDINATE, Array
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
@@ -15,9 +14,7 @@ from hitchopt.mission.step_order import fitting_steps
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.values import MAX_COORDINATE, coordinate
-
-Array = NDArray[np.float64]
+from hitchopt.values import MAX_COORDINATE, Array, coordinate
 
 
 @dataclass(frozen=True, eq=False)

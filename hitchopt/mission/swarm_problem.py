@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.values import MAX_COORDINATE, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import MAX_COORDINATE, Array, positive
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, Violation
@@ -15,8 +14,7 @@ from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.steps.diagnosis import infeasible
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SHARE = 1.0 - 1e-6
 """Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""

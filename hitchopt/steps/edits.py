@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.registry import RULES
 from hitchopt.checks.rule import Ease
 from hitchopt.geometry import Outline
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DECIMALS = 9
 """Decimals of numbers in edits: far below any tolerance, and short enough to read."""

@@ -27,7 +27,8 @@ from hitchopt.steps.edits import (
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import VERTEX, Key, LegsAtEnd
 from hitchopt.steps.situation import StepPlan, StepTask
-from hitchopt.steps.step import Array, check_index, check_within, convex_outline, numbers
+from hitchopt.steps.step import check_index, check_within, convex_outline, numbers
+from hitchopt.values import Array
 
 MIN_GAP = 1e-3
 """Shortest time between two points [s]: less is a typing error, as no drone could follow."""

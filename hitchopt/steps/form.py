@@ -25,9 +25,9 @@ from hitchopt.steps.free_cables import LEVEL, check_part, lasting, staged
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE, Key, Seconds, Section
 from hitchopt.steps.situation import Situation, StepPlan, StepTask
 from hitchopt.steps.slack_split import SlackSplit
-from hitchopt.steps.step import Array, Step
+from hitchopt.steps.step import Step
 from hitchopt.steps.tying_site import lifted, tying_site
-from hitchopt.values import coordinate
+from hitchopt.values import Array, coordinate
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""

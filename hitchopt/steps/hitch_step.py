@@ -21,7 +21,8 @@ from hitchopt.steps.friction_lean import against_friction
 from hitchopt.steps.route_choice import RouteTask, best_motion
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import SlackSplit
-from hitchopt.steps.step import Array, Step, numbers
+from hitchopt.steps.step import Step, numbers
+from hitchopt.values import Array
 
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""

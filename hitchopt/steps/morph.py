@@ -19,8 +19,7 @@ from hitchopt.steps.end_hitch import End, end_of_morph
 from hitchopt.steps.hitch_step import ShapeStep
 from hitchopt.steps.keys import OUTLINE_TEXT, Blend, Key, LegsAtEnd, Seconds, Section
 from hitchopt.steps.situation import StepTask
-from hitchopt.steps.step import Array
-from hitchopt.values import positive
+from hitchopt.values import Array, positive
 
 TENSION = Section(
     "TensionKeys",

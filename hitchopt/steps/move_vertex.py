@@ -12,7 +12,8 @@ from hitchopt.planners.actions.shape_moves import move_vertex
 from hitchopt.requirements import Requirements
 from hitchopt.steps.hitch_step import MoveStep
 from hitchopt.steps.keys import VERTEX, Blend, By, Key, LegsAtEnd, Seconds
-from hitchopt.steps.step import Array, check_index, check_within, convex_outline
+from hitchopt.steps.step import check_index, check_within, convex_outline
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.values import not_negative, per_robot, positive
+from hitchopt.values import Array, not_negative, per_robot, positive
 
-SlackSplit = Literal["balanced", "spread"] | NDArray[np.float64]
+SlackSplit = Literal["balanced", "spread"] | Array
 """The slack split of a hitch: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``."""
 
 

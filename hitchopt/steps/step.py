@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
@@ -17,9 +16,7 @@ from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
-from hitchopt.values import positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, positive
 
 
 @dataclass(frozen=True, eq=False)

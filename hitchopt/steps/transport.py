@@ -17,8 +17,8 @@ from hitchopt.planners.timing.fly_path import fly
 from hitchopt.steps.hitch_step import HitchStep
 from hitchopt.steps.keys import Key, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
-from hitchopt.steps.step import Array, convex_outline, numbers
-from hitchopt.values import MAX_COORDINATE, finite
+from hitchopt.steps.step import convex_outline, numbers
+from hitchopt.values import MAX_COORDINATE, Array, finite
 
 MAX_TURNS = 5
 """Most turns of one transport: a bounded number of polynomials would not follow more closely."""

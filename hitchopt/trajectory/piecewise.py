@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.cable_slack import fitting_polygon
@@ -17,8 +16,7 @@ from hitchopt.mission.repair.change import Edit, Edited
 from hitchopt.requirements import Arena
 from hitchopt.steps import Step
 from hitchopt.steps.edits import DECIMALS, StepEdit, outline_scaled, points_scaled
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def with_team_values(problem: Problem, name: str, values: Array) -> Edited:

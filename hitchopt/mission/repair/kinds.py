@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.problem import DronesStart, Problem
@@ -23,8 +22,7 @@ from hitchopt.mission.repair.editing import (
 )
 from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
 from hitchopt.steps.edits import FORCES, RATES, SPACE
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
 """Constraints that more distance repairs."""
