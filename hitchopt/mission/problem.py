@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.step_order import fitting_steps
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
@@ -78,7 +78,8 @@ class DronesStart:
         return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
 
 
-Start = HitchStart | DronesStart
+Start = HitchStart | Hitch | DronesStart
+"""Start as a hitch to be made, as one that is there, or as drones on free cables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ class Problem:
     @property
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
-        return self.start.polygon if isinstance(self.start, HitchStart) else None
+        return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
 def _fitting_start(team: Team, start: Start) -> Start:
@@ -128,18 +129,16 @@ def _fitting_start(team: Team, start: Start) -> Start:
     ------
     InputError: a start that does not fit the team; its key is that of the problem file.
     """
+    if isinstance(start, Hitch):
+        return start
+    key = "hitch" if isinstance(start, HitchStart) else "drones"
     try:
         if isinstance(start, HitchStart):
             outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
             return replace(start, polygon=outline, legs=legs)
         if len(start.q) != team.robots:
-            raise InputError(
-                "q",
-                len(start.q),
-                f"a list of {team.robots} points",
-                "add or remove points, or change team.robots",
-            )
+            remedy = "add or remove points, or change team.robots"
+            raise InputError("q", len(start.q), f"a list of {team.robots} points", remedy)
     except InputError as error:
-        key = "hitch" if isinstance(start, HitchStart) else "drones"
         raise error.within(f"start.{key}") from None
     return start

@@ -13,8 +13,8 @@ from hitchopt.mission.repair.change import Change, Kind, Suggestion
 from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.kinds import last_resorts, likely_kinds
 from hitchopt.mission.repair.spreading import spread_changes
-from hitchopt.mission.solving import Progress, solve_problem
-from hitchopt.time_limit import TimeIsUp, time_left
+from hitchopt.mission.solving import solve_problem
+from hitchopt.time_limit import Progress, TimeIsUp, time_left
 
 BUDGET = 15.0
 """Time [s] after which no further plan is begun: a user waits for it."""
