@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.values import MAX_COORDINATE, Array
+from hitchopt.values import Array, points
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""
@@ -38,9 +38,8 @@ class Outline(ABC):
     closed: ClassVar[bool]
 
     def __init__(self, vertices: ArrayLike) -> None:
-        points = _as_points(vertices)
-        points.setflags(write=False)
-        object.__setattr__(self, "vertices", points)
+        bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
+        object.__setattr__(self, "vertices", points("polygon", vertices, (3, 2), bound, remedy))
         self._check_edges()
         self._check_turns()
 
@@ -135,24 +134,3 @@ class Outline(ABC):
                 f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)",
                 "move the point outward, or list the points in clockwise order",
             )
-
-
-def _as_points(vertices: ArrayLike) -> Array:
-    try:
-        points = np.array(vertices, dtype=np.float64)
-    except (TypeError, ValueError):
-        points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
-        raise InputError(
-            "polygon", vertices, "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
-        )
-    bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
-    if np.any(bad):
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"polygon[{k}]",
-            points[k].tolist(),
-            f"finite and within ±{MAX_COORDINATE:g} m",
-            "check the point's coordinates",
-        )
-    return points

@@ -14,7 +14,7 @@ from hitchopt.mission.step_order import fitting_steps
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.values import MAX_COORDINATE, Array, coordinate
+from hitchopt.values import Array, coordinate, points
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,25 +50,9 @@ class DronesStart:
 
     def __post_init__(self) -> None:
         for name in ("q", "r"):
-            try:
-                points = np.array(getattr(self, name), dtype=np.float64)
-            except (TypeError, ValueError):
-                points = np.empty(0)
-            if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-                given = getattr(self, name)
-                value = given if points.size == 0 else points.shape
-                raise InputError(name, value, "(n, 3)", "give one point [x, y, z] a robot")
-            bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
-            if np.any(bad):
-                k = int(np.argmax(bad))
-                raise InputError(
-                    f"{name}[{k}]",
-                    points[k].tolist(),
-                    f"finite and within ±{MAX_COORDINATE:g} m",
-                    "check the point's coordinates",
-                )
-            points.setflags(write=False)
-            object.__setattr__(self, name, points)
+            remedy = "give one point [x, y, z] a robot"
+            given = points(name, getattr(self, name), (2, 3), "(n, 3)", remedy)
+            object.__setattr__(self, name, given)
         if len(self.q) != len(self.r):
             raise InputError("r", len(self.r), f"{len(self.q)} points, as q", "give one per robot")
 
@@ -130,6 +114,8 @@ def _fitting_start(team: Team, start: Start) -> Start:
     InputError: a start that does not fit the team; its key is that of the problem file.
     """
     if isinstance(start, Hitch):
+        if start.team is not team:
+            raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
         return start
     key = "hitch" if isinstance(start, HitchStart) else "drones"
     try:

@@ -16,7 +16,7 @@ from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
-from hitchopt.values import Array, positive
+from hitchopt.values import Array, as_array, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +164,7 @@ def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) 
     ------
     InputError: another shape, described by ``words``, or numbers that are not finite.
     """
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
+    array = as_array(value)
     fits = array.ndim == len(shape) and all(
         size == wanted if wanted is not None else size > 0
         for size, wanted in zip(array.shape, shape, strict=True)
