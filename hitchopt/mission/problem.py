@@ -53,8 +53,6 @@ class DronesStart:
             remedy = "give one point [x, y, z] a robot"
             given = points(name, getattr(self, name), (2, 3), "(n, 3)", remedy)
             object.__setattr__(self, name, given)
-        if len(self.q) != len(self.r):
-            raise InputError("r", len(self.r), f"{len(self.q)} points, as q", "give one per robot")
 
     @property
     def drones(self) -> Array:
@@ -89,7 +87,7 @@ class Problem:
     title: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", _fitting_start(self.team, self.start))
+        object.__setattr__(self, "start", fitting_start(self.team, self.start))
         steps = tuple(self.mission)
         if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
@@ -106,7 +104,7 @@ class Problem:
         return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
-def _fitting_start(team: Team, start: Start) -> Start:
+def fitting_start(team: Team, start: Start) -> Start:
     """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
 
     Raises
@@ -122,9 +120,11 @@ def _fitting_start(team: Team, start: Start) -> Start:
         if isinstance(start, HitchStart):
             outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
             return replace(start, polygon=outline, legs=legs)
-        if len(start.q) != team.robots:
-            remedy = "add or remove points, or change team.robots"
-            raise InputError("q", len(start.q), f"a list of {team.robots} points", remedy)
+        for name, given in (("q", start.q), ("r", start.r)):
+            if len(given) != team.robots:
+                bound = f"a list of {team.robots} points"
+                remedy = "add or remove points, or change team.robots"
+                raise InputError(name, f"{len(given)} points", bound, remedy)
     except InputError as error:
         raise error.within(f"start.{key}") from None
     return start
