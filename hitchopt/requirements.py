@@ -101,12 +101,9 @@ class Arena:
             point.setflags(write=False)
             object.__setattr__(self, name, point)
         if not np.all(self.lower < self.upper):
-            raise InputError(
-                "upper",
-                self.upper.tolist(),
-                f"greater than lower {self.lower.tolist()} on every axis",
-                "exchange the corners or move them apart",
-            )
+            bound = f"greater than lower {self.lower.tolist()} on every axis"
+            remedy = "exchange the corners or move them apart"
+            raise InputError("upper", self.upper.tolist(), bound, remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +144,9 @@ class Prism:
         object.__setattr__(self, "lower", finite("lower", lower))
         object.__setattr__(self, "upper", finite("upper", upper))
         if self.lower >= self.upper:
-            raise InputError(
-                "upper",
-                self.upper,
-                f"greater than lower {self.lower:g}",
-                "exchange the altitudes or move them apart",
-            )
+            bound = f"greater than lower {self.lower:g}"
+            remedy = "exchange the altitudes or move them apart"
+            raise InputError("upper", self.upper, bound, remedy)
 
     @property
     def corners(self) -> Array:

@@ -126,12 +126,9 @@ def per_robot(
         except TypeError:
             given = []
         if len(given) != robots:
-            raise InputError(
-                key,
-                value,
-                f"one number, or a list of {robots} (one per robot)",
-                f"{len(given)} were given; add or remove entries, or change team.robots",
-            )
+            bound = f"one number, or a list of {robots} (one per robot)"
+            remedy = f"{len(given)} were given; add or remove entries, or change team.robots"
+            raise InputError(key, value, bound, remedy)
         array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])
     array.setflags(write=False)
     return array

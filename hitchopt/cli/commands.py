@@ -262,10 +262,8 @@ def _least_duration(problem: AnyProblem) -> float:
 def _check_rows(rate: float, duration: float, drones: int) -> None:
     rows = rate * duration * drones
     if rows > MAX_ROWS:
-        raise InputError(
-            "--rate",
-            rate,
+        bound = (
             f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
-            f"and {drones} drones (it would write {rows:.3g} rows)",
-            "lower it, or shorten the plan",
+            f"and {drones} drones (it would write {rows:.3g} rows)"
         )
+        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")

@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from hitchopt.errors import InputError
 from hitchopt.geometry.outline import Outline
 from hitchopt.values import Array
 
@@ -37,10 +36,6 @@ class ConvexArc(Outline):
         super()._check_turns()
         total = float(np.sum(self.exterior_angles))
         if total >= 2.0 * math.pi:
-            raise InputError(
-                "polygon",
-                self.vertices.tolist(),
-                f"an arc that turns by less than 360° in all (it turns by "
-                f"{math.degrees(total):.6g}°)",
-                "open the chain, or close it and write topology: closed",
-            )
+            turned = f"it turns by {math.degrees(total):.6g}°"
+            remedy = "open the chain, or close it and write topology: closed"
+            raise self._refused(f"an arc that turns by less than 360° in all ({turned})", remedy)

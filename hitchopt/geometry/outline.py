@@ -108,29 +108,26 @@ class Outline(ABC):
         lengths = self.edge_lengths
         shortest = int(np.argmin(lengths))
         if lengths[shortest] < MIN_EDGE:
-            raise InputError(
-                f"polygon[{shortest}]",
-                self.vertices[shortest].tolist(),
-                f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]",
-                "remove or move one of the coincident points",
-            )
+            bound = f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]"
+            remedy = "remove or move one of the coincident points"
+            raise self._refused(bound, remedy, shortest)
 
     def _check_turns(self) -> None:
         angles = self.exterior_angles
         if np.all(angles < 0.0):
-            raise InputError(
-                "polygon",
-                self.vertices.tolist(),
-                "in clockwise order seen from above",
-                "list its points in the reverse order",
-            )
+            remedy = "list its points in the reverse order"
+            raise self._refused("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
-            k = int(self.corners[flattest])
-            raise InputError(
-                f"polygon[{k}]",
-                self.vertices[k].tolist(),
+            bound = (
                 f"a convex corner (it turns right by {math.degrees(angles[flattest]):.6g}°, "
-                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)",
-                "move the point outward, or list the points in clockwise order",
+                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)"
             )
+            remedy = "move the point outward, or list the points in clockwise order"
+            raise self._refused(bound, remedy, int(self.corners[flattest]))
+
+    def _refused(self, bound: str, remedy: str, point: int | None = None) -> InputError:
+        """Return the error that the points, or one of them, are not as they have to be."""
+        if point is None:
+            return InputError("polygon", self.vertices.tolist(), bound, remedy)
+        return InputError(f"polygon[{point}]", self.vertices[point].tolist(), bound, remedy)

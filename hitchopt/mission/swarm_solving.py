@@ -61,20 +61,11 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
     spare = team.max_thrust / team.mass - GRAVITY
     heavy = np.flatnonzero(spare <= 0.0)
     if len(heavy):
+        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
+        most, names = team.max_thrust, team.drone_names
         raise InfeasibleError(
-            [
-                Violation(
-                    "thrust",
-                    float(team.mass[i] * GRAVITY),
-                    float(team.max_thrust[i]),
-                    "max",
-                    "N",
-                    (team.drone_names[i],),
-                    "at rest",
-                    "give the drone more thrust, or less mass",
-                )
-                for i in heavy
-            ]
+            Violation("thrust", weights[i], most[i], "max", "N", (names[i],), "at rest", remedy)
+            for i in heavy
         )
     level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
     return np.minimum(SHARE * np.minimum(spare, level), problem.limits.acceleration)

@@ -64,20 +64,10 @@ def check_above_ground(motion: Motion) -> None:
     if motion.requirements.arena is not None or np.min(heights) >= -LEVEL:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
-    raise InfeasibleError(
-        [
-            Violation(
-                "arena",
-                float(np.min(heights)),
-                0.0,
-                "min",
-                "m",
-                (motion.team.drone_names[drone],),
-                f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s",
-                "keep altitudes above 0, or give an arena with a lower floor",
-            )
-        ]
-    )
+    lowest, name = float(np.min(heights)), motion.team.drone_names[drone]
+    when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
+    remedy = "keep altitudes above 0, or give an arena with a lower floor"
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
 
 
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
@@ -106,7 +96,7 @@ def free_motion(stage: Stage, team: Team, i: int, requirements: Requirements) ->
 def _motion(
     stage: Stage,
     team: Team,
-    where: tuple[PiecewisePolynomial, ...],
+    where: tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial],
     i: int,
     requirements: Requirements,
 ) -> Motion:
@@ -116,16 +106,7 @@ def _motion(
     never come near it.
     """
     phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
-    vertices, legs, tensions = where
-    motion = Motion(
-        team,
-        requirements,
-        stage.drones,
-        vertices,
-        legs,
-        tensions,
-        (phase,),
-    )
+    motion = Motion(team, requirements, stage.drones, *where, (phase,))
     if phase.state is CableState.GROUND and above_ground(motion):
         return replace(motion, phases=(replace(phase, state=CableState.FREE),))
     return motion

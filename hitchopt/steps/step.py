@@ -85,9 +85,8 @@ class Step(ABC):
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
         if self.needs_hitch is False and outline is not None:
-            raise InputError(
-                "", "a hitch", "given drones on free cables at that point", "release it before"
-            )
+            bound = "given drones on free cables at that point"
+            raise InputError("", "a hitch", bound, "release it before")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:  # noqa: ARG002
@@ -135,14 +134,11 @@ def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> 
     try:
         return fitting_polygon(team, points)
     except InputError as error:
-        given = np.asarray(value).tolist()
-        raise InputError(
-            key,
-            given,
+        bound = (
             f"such that the outline stays convex and clockwise ({error.key} = {error.value} would "
-            f"have to be {error.bound})",
-            "go less far",
-        ) from None
+            f"have to be {error.bound})"
+        )
+        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
 
 
 def check_index(key: str, index: object) -> None:
