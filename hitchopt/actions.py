@@ -206,11 +206,7 @@ def transport(
     return _planned(start.team, start, step, requirements)
 
 
-def hold(
-    start: Hitch,
-    seconds: float,
-    **requirements: Unpack[Required],
-) -> Plan:
+def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan:
     """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
 
     Raises
@@ -260,10 +256,7 @@ def form(
 
 
 def release(
-    start: Hitch,
-    *,
-    duration: float | None = None,
-    **requirements: Unpack[Required],
+    start: Hitch, *, duration: float | None = None, **requirements: Unpack[Required]
 ) -> Plan:
     """Return the certified plan that unties a hitch, until its cables hang free.
 

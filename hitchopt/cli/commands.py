@@ -13,13 +13,7 @@ import click
 
 from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import (
-    FileError,
-    HitchoptError,
-    InfeasibleError,
-    InputError,
-    TimeLimitError,
-)
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate

@@ -10,10 +10,7 @@ from hitchopt.requirements import Separation
 
 
 def infeasible(
-    certificate: Certificate,
-    separation: Separation,
-    phases: tuple[Phase, ...] = (),
-    when: str = "",
+    certificate: Certificate, separation: Separation, phases: tuple[Phase, ...] = (), when: str = ""
 ) -> InfeasibleError:
     """Return the error that tells what a certificate's broken checks say.
 

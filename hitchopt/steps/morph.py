@@ -24,10 +24,7 @@ from hitchopt.values import Array, positive
 TENSION = Section(
     "TensionKeys",
     "A range of tensions.",
-    {
-        "min": Key("Positive", "Smallest [N]", (0.3,)),
-        "max": Key("Positive", "Largest [N]", (0.6,)),
-    },
+    {"min": Key("Positive", "Smallest [N]", (0.3,)), "max": Key("Positive", "Largest [N]", (0.6,))},
 )
 
 

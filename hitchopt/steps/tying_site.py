@@ -37,10 +37,7 @@ class TyingSite:
 
 
 def tying_site(
-    hitch: Hitch,
-    swap: SwapSettings,
-    senses: Array | None,
-    requirements: Requirements,
+    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
 ) -> TyingSite:
     """Return where to tie or untie: at the hitch's own altitude, or as much higher as it takes.
 
