@@ -5,8 +5,8 @@ all contents to the last bit. Two requests of equal contents have different keys
 shared in one of them and equal copies in the other; the plan is then made again.
 
 Plans are stored as pickles: what a caller does to a plan never changes the next one. The
-environment variable ``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for example
-after a change of the code.
+environment variable ``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for
+example after a change of the code.
 """
 
 from __future__ import annotations

@@ -32,7 +32,9 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
 
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
-        raise InfeasibleError([_too_long(problem.duration, longest)])
+        remedy, asked = "lower duration, or raise limits.duration", problem.duration
+        found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
+        raise InfeasibleError([found])
     task = SeparationTask(
         problem.start,
         problem.goal,
@@ -41,9 +43,9 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
     )
-    found = separate(task, progress)
-    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
-    motion = Motion.single(problem.team, problem.requirements, found.drones, (phase,))
+    separated = separate(task, progress)
+    phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
+    motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
         raise infeasible(certificate, problem.separation, motion.phases)
@@ -69,8 +71,3 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
         )
     level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
     return np.minimum(SHARE * np.minimum(spare, level), problem.limits.acceleration)
-
-
-def _too_long(duration: float, longest: float) -> Violation:
-    remedy = "lower duration, or raise limits.duration"
-    return Violation("duration", duration, longest, "max", "s", (), "as asked for", remedy)

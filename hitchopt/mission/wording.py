@@ -124,6 +124,16 @@ _TYPES = {
     "null": "null",
 }
 
+_REMEDIES = {
+    "object": "write its keys indented below it, or in braces",
+    "integer": "write it without a fraction",
+    "number": "give a plain number in SI units",
+    "array": "write a list in brackets",
+    "boolean": "write true or false",
+    "string": "put it in quotes if it is meant as text",
+}
+"""Remedies of a wrong type, by the types that a key may have; the first one counts."""
+
 
 def _type_at(path: list[str | int], schema: Schema) -> str:
     names: list[str] = []
@@ -144,18 +154,8 @@ def _type_remedy(path: list[str | int], value: object, schema: Schema) -> str:
         remedy = "remove the key, or write its value after it"
     elif isinstance(value, str) and types & {"number", "integer"}:
         remedy = "remove the quotes" if _is_number(value) else "give a plain number in SI units"
-    elif "object" in types:
-        remedy = "write its keys indented below it, or in braces"
-    elif "integer" in types:
-        remedy = "write it without a fraction"
-    elif "number" in types:
-        remedy = "give a plain number in SI units"
-    elif "array" in types:
-        remedy = "write a list in brackets"
-    elif "boolean" in types:
-        remedy = "write true or false"
     else:
-        remedy = "put it in quotes if it is meant as text"
+        remedy = next(_REMEDIES[name] for name in _REMEDIES if name in types or name == "string")
     return remedy
 
 

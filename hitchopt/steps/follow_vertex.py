@@ -81,11 +81,6 @@ class FollowVertex(ActionStep):
         """Time at which the last point is met [s]."""
         return float(self.path[-1, 0])
 
-    @property
-    def given_duration(self) -> float:
-        """Time at which the last point is met [s]."""
-        return self.duration
-
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
         points = outline.vertices.copy()

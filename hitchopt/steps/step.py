@@ -52,7 +52,7 @@ class Step(ABC):
     @property
     def given_duration(self) -> float | None:
         """How long it takes [s], where it was given that, or None."""
-        found: float | None = vars(self).get("duration")
+        found: float | None = getattr(self, "duration", None)
         return found
 
     @property
