@@ -21,8 +21,6 @@ from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
 from hitchopt.steps.situation import Situation, StepTask
 
-__all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
-
 
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
@@ -45,21 +43,11 @@ def solve_problem(
     )
 
 
-def solve_steps(
-    start: Hitch,
-    steps: tuple[Step, ...],
-    requirements: Requirements,
-    progress: Progress | None = None,
-) -> Certified:
-    """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    return _solved(progress, start.team, start, steps, requirements, optimiser=True)
-
-
 @remembered
 def _solved(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     steps: tuple[Step, ...],
     requirements: Requirements,
     optimiser: bool,
@@ -95,7 +83,7 @@ class _Begun:
 def _begun(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     form: Form | None,
     requirements: Requirements,
 ) -> _Begun:

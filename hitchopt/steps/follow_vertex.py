@@ -71,24 +71,15 @@ class FollowVertex(ActionStep):
         if times[0] == 0.0:
             gaps = gaps[1:]
         if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
-            raise InputError(
-                "path",
-                path.tolist(),
-                f"a path whose times increase from 0 or later, by {MIN_GAP:g} s or more, and end "
-                "after it",
-                "sort its points by time",
-            )
+            increase = f"increase from 0 or later, by {MIN_GAP:g} s or more, and end after it"
+            bound, remedy = f"a path whose times {increase}", "sort its points by time"
+            raise InputError("path", path.tolist(), bound, remedy)
         object.__setattr__(self, "path", path)
 
     @property
     def duration(self) -> float:
         """Time at which the last point is met [s]."""
         return float(self.path[-1, 0])
-
-    @property
-    def given_duration(self) -> float:
-        """Time at which the last point is met [s]."""
-        return self.duration
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""

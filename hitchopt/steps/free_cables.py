@@ -63,11 +63,10 @@ def check_above_ground(motion: Motion) -> None:
     if motion.requirements.arena is not None or np.min(heights) >= -LEVEL:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
-    where = (motion.team.drone_names[drone],)
+    lowest, name = float(np.min(heights)), motion.team.drone_names[drone]
     when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
     remedy = "keep altitudes above 0, or give an arena with a lower floor"
-    lowest = float(np.min(heights))
-    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
 
 
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:

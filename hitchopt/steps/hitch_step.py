@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Hitch
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.flying import ActionFlight, Flying
@@ -23,7 +24,7 @@ from hitchopt.steps.friction_lean import against_friction
 from hitchopt.steps.route_choice import OptimisedRoute, Route, first_certified
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import SlackSplit
-from hitchopt.steps.step import Step, numbers
+from hitchopt.steps.step import Step, convex_outline, numbers
 from hitchopt.values import Array
 
 IDLE = 0.01
@@ -151,17 +152,23 @@ class MoveStep(ActionStep):
         """
         if (self.to is None) == (self.by is None):
             value = None if self.to is None else np.asarray(self.to).tolist()
-            raise InputError(
-                "to", value, "given where by is not, and only there", "give either to or by"
-            )
+            bound = "given where by is not, and only there"
+            raise InputError("to", value, bound, "give either to or by")
         if self.to is not None:
             object.__setattr__(self, "to", numbers("to", self.to, shape, words))
         if self.by is not None:
             object.__setattr__(self, "by", numbers("by", self.by, (2,), "an offset [dx, dy]"))
 
-    def moved(self, points: Array) -> Array:
-        """Return where points (…, 2) [m] go."""
-        return points + np.asarray(self.by) if self.to is None else self.to
+    @abstractmethod
+    def moved_points(self, team: Team, count: int) -> list[int]:
+        """Return the indices of the points of an outline of ``count`` that go elsewhere."""
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline with what is moved at its new place."""
+        points = outline.vertices.copy()
+        moved = self.moved_points(team, len(points))
+        points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
+        return convex_outline(team, points, *self.moved_key)
 
     @property
     def moved_key(self) -> tuple[str, Array | None]:

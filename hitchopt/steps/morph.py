@@ -25,10 +25,7 @@ from hitchopt.values import Array, positive
 TENSION = Section(
     "TensionKeys",
     "A range of tensions.",
-    {
-        "min": Key("Positive", "Smallest [N]", (0.3,)),
-        "max": Key("Positive", "Largest [N]", (0.6,)),
-    },
+    {"min": Key("Positive", "Smallest [N]", (0.3,)), "max": Key("Positive", "Largest [N]", (0.6,))},
 )
 
 
@@ -71,9 +68,8 @@ class Morph(ShapeStep):
                 for name, value in zip(("min", "max"), self.tension, strict=True)
             )
             if least > most:
-                raise InputError(
-                    "tension.max", most, f"at least tension.min, {least:g} N", "exchange the two"
-                )
+                bound = f"at least tension.min, {least:g} N"
+                raise InputError("tension.max", most, bound, "exchange the two")
             object.__setattr__(self, "tension", (least, most))
 
     @classmethod
@@ -85,17 +81,12 @@ class Morph(ShapeStep):
     def fitting(self, team: Team) -> Self:
         """Return the step fitting a team, whose tensions lie within the step's own range."""
         fitted = super().fitting(team)
+        least, most = self.tension or (0.0, np.inf)
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
-        if (
-            self.tension is not None
-            and not self.tension[0] <= smallest <= largest <= self.tension[1]
-        ):
-            raise InputError(
-                "tension",
-                dict(zip(("min", "max"), self.tension, strict=True)),
-                f"such that team.tension lies within ({smallest:g} to {largest:g} N)",
-                "widen it: a step begins and ends with the team's tensions",
-            )
+        if not least <= smallest <= largest <= most:
+            bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"
+            remedy = "widen it: a step begins and ends with the team's tensions"
+            raise InputError("tension", {"min": least, "max": most}, bound, remedy)
         return fitted
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:  # noqa: ARG002

@@ -280,11 +280,11 @@ def problem_from_swarm() -> ho.SwarmProblem:
 def test_what_was_used_last_is_dropped_last() -> None:
     memory = Memory(max_outcomes=2)
     for key in (b"a", b"b"):
-        memory.store(key, (key,))
-    assert memory.recall(b"a") == (b"a",)
-    memory.store(b"c", (b"c",))
+        memory.store(key, key)
+    assert memory.recall(b"a") == b"a"
+    memory.store(b"c", b"c")
     assert memory.recall(b"b") is None
-    assert memory.recall(b"a") == (b"a",)
+    assert memory.recall(b"a") == b"a"
 
 
 def test_a_result_after_a_listener_has_raised_is_not_remembered() -> None:
@@ -370,12 +370,12 @@ def test_memory_is_bounded_and_forgets_the_least_recently_used(
         if ask:
             expected = model.get(name)
             assert memory.recall(key) == (
-                None if expected is None else (bytes([expected[0]]) * expected[1],)
+                None if expected is None else bytes([expected[0]]) * expected[1]
             )
             if expected is not None:
                 model.move_to_end(name)
             continue
-        memory.store(key, (bytes([i]) * size,))
+        memory.store(key, bytes([i]) * size)
         if size > most_bytes:
             continue
         model.pop(name, None)
