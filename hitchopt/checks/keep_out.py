@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.certificate import within
@@ -15,8 +14,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def _find(motion: Motion, limit: float) -> Finding:

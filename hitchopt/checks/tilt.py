@@ -6,7 +6,6 @@ import math
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
@@ -15,8 +14,7 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 UPSIDE_DOWN = 180.0
 """[deg] The largest angle there is; also that of a thrust of no direction."""

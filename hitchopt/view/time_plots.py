@@ -11,16 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
-from numpy.typing import NDArray
 
 from hitchopt.checks import separation, speed, thrust
 from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.rule import CheckRule
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.values import Array
 from hitchopt.view.curves import Curves
 from hitchopt.view.style import DASHES, INK, LIMIT_COLOUR, legend_below, marker
-
-Array = NDArray[np.float64]
 
 FORBIDDEN = "0.8"
 HATCH = "////"

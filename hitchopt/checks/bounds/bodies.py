@@ -8,7 +8,6 @@ to ``r_k``. Part ``3 k + type`` is cable k's, with types in that order; bodies a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
@@ -18,8 +17,7 @@ from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Extremum
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 PART_NAMES = ("q-leg", "edge", "r-leg")
 

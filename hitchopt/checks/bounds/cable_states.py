@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import clasped_pairs, edge_vectors, leg_vectors
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
@@ -20,8 +19,7 @@ from hitchopt.checks.cable_length import LIMIT
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STILL = 1e-6
 """[m] Drones above the ground move sideways by no more while their cables lie on it."""

@@ -25,8 +25,7 @@ from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, joined_cells
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 APART = 1e-6
 """[m] Chords that are certainly at least this far apart do not touch."""

@@ -21,8 +21,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells
 from hitchopt.trajectory.splitting import on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BY_LENGTH, BY_PLACE = 20, 16
 """A chain's points: so many links of equal length, which follow a cable down its steep ends, and

@@ -18,8 +18,7 @@ from hitchopt.geometry.broadphase import Indices
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, joined_cells
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 OFF = 1e-6
 """[m] Drones certainly this far from a sheet are not in it."""

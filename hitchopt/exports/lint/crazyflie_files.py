@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import HitchoptError
@@ -22,8 +21,6 @@ from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.requirements import Separation
 from hitchopt.storage.yaml_file import read_yaml
-
-Array = NDArray[np.float64]
 
 LEAST_ROWS = 2
 """Rows of a polynomial file that the usual reader needs."""

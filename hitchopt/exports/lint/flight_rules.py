@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.exports.lint.findings import Finding, Flight, Loaded, and_more, error, note, warning
@@ -14,8 +13,7 @@ from hitchopt.exports.lint.joint_flight import Rules, Seen, at_one_point, seen_t
 from hitchopt.exports.lint.show_limits import DISTANCE
 from hitchopt.exports.lint.start_places import away_from_places
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 RADIOED = 32.767
 """[m] Largest coordinate in formats of whole millimetres in 16 bits."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks import acceleration, separation, speed
 from hitchopt.checks.certificate import Check
@@ -18,8 +17,7 @@ from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SAME_START = 1e-3
 """[m] Drones that begin this close to one another are given relative trajectories."""

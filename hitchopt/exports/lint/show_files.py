@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.exports.formats.csv_table import read_csv
@@ -25,8 +24,7 @@ from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import Recording, recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 MILLISECOND = 1e-3
 """[s] Skybrush rounds durations to it."""

@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.exports.lint.findings import FARTHEST, Finding, Loaded, and_more, warning
 from hitchopt.exports.recording import Recording
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 AT_START = 0.1
 """[m] Largest distance across from a drone's place to where its trajectory begins."""
