@@ -58,15 +58,13 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
 
 def _angle(across: Array, upward: Array) -> Array:
     """Return the angle from +z in the half plane of (across, upward) [deg]."""
-    angle: Array = np.degrees(np.arctan2(across, upward))
-    return angle
+    return np.degrees(np.arctan2(across, upward))
 
 
 def _spread(radius: Array, length: Array) -> Array:
     """Return by how much a ball of ``radius`` at ``length`` can turn a direction [deg]."""
     ratio = np.divide(radius, length, out=np.ones_like(length), where=length > radius)
-    turned: Array = np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
-    return turned
+    return np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
 
 
 RULE = CheckRule(

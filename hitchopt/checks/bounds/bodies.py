@@ -81,8 +81,7 @@ def clasped_pairs(layout: Layout) -> Indices:
 
 def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
     """Return pairs of cables as ``i * n + j`` with i <= j."""
-    pairs: Indices = np.minimum(first, second) * layout.robots + np.maximum(first, second)
-    return pairs
+    return np.minimum(first, second) * layout.robots + np.maximum(first, second)
 
 
 def closest(

@@ -93,8 +93,7 @@ def _apart(e: Array) -> NDArray[np.bool_]:
     """Return on which cells the chords certainly do not touch."""
     differences = np.stack([e[:, i] - e[:, j] for i in (0, 1) for j in (2, 3)], axis=1)
     bound = distance_bound((differences.reshape(len(e), 12, e.shape[-1]),)).bound
-    sure: NDArray[np.bool_] = bound > APART
-    return sure
+    return bound > APART
 
 
 def _across(ends: Array) -> NDArray[np.bool_]:
@@ -110,8 +109,7 @@ def _across(ends: Array) -> NDArray[np.bool_]:
         sides.append(
             _strictly(_side(normal, along, c - a)) * _strictly(_side(normal, along, d - a))
         )
-    crossing: NDArray[np.bool_] = (sides[0] < 0) & (sides[1] < 0)
-    return crossing
+    return (sides[0] < 0) & (sides[1] < 0)
 
 
 def _touching(ends: Array) -> NDArray[np.bool_]:
@@ -172,5 +170,4 @@ def _sign(ends: Array) -> Indices:
     normal = np.cross(along, other)
     height = np.sum((ends[:, 2] - ends[:, 0]) * normal, axis=-1)
     sure = np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1)
-    sign: Indices = np.where(sure, np.sign(height), 0.0).astype(np.intp)
-    return sign
+    return np.where(sure, np.sign(height), 0.0).astype(np.intp)

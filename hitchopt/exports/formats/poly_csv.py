@@ -65,15 +65,13 @@ def to_powers(coefficients: Array, durations: Array) -> Array:
     inverse: Array = np.rint(np.linalg.inv(_powers(bernstein.degree(coefficients))))
     local = coefficients @ inverse.T
     local[np.abs(local) < NOTHING] = 0.0  # differences that are rounding alone
-    powers: Array = local / _scales(durations, local)
-    return powers
+    return local / _scales(durations, local)
 
 
 def from_powers(powers: Array, durations: Array) -> Array:
     """Return Bernstein coefficients (pieces, …, N + 1) of ascending powers of seconds."""
     local = powers * _scales(durations, powers)
-    coefficients: Array = local @ _powers(bernstein.degree(powers)).T
-    return coefficients
+    return local @ _powers(bernstein.degree(powers)).T
 
 
 @lru_cache
@@ -84,8 +82,7 @@ def _powers(degree: int) -> Array:
 
 
 def _scales(durations: Array, powers: Array) -> Array:
-    scales: Array = durations.reshape(-1, *(1,) * (powers.ndim - 1)) ** np.arange(powers.shape[-1])
-    return scales
+    return durations.reshape(-1, *(1,) * (powers.ndim - 1)) ** np.arange(powers.shape[-1])
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:

@@ -55,8 +55,7 @@ class Keeping:
 def settling_times(breaks: Array) -> Array:
     """Return the times (pieces, POINTS) [s] at which limits are checked."""
     x = np.linspace(0.0, 1.0, POINTS)
-    times: Array = breaks[:-1, None] + x * np.diff(breaks)[:, None]
-    return times
+    return breaks[:-1, None] + x * np.diff(breaks)[:, None]
 
 
 def settled(
