@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import comb
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import read_text
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -105,10 +106,7 @@ def read_poly_csv(path: Path) -> PolyTable:
     ------
     FileError: no such file, a row without 33 finite numbers, a duration that is not positive.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines() or [""]
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read: {error}") from error
+    lines = read_text(path).splitlines() or [""]
     header, _, note = lines[0].partition("#")
     texts = [line.partition("#")[0].strip().rstrip(",") for line in lines]
     rows = [_row(path, i + 1, text) for i, text in enumerate(texts) if i > 0 and text]

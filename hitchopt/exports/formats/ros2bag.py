@@ -23,7 +23,7 @@ import numpy as np
 
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
 from hitchopt.exports.formats.attitude import attitudes_of
-from hitchopt.exports.formats.extras import needed
+from hitchopt.exports.formats.file_reading import needed
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
 from hitchopt.exports.recording import Recording

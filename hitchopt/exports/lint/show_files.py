@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchopt.errors import FileError
 from hitchopt.exports.formats.csv_table import read_csv
+from hitchopt.exports.formats.file_reading import read_text
 from hitchopt.exports.formats.json_table import read_json
 from hitchopt.exports.formats.mavsdk import read_table, recording_of_tables
 from hitchopt.exports.formats.npz_table import read_npz
@@ -79,13 +79,7 @@ def show_csv(files: Sequence[Path]) -> Loaded:
     ------
     FileError: a damaged one.
     """
-    curves = {}
-    for path in files:
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, ValueError) as error:
-            raise FileError(f"{path}: cannot be read: {error}") from error
-        curves[path.stem] = lines_of(text, str(path))
+    curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
     return _of_curves("skybrush_csv", curves, 0)
 
 
