@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import PLAN
-from hitchopt.exports.formats.poly_csv import COLUMNS as POLY_COLUMNS
+from hitchopt.exports.formats.crazyswarm2 import COLUMNS as POLY_COLUMNS
 from hitchopt.exports.lint import crazyflie_files, show_files
 from hitchopt.exports.lint.findings import LEVELS, Finding, Loaded, Report, error, note, warning
 from hitchopt.exports.lint.flight_rules import flown_together
