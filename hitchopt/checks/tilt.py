@@ -11,6 +11,7 @@ from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
@@ -40,9 +41,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     # Else look at it in the plane of ẑ and the azimuth at mid time: where a thrust points below
     # the horizon, leaving out the third coordinate turns it farther down.
     middle = np.full((len(f), 1), 0.5)
-    azimuth = bernstein.evaluate(f[:, :2], middle)
-    size = np.linalg.norm(azimuth, axis=-1, keepdims=True)
-    azimuth = np.divide(azimuth, size, out=np.zeros_like(azimuth), where=size > 0.0)
+    azimuth = unit(bernstein.evaluate(f[:, :2], middle))
     across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
     level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
     downward = np.maximum(np.max(level, axis=-1), 90.0)

@@ -15,8 +15,15 @@ from hitchopt.exports.formats.compressed import read_bytes
 from hitchopt.exports.formats.compressed_bytes import LARGEST, LONGEST, MILLI, Compressed, decoded
 from hitchopt.exports.formats.crazyflie_memory import BYTES
 from hitchopt.exports.formats.crazyswarm2 import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.exports.lint.findings import DroneFacts, Finding, Loaded, error, note, warning
-from hitchopt.exports.lint.start_places import is_place
+from hitchopt.exports.lint.findings import (
+    DroneFacts,
+    Finding,
+    Loaded,
+    error,
+    is_place,
+    note,
+    warning,
+)
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.requirements import Separation
