@@ -12,7 +12,7 @@ from hitchopt.checks.certificate import Check
 from hitchopt.exports.lint.show_limits import ShowLimits
 from hitchopt.exports.recording import Recording
 
-LEVELS = ERROR, WARNING, NOTE = "error", "warning", "note"
+ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
 FARTHEST = 1e6
@@ -41,7 +41,7 @@ class Finding:
         return f"{self.level}: {self.rule}:{place} {self.message}"
 
 
-error, warning, note = (partial(Finding, level) for level in LEVELS)
+error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NOTE))
 """Constructors of findings of each level from rule, place and message."""
 
 
