@@ -15,6 +15,7 @@ from hitchopt.planners.separation.end_checks import check_ends
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
 from hitchopt.planners.separation.qp import ProgramError, Solver
+from hitchopt.planners.separation.roundabout import roundabout
 from hitchopt.planners.separation.separation_program import MARGIN, Around, build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
@@ -91,6 +92,12 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
         found = _improved(setting, setting.nominal, say)
         if found.clear and found.duration <= (task.duration or math.inf):
             return _separated(setting, found, "")
+        tried.append(found)
+    if (around := roundabout(setting)) is not None:
+        say("guess: a roundabout")
+        found = _improved(setting, around, say)
+        if found.clear and found.duration <= (task.duration or math.inf):
+            return _separated(setting, found, "all go around where they meet, to the right")
         tried.append(found)
     for rule in GUESSES:
         patience = rule.patience
