@@ -20,7 +20,7 @@ MOST_ROWS = 24
 def statics_tables(settled: Settled, ranges: Tolerance | None) -> str:
     """Return the tables of cables and vertices, each with its extremes over the times."""
     numbers = ["planned [N]", "at rest [N]"] + (["range [N]"] if ranges is not None else [])
-    cables = new_table(_title("Cables", settled.team.robots), [("cable", "left")], numbers)
+    cables = new_table(_title("Cables", settled.team.robots), ["cable"], numbers)
     cables.add_column("slack", overflow="fold")
     limits = None if ranges is None else ranges.tensions
     for k in range(min(settled.team.robots, MOST_ROWS)):
@@ -33,7 +33,7 @@ def statics_tables(settled: Settled, ranges: Tolerance | None) -> str:
     numbers = ["from the plan [mm]", "lower by [mm]"]
     numbers += ["range around it [mm]"] if ranges is not None else []
     names = settled.team.point_names
-    vertices = new_table(_title("Vertices", len(names)), [("vertex", "left")], numbers)
+    vertices = new_table(_title("Vertices", len(names)), ["vertex"], numbers)
     lower = settled.planned_vertices[..., 2] - settled.vertices[..., 2]
     for k, name in enumerate(names[:MOST_ROWS]):
         row = [f"{1e3 * np.max(settled.displacements[:, k]):.1f}", _span(1e3 * lower[:, k], 1)]
