@@ -67,10 +67,13 @@ def headline(simulation: Simulation) -> str:
 
 def _conditions(simulation: Simulation) -> Table:
     """Return the table of how drones are controlled, and of what the simulation corrects."""
+    from hitchopt.simulation.error_measures import effective_lengths
+
     flight, preset = simulation.flight, simulation.settings.preset
     team, gains, sizes = flight.task.team, flight.gains, flight.compensation
     stated = np.all(np.isfinite(team.stiffness)) or simulation.settings.stiffness is not None
     table = new_table("Control, and what is corrected", [("quantity", "left")], ["value"])
+    off = 1e3 * (effective_lengths(flight) - team.cable_length)
     for name, value in (
         ("stiffness of position loops", f"{_range(gains.stiffness)} N/m"),
         ("  stated by", "team or option" if stated else "nobody: the simulator's own"),
@@ -85,6 +88,7 @@ def _conditions(simulation: Simulation) -> Table:
             f"≤ {1e3 * sizes.aside:.1f} mm",
         ),
         ("ropes longer for their bends", f"≤ {1e3 * sizes.longer:.1f} mm"),
+        ("  their effective lengths are off by", _range(off, "+.1f") + " mm"),
     ):
         table.add_row(name, value)
     return table
@@ -134,9 +138,9 @@ def _height(errors: NDArray[np.float64]) -> str:
     return f"{100 * np.mean(there):+.1f}" if there.size else ""
 
 
-def _range(values: NDArray[np.float64]) -> str:
+def _range(values: NDArray[np.float64], digits: str = ".3g") -> str:
     """Return the smallest and largest of some values, or the one that all are."""
-    low, high = f"{np.min(values):.3g}", f"{np.max(values):.3g}"
+    low, high = f"{np.min(values):{digits}}", f"{np.max(values):{digits}}"
     return low if low == high else f"{low} to {high}"
 
 

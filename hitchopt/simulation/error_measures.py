@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.simulation.flight_records import Flight
 
 Array = NDArray[np.float64]
@@ -108,6 +109,24 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     planned = vertices[place][:, clasps]
     moving = (step[place] > STILL) & (record.t[rows] <= task.duration + SAME_SAMPLE)
     return VertexErrors(record.t[rows], rows, planned, record.vertices[rows] - planned, moving)
+
+
+def effective_lengths(flight: Flight) -> Array:
+    """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest.
+
+    It is how long the cables are for the hitch; nan where the flight did not rest in a hitch.
+    """
+    record, team = flight.record, flight.task.team
+    rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
+    if not rows.any() or not flight.task.formed[-1]:
+        return np.full(team.robots, np.nan)
+    drones = np.mean(record.drones[rows] - record.aside[rows], axis=0)
+    vertices = np.empty((team.layout.points, 3))
+    vertices[team.layout.anchors] = drones  # a chain's ends; clasps follow
+    vertices[team.layout.clasps] = np.mean(record.vertices[rows], axis=0)
+    parts = CableParts.of(team, drones[None], vertices[None])
+    found: Array = parts.lengths(flight.density, np.mean(record.tensions[rows], axis=0)[None])[0]
+    return found
 
 
 def tracking_errors(flight: Flight) -> Array:

@@ -22,7 +22,8 @@ class Record:
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
     drones: positions (samples, 2n, 3) [m].
-    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, offset for thick ropes.
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, moved aside for thick ropes.
+    aside: (samples, 2n, 3) [m], by how much they are moved aside.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
     bearing: contact forces (samples, clasps) [N].
     tensions: means over each cable's length (samples, n) [N].
@@ -34,6 +35,7 @@ class Record:
     t: Array
     drones: Array
     commanded: Array
+    aside: Array
     vertices: Array
     bearing: Array
     tensions: Array

@@ -100,9 +100,10 @@ class _Run:
         team, diameter = task.team, settings.preset.diameter
         self._task, self._settings, self._progress = task, settings, progress
         self._disturbances = Disturbances(settings.perturbations, team.robots, settings.seed)
-        offsets = thickness_offsets(task, diameter)
-        self._setpoints = replace(task.setpoints, positions=task.setpoints.positions + offsets)
-        allowance = thickness_allowance(task, diameter)
+        self._aside = thickness_offsets(task, diameter)
+        aside = task.setpoints.positions + self._aside
+        self._setpoints = replace(task.setpoints, positions=aside)
+        allowance = thickness_allowance(task, diameter, settings.preset.segment)
         lengths = team.cable_length * self._disturbances.cable_scale + allowance
         ropes = ropes_of(team, settings, lengths)
         ground = settings.ground
@@ -121,7 +122,7 @@ class _Run:
         self._gains = PositionGains.of(team, settings)
         self._wound = np.zeros_like(start)
         self._compensation = Compensation(
-            float(np.max(np.linalg.norm(offsets, axis=-1))), float(np.max(allowance))
+            float(np.max(np.linalg.norm(self._aside, axis=-1))), float(np.max(allowance))
         )
         self._substeps = max(1, round(CONTROL / ropes.preset.time_step))
         self._period = self._substeps * ropes.preset.time_step
@@ -227,7 +228,8 @@ class _Run:
     def _sample(self, time: float, index: int) -> None:
         """Record a sample at ``time`` [s], at which setpoint ``index`` applies."""
         least = self._least_bearing[index]
-        self._recorder.sample(time, self._setpoints.positions[index], least)
+        commanded = self._setpoints.positions[index]
+        self._recorder.sample(time, commanded, self._aside[index], least)
 
     def flight(self, error: InvalidRunError | None) -> Flight:
         """Return the flight as far as it was simulated."""

@@ -56,6 +56,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
     cables: dict[str, Array] = {"tension": record.tensions, "peak": record.peak_tensions}
     drones: dict[str, Array] = {
         "x,y,z": record.drones,
+        "aside_x,aside_y,aside_z": record.aside,
         "error": np.linalg.norm(record.drones - record.commanded, axis=-1),
         "thrust": record.thrusts,
         "saturated": record.saturated.astype(np.float64),

@@ -28,6 +28,7 @@ def flight_of(
         t,
         drones + [0.03, 0.0, 0.04],
         drones,
+        np.zeros_like(drones),
         vertices,
         np.ones(vertices.shape[:2]),
         np.ones((samples, n)),

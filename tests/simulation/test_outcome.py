@@ -40,7 +40,7 @@ def judged(
         bearing[:, lost] = 0.2
     many = np.ones((len(t), 8))
     drones = np.zeros((len(t), 8, 3))
-    record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0)
+    record = Record(t, drones, drones, drones, vertices, bearing, some, some, many, many > 2.0)
     film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
     task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
     least = np.full(4, 0.3)

@@ -164,7 +164,7 @@ def test_the_flight_states_the_sizes_of_its_corrections() -> None:
     flight = simulate(task, Settings(body="point", pull_test=False)).flight
     aside = np.linalg.norm(thickness_offsets(task, 0.012), axis=-1)
     assert flight.compensation.aside == pytest.approx(np.max(aside))
-    longer = np.max(thickness_allowance(task, 0.012))
+    longer = np.max(thickness_allowance(task, 0.012, 0.03))
     assert flight.compensation.longer == pytest.approx(longer)
     moved = flight.record.commanded - task.setpoints.positions[:1]
     assert np.max(np.linalg.norm(moved, axis=-1)) == pytest.approx(flight.compensation.aside)
