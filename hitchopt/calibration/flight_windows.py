@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.calibration.plan_comparison import PlanRows
 from hitchopt.calibration.recordings import Recording
 from hitchopt.simulation.flight_task import Task
 
@@ -35,6 +36,7 @@ class Windows:
     t: middles (windows,) [s].
     drones, vertices: measured (windows, 2n, 3), (windows, points, 3) [m].
     commanded: set points (windows, 2n, 3) [m].
+    planned: planned vertices (windows, points, 3) [m].
     cable_forces: of the set points (windows, 2n, 3) [N].
     tensions: planned (windows, n) [N].
     resting: whether the plan stands still, and has done so for CALMED (windows,).
@@ -44,6 +46,7 @@ class Windows:
     drones: Array
     vertices: Array
     commanded: Array
+    planned: Array
     cable_forces: Array
     tensions: Array
     resting: NDArray[np.bool_]
@@ -72,6 +75,7 @@ class Windows:
             mean(still.drones),
             mean(still.vertices),
             mean(still.commanded),
+            mean(still.planned),
             mean(still.cable_forces),
             mean(still.tensions),
             still.resting[first],
@@ -83,8 +87,8 @@ def windows_of(recording: Recording, task: Task) -> Windows:
 
     After its end a plan stands still at its last set point.
     """
-    asked = np.clip(recording.t, 0.0, task.duration) + task.t[0]
-    row = np.clip(np.searchsorted(task.t, asked + 1e-6, side="right") - 1, 0, len(task.t) - 1)
+    rows = PlanRows.at(task, recording.t)
+    row = rows.low
     tight = task.formed[row] & np.all(task.tensions[row] >= TIGHT * task.team.tension, axis=-1)
     steps = np.max(np.linalg.norm(np.diff(task.setpoints.positions, axis=0), axis=-1), axis=-1)
     moves = np.flatnonzero(steps > 1e-7)
@@ -113,8 +117,9 @@ def windows_of(recording: Recording, task: Task) -> Windows:
         mean(recording.t),
         mean(recording.drones),
         mean(recording.vertices),
-        mean(setpoints.positions[row]),
-        mean(setpoints.cable_forces[row]),
-        mean(task.tensions[row]),
+        mean(rows.of(setpoints.positions)),
+        mean(rows.of(task.vertices)),
+        mean(rows.of(setpoints.cable_forces)),
+        mean(rows.of(task.tensions)),
         mean(calm.astype(np.float64)) > 1.0 - 1e-9,
     )

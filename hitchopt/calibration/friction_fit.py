@@ -18,11 +18,13 @@ from scipy.sparse.linalg import splu
 from hitchopt.calibration.estimates import Estimate, scale_of
 from hitchopt.calibration.force_balance import ForceBalance
 from hitchopt.hitch import Team
+from hitchopt.hitch.cable_parts import CableParts
 
 Array = NDArray[np.float64]
 
 SLIDING = 4e-3
-"""Least rate at which a cable slides through a clasp that counts as sliding [m/s]."""
+"""Least rate at which a cable slides through a clasp that counts as sliding [m/s]. The plan must
+slide it the same way at that rate: where only noise moves drones, clasps may stick."""
 
 SLID = 0.02
 """Least distance that cables must slide, all clasps taken together, to determine friction [m]."""
@@ -99,9 +101,11 @@ def sliding_clasps(team: Team, balance: ForceBalance, tensions: Array) -> Slidin
     steps = np.diff(windows.t)
     rate = np.diff(parts.legs[:, drones], axis=0) / steps[:, None]
     before, after = rate[:-1], rate[1:]  # in and out of the windows in between
+    asked = CableParts.of(team, windows.commanded, windows.planned).legs[:, drones]
+    planned = (asked[2:] - asked[:-2]) / (windows.t[2:] - windows.t[:-2])[:, None]
     neighbours = (steps[:-1] < 2.0 * np.min(steps)) & (steps[1:] < 2.0 * np.min(steps))
     steady = (np.minimum(np.abs(before), np.abs(after)) > SLIDING) & (before * after > 0.0)
-    steady &= neighbours[:, None]
+    steady &= neighbours[:, None] & (before * planned > 0.0) & (np.abs(planned) > SLIDING)
     edge = parts.along[1:-1][:, drones // 2] * np.where(drones % 2 == 0, 1.0, -1.0)[:, None]
     turn = np.arccos(np.clip(-np.sum(parts.outward[1:-1][:, drones] * edge, axis=-1), -1.0, 1.0))
     leg = tensions[1:-1][:, balance.leg_unknown[drones]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError
 from hitchopt.hitch import Team
 from hitchopt.simulation.flight_records import Flight
+from hitchopt.storage.strict_json import parsed_json
 
 Array = NDArray[np.float64]
 
@@ -22,8 +24,8 @@ HEADER = "t,name,x,y,z"
 MAX_BYTES = 400_000_000
 """Larger tables are refused before they are read."""
 
-DRONES, VERTICES = "drones.csv", "vertices.csv"
-"""Tables of a simulated flight, with columns ``drone`` and ``vertex`` in the place of ``name``."""
+DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
+"""Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
 ASIDE = ("aside_x", "aside_y", "aside_z")
 """Columns by how much simulated drones are moved aside for thick ropes [m]; taken off again."""
@@ -38,11 +40,16 @@ class Recording:
     t: (samples,) [s], ascending, from the plan's start.
     drones: (samples, 2n, 3) [m], in the order q0, r0, q1, …; nan where not seen.
     vertices: (samples, points, 3) [m]; nan where not seen. A chain's ends are its drones.
+    density: of the cables [kg/m], where it is known from a simulation.
+    feed_forward, integral: whether drones' controllers had these (2n,), where it is known likewise.
     """
 
     t: Array
     drones: Array
     vertices: Array
+    density: float | None = None
+    feed_forward: NDArray[np.bool_] | None = None
+    integral: NDArray[np.bool_] | None = None
 
     @classmethod
     def of_flight(cls, flight: Flight) -> Recording:
@@ -52,7 +59,14 @@ class Recording:
         drones = record.drones[rows] - record.aside[rows]
         vertices = np.full((len(drones), layout.points, 3), np.nan)
         vertices[:, layout.clasps] = record.vertices[rows]
-        return cls(record.t[rows], drones, _with_ends(vertices, drones, flight.task.team))
+        return cls(
+            record.t[rows],
+            drones,
+            _with_ends(vertices, drones, flight.task.team),
+            flight.density,
+            flight.gains.feed_forward,
+            flight.gains.integral > 0.0,
+        )
 
 
 def read_recording(path: Path, team: Team) -> Recording:
@@ -68,6 +82,7 @@ def read_recording(path: Path, team: Team) -> Recording:
     FileError: a file that is missing, no such table, or without a drone or vertex of the team.
     """
     names = (*team.drone_names, *team.point_names)
+    known: tuple[Any, ...] = ()
     if path.is_dir():
         drones = _rows(path / DRONES, "drone", dict(zip(names, range(len(names)), strict=True)))
         points = {str(p): team.drones + p for p in range(team.layout.points)}
@@ -76,6 +91,7 @@ def read_recording(path: Path, team: Team) -> Recording:
         if np.isfinite(last):
             drones = drones[drones[:, 0] <= last]
         rows = np.vstack([drones, vertices])
+        known = _simulated(path / SUMMARY, team)
     else:
         rows = _rows(path, "name", dict(zip(names, range(len(names)), strict=True)))
     item = rows[:, 1].astype(np.intp)
@@ -91,7 +107,27 @@ def read_recording(path: Path, team: Team) -> Recording:
         raise FileError(f"{path}: holds a name twice at the same time; record it once")
     places[sample, item] = rows[:, 2:]
     drones, vertices = places[:, : team.drones], places[:, team.drones :]
-    return Recording(t, drones, _with_ends(vertices, drones, team))
+    return Recording(t, drones, _with_ends(vertices, drones, team), *known)
+
+
+def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
+    """Return density, feed-forward and integral action of a simulated flight from its summary.
+
+    Raises
+    ------
+    FileError: the file is missing, or not such a summary of this team.
+    """
+    try:
+        content = parsed_json(path.read_text(encoding="utf-8"))
+        loops = content["position_loops"]
+        density = float(content["density"]["simulated"])
+        feeds = np.array(loops["feed_forward"], dtype=np.bool_)
+        winds = np.array(loops["integral"], dtype=np.float64) > 0.0
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileError(f"{path}: not a summary of a flight; simulate again ({error})") from error
+    if feeds.shape != (team.drones,) or winds.shape != (team.drones,):
+        raise FileError(f"{path}: is not of this plan's {team.drones} drones; simulate again")
+    return density, feeds, winds
 
 
 def _with_ends(vertices: Array, drones: Array, team: Team) -> Array:

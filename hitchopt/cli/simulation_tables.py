@@ -34,19 +34,19 @@ def flight_tables(simulation: Simulation) -> str:
             clasp.name,
             str(clasp.linking),
             f"{clasp.bearing:.3f} {'≥' if clasp.bears else '<'} {clasp.least_bearing:.3f}",
-            _spread(Spread.of(errors.errors[:, c])),
+            spread_text(Spread.of(errors.errors[:, c])),
             _height(errors.offsets[:, c, 2]),
-            _spread(Spread.of(errors.without_sag[:, c])),
+            spread_text(Spread.of(errors.without_sag[:, c])),
             f"{100 * clasp.moved:.1f}" if np.isfinite(clasp.moved) else "",
             Text("yes" if clasp.holds else "NO", style="green" if clasp.holds else "bold red"),
         )
     figures = new_table("Flight", [("quantity", "left")], ["value"])
     for name, value in (
-        ("vertices, sag included [cm]", _spread(run.vertex_error)),
-        ("  while the plan stands still", _spread(run.resting)),
-        ("  while it moves a vertex", _spread(run.moving)),
-        ("vertices without sag (level part) [cm]", _spread(run.without_sag)),
-        ("drones to their setpoints [cm]", _spread(run.tracking)),
+        ("vertices, sag included [cm]", spread_text(run.vertex_error)),
+        ("  while the plan stands still", spread_text(run.resting)),
+        ("  while it moves a vertex", spread_text(run.moving)),
+        ("vertices without sag (level part) [cm]", spread_text(run.without_sag)),
+        ("drones to their setpoints [cm]", spread_text(run.tracking)),
         ("largest tension", f"{run.peak_tension:.3f} N"),
         ("largest thrust", f"{run.peak_thrust:.3f} N"),
         ("thrust saturated", f"{run.saturated:.2%} of samples"),
@@ -62,7 +62,9 @@ def headline(simulation: Simulation) -> str:
     run = simulation.run
     if not np.isfinite(run.vertex_error.mean):
         return "vertex error: none, the plan has no hitch or none was formed"
-    return f"vertex error in 3-D, sag included: {_spread(run.vertex_error)} cm, mean ± σ (largest)"
+    return (
+        f"vertex error in 3-D, sag included: {spread_text(run.vertex_error)} cm, mean ± σ (largest)"
+    )
 
 
 def _conditions(simulation: Simulation) -> Table:
@@ -125,7 +127,7 @@ def campaign_tables(campaign: Campaign) -> str:
     return f"{head}\n{rendered(runs)}\n\n{rendered(failed)}\n"
 
 
-def _spread(spread: Spread) -> str:
+def spread_text(spread: Spread) -> str:
     """Return mean, deviation and largest value of some errors, in centimetres."""
     if not np.isfinite(spread.mean):
         return "none"
