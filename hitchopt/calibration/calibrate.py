@@ -17,6 +17,7 @@ from hitchopt.calibration.recordings import Recording, read_recording
 from hitchopt.calibration.stiffness_fit import StiffnessFit, fit_stiffness
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
+from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task, read_task
 from hitchopt.values import not_negative
@@ -81,9 +82,18 @@ def calibrate(
         recording = Recording.of_flight(recording)
     elif not isinstance(recording, Recording):
         recording = read_recording(Path(recording), task.team)
+    given = recording.density if density is None else not_negative("density", density)
+    return estimate_team(recording, task, task.team.cable_density if given is None else given)
+
+
+def estimate_team(recording: Recording, task: Task, density: float) -> Calibration:
+    """Return the calibration from a recording of a task, with cables of a density [kg/m].
+
+    Raises
+    ------
+    InputError: drones and vertices are never seen together while the plan has a hitch.
+    """
     team = task.team
-    rho = recording.density if density is None else not_negative("density", density)
-    rho = team.cable_density if rho is None else rho
     windows = windows_of(recording, task)
     if not len(windows.t):
         raise InputError(
@@ -100,17 +110,19 @@ def calibrate(
     if not np.any(winds):
         remark = "the plan does not stand still with its hitch drawn tight"
         if len(poses.t):
-            fit = fit_stiffness(team, ForceBalance.of(team, poses, rho), feeds)
+            fit = fit_stiffness(team, ForceBalance.of(team, poses, density), feeds)
     stiffness = (Estimate.unknown(remark),) * team.robots
     if fit is not None:
         stiffness = tuple(fit.stiffness[kind] for kind in fit.kinds[::2])
-    friction, tensions = _friction(team, windows, rho, fit, stiffness, feeds)
-    parts = ForceBalance.of(team, windows, rho).parts
-    means, errors = robust_mean(parts.lengths(rho, tensions), LEAST_SCALE)
+    friction, tensions = _friction(team, windows, density, fit, stiffness, feeds)
+    parts = CableParts.of(team, windows.drones, windows.vertices)
+    means, errors = robust_mean(parts.lengths(density, tensions), LEAST_SCALE)
     lengths = tuple(
         Estimate(float(mean), float(error)) for mean, error in zip(means, errors, strict=True)
     )
-    return Calibration(task, recording, rho, lengths, stiffness, friction, compare(recording, task))
+    return Calibration(
+        task, recording, density, lengths, stiffness, friction, compare(recording, task)
+    )
 
 
 def _task(recording: Recording | Flight | Path | str, plan: Path | str | None) -> Task:

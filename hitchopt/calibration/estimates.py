@@ -65,7 +65,10 @@ def robust_mean(values: Array, least_scale: float) -> tuple[Array, Array]:
     for _ in range(ROUNDS):
         weights = 1.0 / np.sqrt(1.0 + ((values - centre) / scale) ** 2)
         centre = np.sum(weights * values, axis=0) / np.sum(weights, axis=0)
-    spread = np.sum(weights * (values - centre) ** 2, axis=0) / np.sum(weights, axis=0)
-    count = np.maximum(np.sum(weights, axis=0) - 1.0, 1e-9)
-    errors = np.sqrt(np.maximum(spread, least_scale**2) / count)
-    return centre, np.where(len(values) > 1, errors, np.inf)
+    count = len(values)
+    if count < 2:
+        return centre, np.full_like(centre, np.inf)
+    # Of an M-estimator: the influence r w(r) over its slope, which is w³ for this loss.
+    influence = np.sum((weights * (values - centre)) ** 2, axis=0) * count / (count - 1.0)
+    errors = np.sqrt(influence) / np.sum(weights**3, axis=0)
+    return centre, np.maximum(errors, least_scale / np.sqrt(count))

@@ -147,7 +147,7 @@ def fit_friction(found: SlidingClasps) -> Estimate:
     residuals = found.ratios - mu * found.turns
     weights = 1.0 / np.sqrt(1.0 + (residuals / scale) ** 2)
     scores = weights * residuals * found.turns
-    information = float(np.sum(weights * found.turns**2))
+    information = float(np.sum(weights**3 * found.turns**2))
     sums = [np.bincount(group, scores) for group in (found.windows, found.drones)]
     error = float(max(np.sqrt(np.sum(one**2)) for one in sums)) / information
     if error > LARGEST_ERROR or len(np.unique(found.windows)) < 3:
