@@ -97,6 +97,21 @@ def moved(friction: float, n: int = 3) -> Problem:
     return problem_from_dict(data)
 
 
+def standing_and_moved() -> Problem:
+    """Return the problem of a regular triangle that stands, moves a vertex outward, and stands.
+
+    Its team has cables without weight and friction.
+    """
+    hitch = {"polygon": _polygon(3), "altitude": 1.0, "legs": "balanced"}
+    step = {"vertex": 0, "by": [0.0, MOVED_BY], "duration": 6.0}
+    data = {
+        "team": {**_team(3, MOVED, 0.0), "cable_density": 0.0},
+        "start": {"hitch": hitch},
+        "mission": [{"hold": {"seconds": 2.5}}, {"move_vertex": step}, {"hold": {"seconds": 1.0}}],
+    }
+    return problem_from_dict(data)
+
+
 def irregular(seed: int, friction: float) -> Task:
     """Return the plan of a random triangle, a random vertex of which is moved by 0.3 m in 6 s.
 
