@@ -20,9 +20,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task, read_task
-from hitchopt.values import not_negative
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, not_negative
 
 LEAST_SCALE = 3e-4
 """Least scatter that is assumed of a measured cable length [m]."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ROUNDS = 30
 """Number of reweightings of a robust mean, which converge by a factor of some 3 each."""

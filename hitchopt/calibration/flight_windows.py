@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.calibration.plan_comparison import PlanRows
 from hitchopt.calibration.recordings import Recording
 from hitchopt.simulation.flight_task import Task
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 WINDOW = 0.5
 """Length of a window [s]: some times the correlation time of a drone's position error."""

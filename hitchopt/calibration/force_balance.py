@@ -15,8 +15,8 @@ from scipy.sparse import coo_array, csr_array
 from hitchopt.calibration.flight_windows import Windows
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.cable_parts import CableParts
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 

@@ -19,8 +19,7 @@ from hitchopt.calibration.estimates import Estimate, scale_of
 from hitchopt.calibration.force_balance import ForceBalance
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_parts import CableParts
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SLIDING = 4e-3
 """Least rate at which a cable slides through a clasp that counts as sliding [m/s]. The plan must

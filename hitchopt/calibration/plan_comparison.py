@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from hitchopt.calibration.recordings import Recording
 from hitchopt.simulation.error_measures import STILL, TIGHT, Spread
 from hitchopt.simulation.flight_task import Task
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from hitchopt.errors import FileError
 from hitchopt.hitch import Team
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.storage.strict_json import parsed_json
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 HEADER = "t,name,x,y,z"
 """Columns of a recording, in any order and among others: time from the plan's start [s], a drone

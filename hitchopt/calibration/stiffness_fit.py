@@ -19,8 +19,8 @@ from scipy.sparse.linalg import splu
 from hitchopt.calibration.estimates import Estimate, scale_of
 from hitchopt.calibration.force_balance import ForceBalance
 from hitchopt.hitch import Team
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 OFFSET_SCALE, FORCE_SHARE = 2e-3, 0.02

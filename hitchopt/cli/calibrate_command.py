@@ -59,7 +59,7 @@ def _tables(found: Calibration) -> str:
     from hitchopt.cli.simulation_tables import spread_text
 
     team, remarks = found.task.team, []
-    estimates = new_table("Estimates", [("quantity", "left")], ["value", "± error", "in the plan"])
+    estimates = new_table("Estimates", ["quantity"], ["value", "± error", "in the plan"])
 
     def add(name: str, estimate: Estimate, unit: str, planned: float) -> None:
         if estimate.known:
@@ -79,7 +79,7 @@ def _tables(found: Calibration) -> str:
     add("friction", found.friction, "", team.cable_friction)
     errors = new_table(
         "Distances to the plan [cm], mean ± standard deviation (largest)",
-        [("of", "left")],
+        ["of"],
         ["whole flight", "plan at rest", "plan moving"],
     )
     compared = found.comparison

@@ -26,7 +26,7 @@ def flight_tables(simulation: Simulation) -> str:
     vertices = new_table(
         "Vertices, in cm: distances to the plan's, mean ± standard deviation (largest); mean\n"
         "height over the plan; movement under the pull test",
-        [("vertex", "left")],
+        ["vertex"],
         ["linked", "bears [N]", "error", "height", "without sag", "pulled", "holds"],
     )
     for c, clasp in enumerate(outcome.clasps):
@@ -40,7 +40,7 @@ def flight_tables(simulation: Simulation) -> str:
             f"{100 * clasp.moved:.1f}" if np.isfinite(clasp.moved) else "",
             Text("yes" if clasp.holds else "NO", style="green" if clasp.holds else "bold red"),
         )
-    figures = new_table("Flight", [("quantity", "left")], ["value"])
+    figures = new_table("Flight", ["quantity"], ["value"])
     for name, value in (
         ("vertices, sag included [cm]", spread_text(run.vertex_error)),
         ("  while the plan stands still", spread_text(run.resting)),
@@ -74,7 +74,7 @@ def _conditions(simulation: Simulation) -> Table:
     flight, preset = simulation.flight, simulation.settings.preset
     team, gains, sizes = flight.task.team, flight.gains, flight.compensation
     stated = np.all(np.isfinite(team.stiffness)) or simulation.settings.stiffness is not None
-    table = new_table("Control, and what is corrected", [("quantity", "left")], ["value"])
+    table = new_table("Control, and what is corrected", ["quantity"], ["value"])
     off = 1e3 * (effective_lengths(flight) - team.cable_length)
     for name, value in (
         ("stiffness of position loops", f"{_range(gains.stiffness)} N/m"),
@@ -108,7 +108,7 @@ def campaign_tables(campaign: Campaign) -> str:
         f"seeds {campaign.runs[0].seed} to {campaign.runs[-1].seed}, "
         f"preset {campaign.settings.preset.name}\n"
     )
-    runs = new_table("Runs, over all flights", [("quantity", "left")], ["mean", "largest"])
+    runs = new_table("Runs, over all flights", ["quantity"], ["mean", "largest"])
     for name, values in (
         ("mean vertex error, sag included", [run.vertex_error.mean for run in campaign.runs]),
         ("  while the plan stands still", [run.resting.mean for run in campaign.runs]),
@@ -121,7 +121,7 @@ def campaign_tables(campaign: Campaign) -> str:
             runs.add_row(name, _centimetres(np.mean(there)), _centimetres(np.max(there)))
     if not campaign.failures:
         return f"{head}\n{rendered(runs)}\n"
-    failed = new_table("First failures", [("kind", "left"), ("where", "left")], ["flights"])
+    failed = new_table("First failures", ["kind", "where"], ["flights"])
     for (kind, where), number in campaign.failures.most_common():
         failed.add_row(kind, where, str(number))
     return f"{head}\n{rendered(runs)}\n\n{rendered(failed)}\n"

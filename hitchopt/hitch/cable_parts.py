@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.team import GRAVITY, Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
