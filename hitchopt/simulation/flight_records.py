@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.validity import InvalidRunError
 
@@ -21,7 +22,8 @@ class Record:
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
     drones: positions (samples, 2n, 3) [m].
-    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, offset for thick ropes.
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, moved aside for thick ropes.
+    aside: (samples, 2n, 3) [m], by how much they are moved aside.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
     bearing: contact forces (samples, clasps) [N].
     tensions: means over each cable's length (samples, n) [N].
@@ -33,6 +35,7 @@ class Record:
     t: Array
     drones: Array
     commanded: Array
+    aside: Array
     vertices: Array
     bearing: Array
     tensions: Array
@@ -72,6 +75,21 @@ class Touch:
     second: str
 
 
+@dataclass(frozen=True)
+class Compensation:
+    """Sizes of what the simulation corrects because its ropes are thicker than cables.
+
+    Attributes
+    ----------
+    aside: largest distance by which a drone's setpoint is moved aside [m].
+    longer: largest length that a rope has more than its cable [m]; it is used up by the bends, so
+        that the planned length is the effective one.
+    """
+
+    aside: float
+    longer: float
+
+
 @dataclass(frozen=True, eq=False)
 class Flight:
     """A flight that was simulated to its end, or until the simulation became invalid.
@@ -87,6 +105,8 @@ class Flight:
     density: of the simulated cables [kg/m].
     least_bearing: contact forces (clasps,) [N] from which on a clasp bears at the end; zero without
         a hitch.
+    gains: of the drones' position loops.
+    compensation: sizes of the corrections for thick ropes.
     error: what ended the flight early, or None.
     """
 
@@ -99,4 +119,6 @@ class Flight:
     pulled: float
     density: float
     least_bearing: Array
+    gains: PositionGains
+    compensation: Compensation
     error: InvalidRunError | None

@@ -48,7 +48,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
     vertices: dict[str, Array] = {
         "x,y,z": record.vertices[errors.rows],
         "planned_x,planned_y,planned_z": errors.planned,
-        "sag": errors.sag,
+        "height_error": errors.offsets[..., 2],
         "error": errors.errors,
         "error_without_sag": errors.without_sag,
         "bearing": record.bearing[errors.rows],
@@ -56,6 +56,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
     cables: dict[str, Array] = {"tension": record.tensions, "peak": record.peak_tensions}
     drones: dict[str, Array] = {
         "x,y,z": record.drones,
+        "aside_x,aside_y,aside_z": record.aside,
         "error": np.linalg.norm(record.drones - record.commanded, axis=-1),
         "thrust": record.thrusts,
         "saturated": record.saturated.astype(np.float64),
@@ -81,6 +82,12 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "format": FORMAT,
         "setpoints_sha256": flight.task.digest,
         "settings": settings_summary(simulation.settings),
+        "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
+        "compensation": {
+            "drones_aside": flight.compensation.aside,
+            "cables_longer": flight.compensation.longer,
+        },
+        "density": {"simulated": flight.density, "planned": team.cable_density},
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
         "hitched": outcome.hitched,
@@ -88,8 +95,9 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "clasps": [asdict(clasp) for clasp in outcome.clasps],
         "vertex_error": {
             "all": asdict(run.vertex_error),
+            "resting": asdict(run.resting),
+            "moving": asdict(run.moving),
             "all_without_sag": asdict(run.without_sag),
-            "moving_without_sag": asdict(run.moving_without_sag),
             **{name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)},
             "lost_share": errors.lost,
         },

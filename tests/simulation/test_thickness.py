@@ -11,6 +11,7 @@ from scripted import regular_hitch, standing, unformed
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation import rope_flight
+from hitchopt.simulation.error_measures import effective_lengths
 from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
 from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import ACCURATE, Settings
@@ -56,7 +57,7 @@ def tangents(point: complex, centre: complex, radius: float) -> tuple[complex, c
 
 @pytest.mark.parametrize("n", [3, 5, 12])
 def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
-    found = thickness_allowance(standing(regular_hitch(n), 0.1), 0.01)
+    found = thickness_allowance(standing(regular_hitch(n), 0.1), 0.01, 0.0)
     # Drawn as polygons: a circle of one diameter about the other cable, and tangents to the legs.
     turn = 2.0 * np.pi / n
     angle = np.linspace(0.5 * turn, np.pi - 0.5 * turn, 2001) + 0.5 * np.pi
@@ -149,10 +150,19 @@ def test_the_ends_of_a_chain_have_no_offsets() -> None:
     assert np.all(np.linalg.norm(found[1:-1], axis=-1) > 0.5 * DIAMETER)
 
 
+@pytest.mark.parametrize("n", [3, 6])
+def test_simulated_cables_are_as_long_as_planned(n: int) -> None:
+    """Legs, edges and their arcs add up to the plan's length, whatever the ropes' bends use up."""
+    task = standing(regular_hitch(n, cable_friction=0.0), 0.1)
+    flight = simulate(task, Settings(body="point", pull_test=False)).flight
+    np.testing.assert_allclose(effective_lengths(flight), task.team.cable_length, atol=4e-3)
+    assert flight.compensation.longer > 0.015  # without which they would be as much too short
+
+
 def test_no_hitch_no_offsets() -> None:
     task = unformed(standing(regular_hitch(3), 0.1))
     np.testing.assert_array_equal(thickness_offsets(task, DIAMETER), np.zeros((11, 6, 3)))
-    np.testing.assert_array_equal(thickness_allowance(task, DIAMETER), np.zeros(3))
+    np.testing.assert_array_equal(thickness_allowance(task, DIAMETER, 0.03), np.zeros(3))
 
 
 def test_offsets_are_only_where_the_hitch_is_and_rise_with_its_tension() -> None:
@@ -188,7 +198,9 @@ def test_without_offsets_a_standing_triangle_is_dragged_inward(
     task = standing(hitch, 0.05)
     settings = Settings(preset=ACCURATE, body="point", pull_test=False)
     with_offsets = simulate(task, settings).errors
-    monkeypatch.setattr(rope_flight, "thickness_offsets", lambda *_: np.zeros((1, 6, 3)))
+    monkeypatch.setattr(
+        rope_flight, "thickness_offsets", lambda *_: np.zeros_like(task.setpoints.positions)
+    )
     without = simulate(task, settings)
     assert np.max(with_offsets.without_sag) < np.min(without.errors.without_sag) - 0.01
     outward = hitch.vertices - np.mean(hitch.vertices, axis=0)

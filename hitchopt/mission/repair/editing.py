@@ -33,7 +33,7 @@ def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
     if name == "max_thrust":
         pairs = zip(problem.team.quadrotor, rounded, strict=True)
         kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
-        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, [_as_written(k) for k in kinds]
+        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, list(map(_as_written, kinds))
     team = replace(problem.team, **changed)
     same = all(value == rounded[0] for value in rounded)
     edit = Edit(f"team.{name}", rounded[0] if same else rounded)
