@@ -34,7 +34,7 @@ class Conditions:
     ----------
     cable_length: real lengths [m] under the planned tension, one, (n,) or (…, n).
     cable_density: [kg/m]
-    load: masses that hang at the points [kg], one, or (points,); only clasps bear them.
+    load: masses that hang at the clasps [kg], one, or (clasps,).
     stiffness: of the drones' position loops [N/m], one or (2n,); infinite where they are rigid.
     integral: whether the controllers drive position errors to zero.
     feed_forward: whether the controllers add the cable force that the set points hold.
@@ -73,8 +73,8 @@ class Conditions:
         return team.cable_density if self.cable_density is None else self.cable_density
 
     def loads(self, team: Team) -> Array:
-        """Return (points,) [kg]."""
-        return _array("load", self.load, (team.layout.points,), least=-1e-300)
+        """Return (clasps,) [kg]."""
+        return _array("load", self.load, (len(team.layout.clasps),), least=-1e-300)
 
     def drone_stiffness(self, team: Team) -> Array:
         """Return (2n,) [N/m]; infinite where a drone stands at its set point whatever the force."""

@@ -137,7 +137,7 @@ def energy_of(
     pushed = np.zeros(start.shape)
     fed = conditions.fed_forward(team)[:, None]
     pushed[:, : team.drones] = forces - np.where(fed, cable_forces, 0.0)
-    pushed[:, team.drones :, 2] = -GRAVITY * conditions.loads(team)[rigging.clasps]
+    pushed[:, team.drones :, 2] = -GRAVITY * conditions.loads(team)
     planned = np.concatenate([positions, vertices[:, rigging.clasps]], axis=1)
     ends = planned[:, rigging.nodes]
     chords = np.linalg.norm(np.diff(ends, axis=2), axis=-1)

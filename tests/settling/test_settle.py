@@ -303,16 +303,16 @@ def test_sag_of_a_regular_hitch_is_the_closed_form() -> None:
 
 def test_loads_hang_at_their_clasps_and_move_nothing_where_they_are_zero() -> None:
     hitch = random_hitch(2, 4, "open")
-    plain, zero = settled(hitch), settled(hitch, load=[0.0] * 5)
+    plain, zero = settled(hitch), settled(hitch, load=[0.0] * 3)
     np.testing.assert_array_equal(plain.vertices, zero.vertices)
-    load = np.array([9.0, 0.002, 0.001, 0.003, 9.0])  # drones bear those at the ends
+    load = np.array([0.002, 0.001, 0.003])
     found = settled(hitch, load=load)
     force = clasp_residuals(
         found.vertices,
         found.drones[0::2],
         found.drones[1::2],
         found.tensions,
-        9.81 * load[1:-1, None] * np.array([0.0, 0.0, -1.0]),
+        9.81 * load[:, None] * np.array([0.0, 0.0, -1.0]),
         "open",
     )
     assert np.max(np.abs(force)) < 1e-8
