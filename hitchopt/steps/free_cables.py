@@ -72,12 +72,11 @@ def check_above_ground(motion: Motion) -> None:
 
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
-    return joined_motions([_staged(stage, hitch, i, requirements) for stage in stages])
-
-
-def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
-    where = stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch)
-    return _motion(stage, hitch.team, where, i, requirements)
+    motions = []
+    for stage in stages:
+        where = stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch)
+        motions.append(_motion(stage, hitch.team, where, i, requirements))
+    return joined_motions(motions)
 
 
 def free_motion(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
