@@ -21,7 +21,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.mission.solving import solve_problem
 from hitchopt.plan import Plan
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.steps.form import Assign
 

@@ -13,6 +13,9 @@ from hitchopt.errors import InputError
 Array = NDArray[np.float64]
 """Type of arrays of real numbers."""
 
+Indices = NDArray[np.intp]
+"""Type of arrays of indices."""
+
 MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 

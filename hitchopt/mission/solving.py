@@ -16,8 +16,7 @@ from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 from hitchopt.steps import Form, Step
 from hitchopt.steps.blending import plan_blended
-from hitchopt.steps.certified_motions import Certified, certified, check_at_rest
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, certified, check_at_rest, infeasible
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
 from hitchopt.steps.situation import Situation, StepTask
@@ -66,7 +65,7 @@ def _solved(
     motion = joined_motions([part.motion for part in parts])
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
-        broken = infeasible(certificate, requirements.separation, motion.phases)
+        broken = infeasible(certificate, motion)
         raise _advised(broken, certificate, motion, steps)
     if isinstance(start, DronesStart):
         check_above_ground(motion)

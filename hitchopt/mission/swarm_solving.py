@@ -12,8 +12,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.steps.certified_motions import Certified
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.values import Array
 
 SHARE = 1.0 - 1e-6
@@ -48,7 +47,7 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
     motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise infeasible(certificate, problem.separation, motion.phases)
+        raise infeasible(certificate, motion)
     return Certified(motion, certificate)
 
 

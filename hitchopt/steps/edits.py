@@ -72,8 +72,7 @@ def lasting_for(key: str, seconds: float, raises: frozenset[str] = frozenset()) 
 
 def points_scaled(points: Array, factor: float, centre: Array) -> Array:
     """Return the points (…, 2) [m] moved away from ``centre`` by a factor."""
-    scaled: Array = np.round(centre + factor * (points - centre), DECIMALS)
-    return scaled
+    return np.round(centre + factor * (points - centre), DECIMALS)
 
 
 def outline_scaled(outline: Outline, factor: float) -> Outline:

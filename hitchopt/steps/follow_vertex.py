@@ -13,7 +13,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
-from hitchopt.planners.actions.following import follow_vertex
+from hitchopt.planners.actions.shape_moves import follow_vertex
 from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import (
     DECIMALS,
@@ -97,7 +97,7 @@ class FollowVertex(ActionStep):
         """Return the plan along the points; there is no other route."""
         end = self.end(task.hitch, task.requirements)
         self.check_end(end.hitch, task.index, task.requirements)
-        return task.ended(self.own_motion(task, end), end.hitch)
+        return task.ended(self.own_route(task, end).motion(), end.hitch)
 
     def advice(self, check: str) -> str:
         """Return that more time helps, where it does."""

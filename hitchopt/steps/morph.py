@@ -11,13 +11,14 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.motion.motion import Motion
-from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.path.straight_morph import StraightMorph
+from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import StepEdit, outline_edit
 from hitchopt.steps.end_hitch import End, end_of_morph
 from hitchopt.steps.hitch_step import ShapeStep
 from hitchopt.steps.keys import OUTLINE_TEXT, Blend, Key, LegsAtEnd, Seconds, Section
+from hitchopt.steps.route_choice import Route
 from hitchopt.steps.situation import StepTask
 from hitchopt.values import Array, positive
 
@@ -96,10 +97,10 @@ class Morph(ShapeStep):
         """Return the hitch on the polygon."""
         return end_of_morph(start, self.polygon, self.legs, requirements)
 
-    def own_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion along straight lines."""
-        flight = straight_morph(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.motion(task, flight, end.hitch)
+    def own_route(self, task: StepTask, end: End) -> Route[Flight | None]:
+        """Return the route along straight lines."""
+        planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
+        return Route(planner, lambda flight: self.motion(task, flight, end.hitch))
 
     def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
         """Return the edit that scales the polygon about its centroid, which is the centre then."""

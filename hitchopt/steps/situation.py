@@ -8,7 +8,7 @@ from hitchopt.checks import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 

@@ -10,7 +10,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.path.rigid_path import RigidPath
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements

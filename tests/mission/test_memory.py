@@ -108,18 +108,18 @@ def test_a_step_that_follows_remembered_ones_is_planned_as_after_new_ones() -> N
     assert bits(ho.solve(mission(0.4))) == bits(edited)
 
 
-@given(st.data())
-def test_nothing_done_to_a_plan_changes_the_next_one(data: st.DataObject) -> None:
+def test_nothing_done_to_a_plan_changes_the_next_one() -> None:
     start = ho.Hitch.spread(TEAM, TRIANGLE)
     plan = ho.hold(start, 1.0)
     before = bits(plan)
     found = [array for array in arrays_in(plan) if array.size]
-    array = data.draw(st.sampled_from(found))
-    place = tuple(data.draw(st.integers(0, size - 1)) for size in array.shape)
-    with pytest.raises(ValueError, match="read-only"):
-        array[place] = 7.0
-    with pytest.raises(ValueError, match="WRITEABLE"):
-        array.setflags(write=True)
+    assert len(found) > 5
+    for array in found:
+        for place in ((0,) * array.ndim, (-1,) * array.ndim):
+            with pytest.raises(ValueError, match="read-only"):
+                array[place] = 7.0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.setflags(write=True)
     object.__setattr__(plan.motion.phases[0], "name", "another")
     object.__setattr__(plan.motion, "drones", None)
     assert bits(ho.hold(start, 1.0)) == before

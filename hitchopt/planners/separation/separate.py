@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
-from hitchopt.planners.separation.end_checks import check_ends
+from hitchopt.planners.separation.curve_evaluation import Evaluation, check_ends, evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
 from hitchopt.planners.separation.qp import ProgramError, Solver
@@ -20,8 +18,8 @@ from hitchopt.planners.separation.separation_program import MARGIN, Around, buil
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
 from hitchopt.planners.separation.walls import walls_before
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 GUESSES = (
@@ -127,7 +125,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
             solution = solver.solve(built.program, first, built.common_rows)
         except ProgramError:
             break
-        here = evaluate(setting, built.moved(solution.x))
+        here = evaluate(setting, built.moved(solution))
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
         idle = 0 if _merit(setting, here) < (1.0 - GAIN) * _merit(setting, best) else idle + 1
         if _merit(setting, here) < _merit(setting, best):
