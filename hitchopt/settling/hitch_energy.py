@@ -10,20 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.settling.cable_tension import CableLaw
+from hitchopt.settling.cable_tension import CableLaw, Spans
 from hitchopt.settling.rigging import INCIDENCE, MIDDLES, Rigging, add_at_nodes
 from hitchopt.values import Array
-
-UP = np.array([0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Spans:
-    """Spans of the cables: chords (S, n, 3), directions (S, n, 3, 3), heights of the middles."""
-
-    chords: Array
-    directions: Array
-    middles: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,22 +36,12 @@ class HitchEnergy:
 
     def spans(self, x: Array) -> Spans:
         """Return the spans between nodes x (S, nodes, 3) [m]."""
-        ends = x[:, self.rigging.nodes]
-        vectors = np.diff(ends, axis=2)
-        chords = np.where(self.rigging.spans, np.linalg.norm(vectors, axis=-1), 0.0)
-        long = np.where(chords > 0.0, chords, 1.0)[..., None]
-        middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
-        return Spans(chords, np.where(chords[..., None] > 0.0, vectors / long, 0.0), middles)
-
-    def tensions(self, x: Array) -> Array:
-        """Return the tensions (S, n) [N]."""
-        return self.law.tensions(self.spans(x).chords)
+        return Spans.between(x[:, self.rigging.nodes], self.rigging.spans)
 
     def values(self, x: Array) -> Array:
         """Return the energies (S,) [J]."""
         spans = self.spans(x)
-        T = self.law.tensions(spans.chords)
-        cables = np.sum(self.law.energies(spans.chords, spans.middles, T), axis=-1)
+        cables = np.sum(self.law.energies(spans, self.law.tensions(spans)), axis=-1)
         away = x[:, : self.rigging.drones] - self.places
         drones = 0.5 * np.einsum("sdi,d,sdi->s", away, self._soft, away)
         values: Array = cables + drones - np.einsum("sni,sni->s", self.forces, x)
@@ -71,34 +50,40 @@ class HitchEnergy:
     def slopes(self, x: Array) -> Array:
         """Return the slopes (S, nodes, 3) [N]: minus the force on every node."""
         spans = self.spans(x)
-        T = self.law.tensions(spans.chords)
-        along = self.law.span_tensions(spans.chords, spans.middles, T)[..., None]
-        at_ends = np.einsum("pa,snpi->snai", INCIDENCE, along * spans.directions)
-        at_ends[..., 2] += self.law.weight * spans.chords @ MIDDLES
+        T = self.law.tensions(spans)
+        at_ends = np.einsum("pa,snpi->snai", INCIDENCE, self.law.pulls(spans, T))
+        at_ends[..., 2] += self.law.weights(spans, T) @ MIDDLES
         slopes: Array = -self.forces.copy()
         add_at_nodes(slopes, self.rigging.nodes, at_ends)
         away = x[:, : self.rigging.drones] - self.places
         slopes[:, : self.rigging.drones] += self._soft[:, None] * away
         return slopes
 
+    def length_slopes(self, spans: Spans, tensions: Array) -> Array:
+        """Return (S, n, 4, 3): slopes of the cables' arc lengths by their four nodes."""
+        by_vectors, by_heights = self.law.arc_slopes(spans, tensions)
+        slopes = np.einsum("pa,snpi->snai", INCIDENCE, by_vectors)
+        slopes[..., 2] += by_heights @ MIDDLES
+        return np.asarray(slopes)
+
     def blocks(self, x: Array) -> Array:
         """Return (S, n, 12, 12) [N/m]: each cable's share of the Hessian, at its four nodes."""
-        spans = self.spans(x)
-        T = self.law.tensions(spans.chords)
-        u = spans.directions
-        along = self.law.span_tensions(spans.chords, spans.middles, T)
-        slack = np.where(spans.chords > 0.0, along, 0.0)
-        across = slack / np.where(spans.chords > 0.0, spans.chords, 1.0)
-        stiff = self.law.chord_stiffness(spans.chords, T)
-        # by the spans' vectors, then by their ends
-        inner = stiff[:, :, :, None, :, None] * u[..., None, None] * u[:, :, None, None]
-        side = across[..., None, None] * (np.eye(3) - u[..., :, None] * u[..., None, :])
+        spans, law = self.spans(x), self.law
+        T = law.tensions(spans)
+        inner = np.zeros((*T.shape, 3, 3, 3, 3))
         own = np.arange(3)
-        inner[:, :, own, :, own, :] += np.moveaxis(side, 2, 0)
+        inner[:, :, own, :, own, :] = np.moveaxis(law.curvatures(spans, T), 2, 0)
         blocks = _by_ends(_by_ends(inner, 2), 4)
-        if self.law.weight > 0.0:
-            lift = self.law.weight * np.einsum("pa,snpi,pb,j->snaibj", INCIDENCE, u, MIDDLES, UP)
-            blocks += lift + np.einsum("snaibj->snbjai", lift)
+        if law.weight > 0.0:  # forces grow with height, and weights with arcs
+            by_vectors, by_heights = law.arc_slopes(spans, T)
+            lift = law.weight * np.einsum("pa,snpi,pb->snaib", INCIDENCE, by_vectors, MIDDLES)
+            blocks[..., 2] += lift
+            blocks[:, :, :, 2] += np.einsum("snbja->snabj", lift)
+            higher = law.weight * np.einsum("pa,snp,pb->snab", MIDDLES, by_heights, MIDDLES)
+            blocks[:, :, :, 2, :, 2] += higher
+        longer = self.length_slopes(spans, T)
+        stiff = law.length_slopes(spans, T)[..., None, None, None, None]
+        blocks += stiff * longer[..., :, :, None, None] * longer[:, :, None, None]
         return np.asarray(blocks.reshape(*T.shape, 12, 12))
 
     @property

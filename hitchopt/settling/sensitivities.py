@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from hitchopt.settling.hitch_energy import HitchEnergy
-from hitchopt.settling.rigging import INCIDENCE, Factor, Index, add_at_nodes
+from hitchopt.settling.rigging import MIDDLES, Factor, Index, add_at_nodes
 from hitchopt.values import Array
 
 BLOCK = 48
@@ -52,11 +52,19 @@ class Response:
 
     @cached_property
     def _cables(self) -> tuple[Array, Array]:
-        """Slopes of tensions by their cables' nodes (S, n, 4, 3) and by length (S, n) [N/m]."""
+        """Slopes of T by its cable's nodes (S, n, 4, 3), and by its length turned round (S, n)."""
         spans, law = self.energy.spans(self.x), self.energy.law
-        T = law.tensions(spans.chords)
-        along = law.tension_slopes(spans.chords, T)[..., None] * spans.directions
-        return np.einsum("pa,snpi->snai", INCIDENCE, along), law.length_slopes(spans.chords, T)
+        T = law.tensions(spans)
+        shorter = law.length_slopes(spans, T)
+        along = shorter[..., None, None] * self.energy.length_slopes(spans, T)
+        return along, shorter
+
+    @cached_property
+    def _tensions(self) -> Array:
+        """Slopes (S, n, 4, 3) of the tensions in the edges' middles, by their cables' nodes."""
+        slopes = self._cables[0].copy()
+        slopes[..., 2] += self.energy.law.weight * MIDDLES[1]
+        return slopes
 
     @cached_property
     def _hessian(self) -> tuple[csc_array, Factor]:
@@ -73,7 +81,7 @@ class Response:
 
     def gradients_of_tensions(self, cables: Index) -> Gradients:
         """Return the gradients of the tensions of some cables (o,) [N/m], [N/N]."""
-        along, shorter = self._cables
+        along, shorter = self._tensions, self._cables[1]
         seeds = np.zeros((*self.x.shape, len(cables)))
         nodes = self.energy.rigging.nodes[cables]
         for i, row in enumerate(nodes.T):  # the four nodes of a cable
@@ -129,5 +137,5 @@ class Response:
         columns = np.moveaxis(held, 0, 2)[None]
         right = np.moveaxis(pushed, 0, 2)[None] - self._times_hessian(columns)
         moved = np.moveaxis((columns + self._hessian[1].solve(right))[0], 2, 0)
-        tensions = np.einsum("snai,nai->sn", moved[:, rigging.nodes], along[0])
+        tensions = np.einsum("snai,nai->sn", moved[:, rigging.nodes], self._tensions[0])
         return moved, tensions - shorter * cable

@@ -164,7 +164,9 @@ def _settled(
     team = motion.team
     energy, start = energy_of(motion, conditions, positions, vertices, tensions, *others)
     x = settled_nodes(energy, start)
-    found = energy.tensions(x)
+    spans = energy.spans(x)
+    pulling = energy.law.tensions(spans)
+    found = energy.law.middle_tensions(spans, pulling)[..., 1]
     force, length = residuals(energy, x, found)
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
@@ -179,7 +181,7 @@ def _settled(
         x[:, : team.drones],
         x[:, energy.rigging.points],
         found,
-        energy.law.slack(found),
+        energy.law.slack(pulling),
         bearing(team, energy.rigging, x, found, energy.law.weight),
         positions,
         vertices,

@@ -31,7 +31,7 @@ class Settled:
     t: (…) [s]
     drones: (…, 2n, 3) [m]
     vertices: (…, points, 3) [m]
-    tensions: (…, n) [N], at the height of the planned edge's middle.
+    tensions: (…, n) [N], at the heights of the edges' middles.
     slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of one
         of its spans.
     bears: (…, clasps) whether the two cables of a clasp press on each other.
@@ -80,40 +80,43 @@ def named(letter: str, flags: NDArray[np.bool_]) -> tuple[str, ...]:
 def residuals(energy: HitchEnergy, x: Array, tensions: Array) -> tuple[Array, Array]:
     """Return the largest force without balance (S,) [N] and error of a taut cable's length [m].
 
-    Every span pulls its two ends along its chord with the tension in its middle, which hangs
-    ``w s²/(8T)`` below the chord, and puts half of its weight on each.
+    A span of length s and level length h, with the tension m at the height of its chord's middle,
+    pulls its two ends along its chord with ``m - w² h²/(24 m)``, less ``w² s/(12 m)`` times its
+    level part; it puts half of its arc's weight on each.
 
     Parameters
     ----------
     energy: what is known of drones, cables and loads.
     x: (S, nodes, 3) [m]
-    tensions: (S, n) [N]
+    tensions: (S, n) [N], at the heights of the edges' middles.
     """
     rigging, law = energy.rigging, energy.law
     forces = energy.forces.copy()
     soft = np.flatnonzero(rigging.free[: rigging.drones])
-    forces[:, soft] += (
-        energy.stiffness[soft, None] * (energy.places - x[:, : rigging.drones])[:, soft]
-    )
+    away = (energy.places - x[:, : rigging.drones])[:, soft]
+    forces[:, soft] += energy.stiffness[soft, None] * away
     lengths = np.zeros(tensions.shape)
+    edges = 0.5 * (x[:, rigging.nodes[:, 1], 2] + x[:, rigging.nodes[:, 2], 2])
     for part in range(3):
         cables = np.flatnonzero(rigging.spans[:, part])
         first, second = rigging.nodes[cables, part], rigging.nodes[cables, part + 1]
         chord = x[:, second] - x[:, first]
-        s = np.sqrt(np.sum(chord**2, axis=-1))
-        T = tensions[:, cables]
-        ratio = law.weight * s / np.where(T > 0.0, T, np.inf)
-        middle = 0.5 * (x[:, first, 2] + x[:, second, 2]) - ratio * s / 8.0
-        pull = T + law.weight * (middle - law.heights[:, cables])
-        force = pull[..., None] * chord / s[..., None]
+        s, h = (np.sqrt(np.sum(chord[..., :axes] ** 2, axis=-1)) for axes in (3, 2))
+        middle = 0.5 * (x[:, first, 2] + x[:, second, 2])
+        m = tensions[:, cables] + law.weight * (middle - edges[:, cables])
+        bent = law.weight**2 / (24.0 * np.where(m > 0.0, m, np.inf))
+        force = ((m - bent * h**2) / s)[..., None] * chord
+        force[..., :2] -= (2.0 * bent * s)[..., None] * chord[..., :2]
         add_at_nodes(forces, first, force)
         add_at_nodes(forces, second, -force)
+        arc = s + bent * s * h**2 / np.where(m > 0.0, m, np.inf)
         for end in (first, second):
-            add_at_nodes(forces[..., 2], end, -0.5 * law.weight * s)
-        lengths[:, cables] += s * (1.0 + ratio**2 / 24.0)
+            add_at_nodes(forces[..., 2], end, -0.5 * law.weight * arc)
+        lengths[:, cables] += arc
     free = np.sqrt(np.sum(forces**2, axis=-1))[:, rigging.free]
-    stretched = law.lengths + law.compliance * (tensions - law.reference)
-    taut = ~law.slack(tensions) & (tensions > SLACK_SHARE * law.reference)
+    lower = tensions - law.weight * (edges - law.heights)  # at the reference height
+    stretched = law.lengths + law.compliance * (lower - law.reference)
+    taut = (lower > law.least) & (lower > SLACK_SHARE * law.reference)
     wrong = np.where(taut, np.abs(lengths - stretched), 0.0)
     return np.max(free, axis=-1, initial=0.0), np.max(wrong, axis=-1)
 
