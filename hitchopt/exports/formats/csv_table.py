@@ -74,6 +74,8 @@ def _rows(path: Path) -> Iterator[Rows]:
                 place = f"{path}: lines {line} to {line + len(lines) - 1}"
                 if not all(map(str.strip, lines)):
                     raise FileError(f"{place}: a line is empty; it is truncated or damaged")
+                if lines[-1].count(",") != header.count(","):
+                    raise FileError(f"{place}: the last line is not whole; it is truncated")
                 values = read_numbers(lines, (t, *numbers), place)
                 names = [text.split(",", drone + 1)[drone] for text in lines]
                 yield Rows(values[:, 0], names, spread_out(values[:, 1:], told))

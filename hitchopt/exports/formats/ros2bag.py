@@ -6,10 +6,11 @@ Per drone NAME, in frame ``map`` (east-north-up) or ``map_nwu``, all at the plan
 ``/NAME/path``            nav_msgs/Path, one message, for looking at
 ``/NAME/cmd_full_state``  crazyflie_interfaces/FullState, one message per sample, to be streamed
 
-Feed-forward: accelerations of the trajectory are the drone's own, ``a``. Those of the full states
+Attitudes are those of the thrust. Twists of the trajectory are about the frame's axes, those of the
+full states about the body's. Feed-forward: accelerations of the trajectory are the drone's own,
+``a``. Those of the full states
 are ``a_ff = a - F / m`` with the cable's force F on the drone, since the controllers that take them
-(Mellinger's among them) add gravity and know no cable; attitude and body rates are those of the
-thrust ``m (a_ff + g ẑ)``.
+(Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
-from hitchopt.exports.formats.attitude import attitudes_of
+from hitchopt.exports.formats.attitude import angular_velocities, attitudes_of
 from hitchopt.exports.formats.extras import needed
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
@@ -100,15 +101,17 @@ def _write_messages(bag: Any, messages: Messages, task: Task) -> None:
         attitudes = attitudes_of(task, states)
         positions, velocities, forward = task.setpoints(states)
         own = task.frame.vectors(states.accelerations)
-        blocks.append(np.stack([positions, velocities, own]))
-        flown = (positions, attitudes.quaternions, velocities, attitudes.rates, forward)
+        turning = angular_velocities(attitudes)
+        row = (positions, velocities, own, turning, attitudes.quaternions)
+        blocks.append(np.concatenate(row, axis=-1))
+        flown = (positions, attitudes.quaternions, velocities, attitudes.body_rates, forward)
         for s, t in enumerate(states.t.tolist()):
             for d, topic in enumerate(topics):
                 messages.write(bag, topic, t, messages.full_state(t, *(v[s, d] for v in flown)))
-    table = np.concatenate(blocks, axis=1)  # a trajectory is one message of all samples
+    table = np.concatenate(blocks)  # a trajectory is one message of all samples
     for d, name in enumerate(task.names):
         topic = messages.connection(bag, f"/{name}/trajectory", messages.TRAJECTORY)
-        trajectory = messages.trajectory(name, times, table[:, :, d], task.frame.heading)
+        trajectory = messages.trajectory(name, times, table[:, d])
         messages.write(bag, topic, 0.0, trajectory)
         topic = messages.connection(bag, f"/{name}/path", messages.PATH)
-        messages.write(bag, topic, 0.0, messages.path(times, table[0, :, d], task.frame.heading))
+        messages.write(bag, topic, 0.0, messages.path(times, table[:, d, :3], task.frame.heading))
