@@ -4,7 +4,7 @@
 ``a_ff = a - F / m`` with the cable's force F on the drone, so that the thrust is
 ``m (a_ff + g ẑ)``. ``q*`` is the attitude that points the thrust so, from the body's axes to the
 file's, and ``rate_*`` its angular velocity about the body's axes
-(``hitchopt.exports.formats.attitude``).
+(``hitchopt.exports.formats.attitude_in_frame``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.attitude import attitudes_of
+from hitchopt.exports.formats.attitude_in_frame import attitudes_of
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.recording import Recording, Samples, check_times, recording_of_samples
 from hitchopt.exports.reference_frame import AXES

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
-from hitchopt.exports.formats.attitude import angular_velocities, attitudes_of
+from hitchopt.exports.formats.attitude_in_frame import angular_velocities, attitudes_of
 from hitchopt.exports.formats.extras import needed
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
