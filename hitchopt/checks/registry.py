@@ -5,6 +5,7 @@ from __future__ import annotations
 from hitchopt.checks import (
     acceleration,
     arena,
+    body_rate,
     cable_clearance,
     cable_length,
     continuity,
@@ -35,6 +36,7 @@ RULES = (
     vertex_speed.RULE,
     thrust.RULE,
     tilt.RULE,
+    body_rate.RULE,
     legs.RULE,
     cable_length.RULE,
     span.RULE,
