@@ -109,7 +109,7 @@ def test_polynomials_that_are_no_hitch_at_all() -> None:
 
 def single(coefficients: Array, seconds: float = 1.0) -> Motion:
     """One drone without a cable on one piece, coefficients (3, degree + 1) [m]."""
-    part = PiecewisePolynomial([0.0, seconds], coefficients[None, None])
+    part = PiecewisePolynomial(np.array([0.0, seconds]), coefficients[None, None])
     phase = Phase("fly", 0, 0.0, seconds)
     return Motion.single(Swarm(1), Requirements(Limits(), Separation()), part, [phase])
 

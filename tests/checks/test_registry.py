@@ -115,9 +115,10 @@ def test_rules_say_what_exports_carry_and_what_eases_them() -> None:
         "vertex_speed": 1,
         "thrust": 2,
         "tilt": 2,
+        "body_rate": 3,
     }
     eased = {ease: {rule.name for rule in RULES if rule.ease is ease} for ease in Ease}
-    assert eased[Ease.TIME] == {"speed", "acceleration", "jerk", "vertex_speed"}
+    assert eased[Ease.TIME] == {"speed", "acceleration", "jerk", "vertex_speed", "body_rate"}
     assert eased[Ease.TENSION] == {"thrust", "tilt"}
     assert eased[Ease.LENGTH] == {
         "separation",

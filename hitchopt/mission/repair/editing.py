@@ -41,10 +41,9 @@ def with_thrust(problem: Problem, factor: float) -> Edited:
 
 def with_limit(problem: Problem, name: str, value: float) -> Edited:
     """Return the problem with another of its limits, named as in the file, in its unit."""
-    if name == "tilt_deg":
-        limits = replace(problem.limits, tilt=math.radians(value))
-    else:
-        limits = replace(problem.limits, **{name: value})
+    angle = name.removesuffix("_deg")
+    changes = {name: value} if angle == name else {angle: math.radians(value)}
+    limits = replace(problem.limits, **changes)
     return Edited(replace(problem, limits=limits), (Edit(f"limits.{name}", value),))
 
 

@@ -39,6 +39,14 @@ def limit_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     if degrees < STEEPEST:
         steepest = STEEPEST / degrees - 1.0
         yield raised(tilt, TIMES | {"tilt"}, needed(violations, "tilt"), steepest, relaxes=True)
+    if limits.body_rate is not None:
+        rate = Quantity(
+            "limits.body_rate_deg",
+            round(math.degrees(limits.body_rate), 9),
+            "deg/s",
+            partial(with_limit, problem, "body_rate_deg"),
+        )
+        yield raised(rate, TIMES | {"body_rate"}, needed(violations, "body_rate"), relaxes=True)
     thrusts = np.array([kind.max_thrust for kind in problem.team.quadrotor])
     same = bool(np.all(thrusts == thrusts[0]))
     old = float(thrusts[0]) if same else 1.0
