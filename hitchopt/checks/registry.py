@@ -23,6 +23,7 @@ from hitchopt.checks import (
     tension,
     thrust,
     tilt,
+    tracking_radius,
     vertex_speed,
 )
 
@@ -50,6 +51,9 @@ RULES = (
     duration.RULE,
 )
 """One rule per check; a new check is one file and one line here."""
+
+REPORTS = (tracking_radius.RULE,)
+"""What a certificate reports after its checks, without a limit."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""

@@ -47,10 +47,11 @@ def certificate_table(certificate: Certificate) -> str:
         table.add_column(name, overflow="fold")
     for check in certificate.checks:
         relation = "≥" if check.sense == "min" else "≤"
+        limit = "–" if check.limit is None else f"{relation} {number(check.limit)}"
         table.add_row(
             Text(check.name),
             number(check.worst),
-            f"{relation} {number(check.limit)}",
+            limit,
             Text("" if check.unit == "1" else check.unit),
             Text(_names(check.where)),
             f"{check.time:.3f} s" if check.worst is not None and math.isfinite(check.time) else "",

@@ -107,7 +107,7 @@ def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
     """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
     certificate = certificate_at_rest(hitch, requirements)
     for check in certificate.violated:
-        return _words(check.name, check.bound, check.limit, check.sense, check.unit, check.where)
+        return _words(check.name, check.bound, check.number, check.sense, check.unit, check.where)
     return ""
 
 
