@@ -79,8 +79,9 @@ class Check:
         """Return the check, ``holds`` following from the numbers, within the tolerance.
 
         What is only reported holds. ``size`` is the largest length that enters the quantity, in its
-        unit, as ``within`` has it. What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
-        An infinity that holds is that of nothing, so there is no ``worst`` and no place.
+        unit, as ``within`` has it. What is beyond all numbers becomes the largest one, and nan the
+        worst: files hold neither. An infinity that holds is that of nothing, so there is no
+        ``worst`` and no place.
         """
         largest = sys.float_info.max
         limit = None if limit is None else float(limit)

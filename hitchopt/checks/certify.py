@@ -10,6 +10,7 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Found
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.motion.motion import Motion
+from hitchopt.values import not_negative
 
 
 def certify(
@@ -32,8 +33,13 @@ def certify(
     ----------
     motion: the plan.
     progress: called with the name of every check as it starts.
-    gamma: how many times farther vertices may be off than drones, for ``tracking_radius``.
+    gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
+
+    Raises
+    ------
+    InputError: a gamma that is negative or not finite.
     """
+    gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
     for rule in RULES:
         if progress is not None and rule.limit_of(motion) is not None:

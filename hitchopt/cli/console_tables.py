@@ -41,13 +41,18 @@ def phase_table(phases: Iterable[Phase]) -> str:
 
 
 def certificate_table(certificate: Certificate) -> str:
-    """Return the table of a certificate's checks, each with its worst value over all of time."""
+    """Return the table of a certificate's checks, each with its worst value over all of time.
+
+    What is reported without a limit has what it assumes of the vertices in that column.
+    """
     table = new_table("Certificate", [("check", "left")], ["worst", "limit"])
     for name in ("unit", "where", "when", "holds"):
         table.add_column(name, overflow="fold")
     for check in certificate.checks:
         relation = "≥" if check.sense == "min" else "≤"
-        limit = "–" if check.limit is None else f"{relation} {number(check.limit)}"
+        limit = f"{relation} {number(check.limit)}"
+        if check.limit is None:
+            limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
         table.add_row(
             Text(check.name),
             number(check.worst),

@@ -14,7 +14,7 @@ from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
 from hitchopt.checks.certificate import within
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch.catenary import level_length, steepness
+from hitchopt.hitch.catenary import SERIES, level_length, steepness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
@@ -126,10 +126,10 @@ def moved_by(motion: Motion) -> Callable[[float], float]:
         if np.any(closer <= 0.0) or np.any(higher >= L):
             return np.inf
         flattest = steepness(level_length(higher, L) / (farthest + 2.0 * radius))
-        slope = np.where(flattest > 0.0, 1.0 / np.tanh(flattest) - 1.0 / flattest, 0.0)
+        if np.any(flattest < SERIES):  # nearly taut: how deep it hangs changes without a bound
+            return np.inf
         ratio = np.log(nearest / closer) + np.log(level_length(height, L) / level_length(higher, L))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            steeper = np.where(ratio > 0.0, ratio / slope, 0.0)
+        steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
         return radius + SHIFT * radius + float(np.max(0.25 * (L + higher) * steeper))
 
     return moved
