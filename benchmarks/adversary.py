@@ -87,14 +87,20 @@ class Attack:
     what: str = ""
 
 
-def attack(motion: Motion, gamma: float = 1.0, seed: int = 0) -> Attack:
-    """Return the smallest radius at which a displacement was found that breaks a distance."""
-    rng = np.random.default_rng(seed)
+def attack(motion: Motion, gamma: float = 1.0, count: int = TIMES) -> Attack:
+    """Return the smallest radius at which a displacement was found that breaks a distance.
+
+    Parameters
+    ----------
+    gamma: how many times farther than drones vertices may be off.
+    count: sampled times, besides the plan's breaks.
+    """
+    rng = np.random.default_rng(0)
     start, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
-    times = np.union1d(np.linspace(start, end, TIMES), motion.drones.breaks)
+    times = np.union1d(np.linspace(start, end, count), motion.drones.breaks)
     best = _worst(motion, times, gamma, rng)
-    step = (end - start) / TIMES
-    near = np.linspace(max(start, best.time - step), min(end, best.time + step), TIMES // 2)
+    step = (end - start) / count
+    near = np.linspace(max(start, best.time - step), min(end, best.time + step), count // 2)
     return min(best, _worst(motion, near, gamma, rng), key=lambda found: found.radius)
 
 
