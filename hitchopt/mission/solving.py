@@ -16,13 +16,10 @@ from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 from hitchopt.steps import Form, Step
 from hitchopt.steps.blending import plan_blended
-from hitchopt.steps.certified_motions import Certified, certified, check_at_rest
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, certified, check_at_rest, infeasible
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
 from hitchopt.steps.situation import Situation, StepTask
-
-__all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
 
 
 def solve_problem(
@@ -46,26 +43,17 @@ def solve_problem(
     )
 
 
-def solve_steps(
-    start: Hitch,
-    steps: tuple[Step, ...],
-    requirements: Requirements,
-    progress: Progress | None = None,
-) -> Certified:
-    """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    return _solved(progress, start.team, start, steps, requirements, optimiser=True)
-
-
 @remembered
 def _solved(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     steps: tuple[Step, ...],
     requirements: Requirements,
     optimiser: bool,
 ) -> Certified:
-    begun = _begun(progress, team, start, _first_form(steps), requirements)
+    first_form = next((step for step in steps if isinstance(step, Form)), None)
+    begun = _begun(progress, team, start, first_form, requirements)
     situation = begun.situation
     parts: list[Certified] = []
     for first, group in _groups(steps):
@@ -77,7 +65,7 @@ def _solved(
     motion = joined_motions([part.motion for part in parts])
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
-        broken = infeasible(certificate, requirements.separation, motion.phases)
+        broken = infeasible(certificate, motion)
         raise _advised(broken, certificate, motion, steps)
     if isinstance(start, DronesStart):
         check_above_ground(motion)
@@ -96,7 +84,7 @@ class _Begun:
 def _begun(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     form: Form | None,
     requirements: Requirements,
 ) -> _Begun:
@@ -115,10 +103,6 @@ def _begun(
         _tell(progress, "assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
-
-
-def _first_form(steps: Sequence[Step]) -> Form | None:
-    return next((step for step in steps if isinstance(step, Form)), None)
 
 
 @remembered

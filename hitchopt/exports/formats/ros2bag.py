@@ -6,11 +6,11 @@ Per drone NAME, in frame ``map`` (east-north-up) or ``map_nwu``, all at the plan
 ``/NAME/path``            nav_msgs/Path, one message, for looking at
 ``/NAME/cmd_full_state``  crazyflie_interfaces/FullState, one message per sample, to be streamed
 
-Attitudes are those of the thrust. Twists of the trajectory are about the frame's axes, those of the
-full states about the body's. Feed-forward: accelerations of the trajectory are the drone's own,
-``a``. Those of the full states
+Feed-forward: accelerations of the trajectory are the drone's own, ``a``. Those of the full states
 are ``a_ff = a - F / m`` with the cable's force F on the drone, since the controllers that take them
-(Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``.
+(Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``. Attitudes
+are those of the thrust. Angular velocities of the trajectory are about the frame's axes, those of
+the full states about the body's.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
 from hitchopt.exports.formats.attitude_in_frame import angular_velocities, attitudes_of
-from hitchopt.exports.formats.extras import needed
+from hitchopt.exports.formats.file_reading import needed
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
 from hitchopt.exports.recording import Recording
