@@ -69,8 +69,11 @@ def per_robot(
     value: float | Sequence[float] | ArrayLike,
     robots: int,
     checked: Callable[[str, object], float] = positive,
+    owner: str = "robot",
 ) -> NDArray[np.float64]:
     """Return ``value`` as a read-only array (robots,); one number holds for all robots.
+
+    Or for all of what ``owner`` names, of which there are as many.
 
     Parameters
     ----------
@@ -78,6 +81,7 @@ def per_robot(
     value: one number, or one per robot.
     robots: number of robots.
     checked: check of every number.
+    owner: what has one number each.
 
     Raises
     ------
@@ -94,7 +98,7 @@ def per_robot(
             raise InputError(
                 key,
                 value,
-                f"one number, or a list of {robots} (one per robot)",
+                f"one number, or a list of {robots} (one per {owner})",
                 f"{len(given)} were given; add or remove entries, or change team.robots",
             )
         array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, fitting_polygon
+from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, checked_roll, fitting_polygon
+from hitchopt.hitch.cable_spans import ClaspLoads, clasp_loads, sag_factors, shortening
 from hitchopt.hitch.leg_lengths import split_slack
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.statics import cable_forces, leg_directions
@@ -24,30 +25,42 @@ Array = NDArray[np.float64]
 class Hitch:
     """A hitch in a horizontal plane, in balance: closed, or an open chain.
 
+    Vertices are in that plane. Where clasps carry weight their legs rise out of it, so that they
+    hold it there; where legs are rolled one rises and the other one sinks.
+
     Parameters
     ----------
     team: its cables tie the hitch.
     polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
         points (n, 2) or (n + 1, 2) [m].
     altitude: height of its plane [m].
-    q_legs: (n,) [m], ``d_k``: from vertex k to drone q_k. The rest of cable k's slack is
-        ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice at its
-        ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of the cable.
+    q_legs: (n,) [m], ``d_k``: the length of cable from vertex k to drone q_k. The rest of cable k's
+        slack is ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice
+        at its ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of
+        the cable.
+    roll: one or (clasps,) [rad], ``ψ_k``: by how much the legs at a clasp are turned out of the
+        plane in which they hold it, ``q_k`` up and ``r_{k-1}`` down where it is positive.
 
     Raises
     ------
     InputError: a count that does not fit the team, or numbers that are not finite.
-    InfeasibleError: an edge as long as its cable, a leg that is not positive, or one at a chain's
-        end that is not the only one there is.
+    InfeasibleError: an edge as long as its cable, a leg that is not positive, one at a chain's
+        end that is not the only one there is, or a weight that the tensions cannot carry.
     """
 
     team: Team
     polygon: Outline
     altitude: float
     q_legs: Array
+    roll: Array
 
     def __init__(
-        self, team: Team, polygon: Outline | ArrayLike, altitude: float, q_legs: ArrayLike
+        self,
+        team: Team,
+        polygon: Outline | ArrayLike,
+        altitude: float,
+        q_legs: ArrayLike,
+        roll: ArrayLike = 0.0,
     ) -> None:
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
@@ -62,6 +75,9 @@ class Hitch:
         object.__setattr__(self, "polygon", outline)
         object.__setattr__(self, "altitude", coordinate("altitude", altitude))
         object.__setattr__(self, "q_legs", d)
+        object.__setattr__(self, "roll", checked_roll(team, roll))
+        if self._loads is not None:
+            self._directions()  # raises where they cannot carry it
 
     @classmethod
     def balanced(cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0) -> Hitch:
@@ -137,13 +153,27 @@ class Hitch:
 
     @property
     def slack(self) -> Array:
-        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``."""
-        return self.team.cable_length - self.polygon.edge_lengths
+        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``, in lengths of cable."""
+        return cable_slack(self.team, self.polygon)
+
+    @property
+    def r_legs(self) -> Array:
+        """(n,) [m]: length of cable ``e_k`` from vertex k+1 to drone r_k; 0 at a chain's end."""
+        return self.team.layout.legs_of(self.q_legs, self.slack)[:, 1]
 
     @property
     def legs(self) -> Array:
-        """(n, 2) [m]: ``d_k`` and ``e_k``; zero where a chain's end has no leg."""
-        return self.team.layout.legs_of(self.q_legs, self.slack)
+        """(n, 2) [m]: distances of q_k and r_k from their vertices, ``d_k`` and ``e_k``.
+
+        Zero where a chain's end has no leg; less than the lengths of cable where that sags.
+        """
+        lengths = self.team.layout.legs_of(self.q_legs, self.slack)
+        if self.team.cable_density == 0.0:
+            return lengths
+        steep = np.stack([direction[:, 2] for direction in self._directions()], axis=-1)
+        factors = sag_factors(self.team, self.team.tension)[:, None]
+        chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
+        return chords
 
     @property
     def fractions(self) -> Array:
@@ -161,10 +191,21 @@ class Hitch:
 
         Where a chain's end has no leg: along its edge, outward.
         """
+        q, r = self._directions()
+        directions = np.stack([q, r], axis=1).reshape(-1, q.shape[-1])
+        if directions.shape[-1] == 2:
+            directions = np.column_stack([directions, np.zeros(len(directions))])
+        return directions
+
+    @property
+    def _loads(self) -> ClaspLoads | None:
+        return clasp_loads(self.team, self.q_legs, self.slack, self.roll)
+
+    def _directions(self) -> tuple[Array, Array]:
         team = self.team
-        q, r = leg_directions(self.polygon.edge_directions, team.tension, team.topology)
-        level = np.stack([q, r], axis=1).reshape(-1, 2)
-        return np.column_stack([level, np.zeros(len(level))])
+        return leg_directions(
+            self.polygon.edge_directions, team.tension, team.topology, self._loads
+        )
 
     @property
     def drones(self) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Requirements
 
@@ -65,9 +66,7 @@ class LegTask:
     @property
     def slack(self) -> Array:
         """(J, n) [m]: slack of each cable for its two legs."""
-        edges = self.team.layout.edges(self.polygons)
-        slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
-        return slack
+        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,6 +66,8 @@ class Team:
     tension: one, or one per robot (n,) [N].
     quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
         one per robot.
+    load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
+        hitch, at the inner points of a chain.
 
     Raises
     ------
@@ -79,6 +81,7 @@ class Team:
     cable_friction: float
     tension: NDArray[np.float64]
     quadrotor: tuple[Quadrotor, ...] = field(repr=False)
+    load: NDArray[np.float64] = field(repr=False)
 
     def __init__(
         self,
@@ -90,6 +93,7 @@ class Team:
         cable_friction: float = 0.0,
         tension: float | Sequence[float] | ArrayLike = 0.4,
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
+        load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         if topology not in TOPOLOGIES:
             raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
@@ -110,6 +114,9 @@ class Team:
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
+            "load": per_robot(
+                "load", load, len(layout_of(n, topology).clasps), not_negative, "clasp"
+            ),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -123,6 +130,11 @@ class Team:
     def has_cables(self) -> bool:
         """Whether the team has cables, as all teams but single drones."""
         return self.robots > 0
+
+    @property
+    def loaded(self) -> bool:
+        """Whether clasps carry weight: that of cables, or a load."""
+        return self.cable_density > 0.0 or bool(np.any(self.load))
 
     @property
     def layout(self) -> Layout:

@@ -117,7 +117,7 @@ class ActionStep(ShapeStep):
             reasons = ["legs are to change"] if self.legs is not None else []
             reasons += [end.reason] if end.reason else []
             if found.worst is not None:
-                path = action.path(end.hitch.q_legs)
+                path = action.path(end.hitch)
                 altitude = action.start.altitude
                 reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
             parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, roll_between
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -51,19 +51,20 @@ class Action:
         slack = cable_slack(self.start.team, self.polygon)
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
-    def path(self, q_legs: Array | None = None) -> ShapePath:
-        """Return the path that ends with ``q_legs`` (n,) [m], those kept if None.
+    def path(self, end: Hitch | None = None) -> ShapePath:
+        """Return the path that ends with a hitch's legs and roll, those kept if None.
 
         What they differ by from the kept ones is made up along the path.
         """
-        deviation = np.zeros_like(self.length) if q_legs is None else q_legs - self.kept_legs
+        deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.kept_legs
         grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
         whole = np.array([0.0, 1.0])
+        roll = roll_between(self.start, self.start if end is None else end, tuple(grown))
         length = PiecewisePolynomial(
             whole, (self.length[:, None] + deviation[:, None] * grown)[None]
         )
         law = LegLaw(length, PiecewisePolynomial.constant(whole, self.share))
-        return ShapePath(self.start.team, self.vertices, law)
+        return ShapePath(self.start.team, self.vertices, law, roll=roll)
 
 
 def straight_vertices(start: Hitch, polygon: Outline) -> PiecewisePolynomial:

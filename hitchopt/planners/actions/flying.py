@@ -59,7 +59,7 @@ def fly_action(
     start, timed = action.start, action.seconds is not None
     if not timed and np.max(np.abs(end.drones - start.drones)) < MOVES:
         return Flying(None)
-    path = action.path(end.q_legs)
+    path = action.path(end)
     _check_outline(path)
     clear = cleared(path, requirements, at_rest=timed)
     check_shapes(clear.path)

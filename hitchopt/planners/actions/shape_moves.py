@@ -34,7 +34,7 @@ def legs_kept_by_vertex(start: Hitch, vertex: int) -> tuple[Array, Array]:
     """Return length and share of the law under which a vertex moves: ``e_k`` kept, else ``d``."""
     length, share = start.q_legs.copy(), np.zeros(start.team.robots)
     if start.team.layout.closed or vertex < start.team.robots:
-        length[vertex], share[vertex] = -start.legs[vertex, 1], 1.0
+        length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
     return length, share
 
 
@@ -62,7 +62,7 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
     length[edge], share[edge] = 0.0, start.fractions[edge]
     after = edge + 1
     if start.team.layout.closed or after < n:
-        length[after % n], share[after % n] = -start.legs[after % n, 1], 1.0
+        length[after % n], share[after % n] = -start.r_legs[after % n], 1.0
     q, r = [edge, edge + 1], [edge, edge - 1]
     if _turned(start, polygon, edge - 1):
         r.append(edge - 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +33,7 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
 def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
     """Return drones, vertices and legs over s on one piece, halved until they fit the model."""
     track = path.vertices.taken(slice(piece, piece + 1))
-    own = ShapePath(path.team, track, path.legs)
+    own = replace(path, vertices=track)
     count = 1
     while True:
         breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
