@@ -34,7 +34,8 @@ def clasp_weights(motion: Motion) -> list[Array]:
     the cable is taut.
     """
     team, layout = motion.team, motion.team.layout
-    legs = leg_vectors(motion)
+    # A drone at a chain's end has no leg, wherever a plan has it.
+    legs = leg_vectors(motion) * layout.has_leg.reshape(-1, 1, 1)
     others = np.concatenate([legs[:, 2 * layout.ahead + 1], legs[:, 2 * layout.behind]], axis=2)
     taut = lowered(tautness(motion))
     half = 0.5 * GRAVITY * team.cable_density
