@@ -52,6 +52,17 @@ def kinds_of(
     return kinds
 
 
+def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
+    """Return what hangs at the clasps (clasps,) [kg].
+
+    An array of one value throughout holds for any number of clasps, so that a team can be copied
+    with another topology or number of robots.
+    """
+    if isinstance(given, np.ndarray) and given.size > 0 and np.all(given == given.flat[0]):
+        given = float(given.flat[0])
+    return per_robot("load", given, clasps, not_negative, "clasp")
+
+
 @dataclass(frozen=True, eq=False)
 class Team:
     """n catenary robots: two quadrotors each, on the ends of one cable.
@@ -114,9 +125,7 @@ class Team:
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
-            "load": per_robot(
-                "load", load, len(layout_of(n, topology).clasps), not_negative, "clasp"
-            ),
+            "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

@@ -58,6 +58,11 @@ PerRobot = Annotated[
     | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
     Discriminator(one_or_each),
 ]
+PerClasp = Annotated[
+    Annotated[NotNegative, Tag(ONE)]
+    | Annotated[list[NotNegative], Field(min_length=1, max_length=MAX_ROBOTS), Tag(EACH)],
+    Discriminator(one_or_each),
+]
 Legs = Annotated[
     Annotated[Literal["balanced", "spread"], Tag(ONE)]
     | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
@@ -141,6 +146,11 @@ class TeamKeys(Keys):
         description="Length of the cables [m], one for all or one per robot", examples=[2.4]
     )
     cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
+    load: PerClasp = Field(
+        default=0.0,
+        description="What hangs at the clasps [kg], one for all, or one per vertex of a polygon and "
+        "inner point of a chain",
+    )
     cable_friction: NotNegative = Field(
         default=0.0,
         description="Friction at the clasps, a coefficient: legs lean against it as cables slide",
