@@ -37,6 +37,7 @@ class LegTask:
     margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
     fixed: (J,), knots that keep their reference.
+    roll: (J, clasps) [rad], of the legs out of their plane; None for none.
     """
 
     team: Team
@@ -47,6 +48,12 @@ class LegTask:
     margin: float | Array
     roughness: float = 0.0
     fixed: NDArray[np.bool_] | None = None
+    roll: Array | None = None
+
+    @property
+    def level(self) -> bool:
+        """Whether all legs are level: they carry no weight and are not rolled."""
+        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
 
     @property
     def margins(self) -> Array:

@@ -69,15 +69,16 @@ def sound(path: KnotPath) -> bool:
 def loose(path: KnotPath, requirements: Requirements) -> bool:
     """Return whether a path's bodies are not all in one heap."""
     bare = replace(requirements, arena=None)
-    task = LegTask(path.team, bare, path.polygons, path.q_legs, 0.0, WIDEST)
+    task = LegTask(path.team, bare, path.polygons, path.q_legs, 0.0, WIDEST, roll=path.roll)
     return reference_margin(task) >= CLOSEST
 
 
 def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch's distances are."""
     bare = replace(requirements, arena=None)
-    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return reference_margin(LegTask(hitch.team, bare, polygon, q_legs, 0.0, WIDEST)) * BELOW
+    polygon, q_legs, roll = hitch.polygon.vertices[None], hitch.q_legs[None], hitch.roll[None]
+    task = LegTask(hitch.team, bare, polygon, q_legs, 0.0, WIDEST, roll=roll)
+    return reference_margin(task) * BELOW
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:

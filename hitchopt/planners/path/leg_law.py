@@ -116,4 +116,5 @@ def _task(
         margin,
         ROUGHNESS,
         fixed,
+        shapes.roll,
     )
