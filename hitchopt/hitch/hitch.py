@@ -12,6 +12,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, checked_roll, fitting_polygon
 from hitchopt.hitch.cable_spans import ClaspLoads, clasp_loads, sag_factors, shortening
 from hitchopt.hitch.leg_lengths import split_slack
+from hitchopt.hitch.leg_roll import least_roll_of_reference, split_with_least_roll
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
@@ -80,17 +81,24 @@ class Hitch:
             self._directions()  # raises where they cannot carry it
 
     @classmethod
-    def balanced(cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0) -> Hitch:
+    def balanced(
+        cls,
+        team: Team,
+        polygon: Outline | ArrayLike,
+        altitude: float = 1.0,
+        roll: ArrayLike = 0.0,
+    ) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
 
-        At the ends of a chain, the cable's one leg takes all of its slack.
+        At the ends of a chain, the cable's one leg takes all of its slack. Legs have the given
+        roll, one or (clasps,) [rad].
 
         Raises
         ------
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        return cls(team, outline, altitude, balanced_legs(team, outline))
+        return cls(team, outline, altitude, balanced_legs(team, outline), roll)
 
     @classmethod
     def spread(
@@ -101,6 +109,7 @@ class Hitch:
         *,
         limits: Limits | None = None,
         separation: Separation | None = None,
+        roll: ArrayLike | None = None,
     ) -> Hitch:
         """Return the hitch whose leg lengths keep drones well apart.
 
@@ -108,19 +117,29 @@ class Hitch:
         distances to cables of at least 1.5 times their limits and legs within theirs; where there
         are none, they have the largest such margin.
 
+        Parameters
+        ----------
+        team, polygon, altitude: as of the class.
+        limits, separation: the default ones if None.
+        roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
+            one angle at all clasps, the smallest with which they keep that margin, or else the
+            limits.
+
         Raises
         ------
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        d = _nearest_legs(
-            team,
-            outline,
-            balanced_legs(team, outline),
-            SPREAD_MARGIN,
-            Requirements(limits or Limits(), separation or Separation()),
-        )
-        return cls(team, outline, altitude, d)
+        requirements = Requirements(limits or Limits(), separation or Separation())
+        reference = balanced_legs(team, outline)
+        if roll is None:
+            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements)
+            found, rolled = split_with_least_roll(task)
+        else:
+            rolled = checked_roll(team, roll)
+            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements, rolled)
+            found = split_slack(task)
+        return cls(team, outline, altitude, found.q_legs[0], rolled)
 
     @classmethod
     def nearest(
@@ -133,10 +152,13 @@ class Hitch:
         limits: Limits,
         separation: Separation,
         arena: Arena | None = None,
+        roll: ArrayLike = 0.0,
     ) -> Hitch:
         """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
 
-        Where there is none, the one with the largest margin.
+        Where there is none, the one with the largest margin. Legs have the given roll, one or
+        (clasps,) [rad], unless they break a limit with it: then all have the smallest one that is
+        found to keep them.
 
         Raises
         ------
@@ -146,10 +168,20 @@ class Hitch:
         slack = cable_slack(team, outline)
         wanted = np.asarray(fractions, dtype=np.float64) * slack
         wanted = team.layout.q_legs_of(wanted, slack)
-        d = _nearest_legs(
-            team, outline, wanted, LIMIT_MARGIN, Requirements(limits, separation, arena)
-        )
-        return cls(team, outline, altitude, d)
+        requirements = Requirements(limits, separation, arena)
+        given = checked_roll(team, roll)
+        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, given)
+        found, rolled = split_with_least_roll(task)
+        return cls(team, outline, altitude, found.q_legs[0], rolled)
+
+    def least_rolled(self, requirements: Requirements) -> Hitch:
+        """Return the hitch with the same lengths of legs, rolled as little as keeps all limits.
+
+        Not at all where they keep them without, or where no roll helps.
+        """
+        task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
+        roll = least_roll_of_reference(task)
+        return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll)
 
     @property
     def slack(self) -> Array:
@@ -221,20 +253,20 @@ class Hitch:
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
-def _nearest_legs(
+def _leg_task(
     team: Team,
     polygon: Outline,
     reference: Array,
     margin: float,
     requirements: Requirements,
-) -> Array:
-    task = LegTask(
+    roll: Array | None = None,
+) -> LegTask:
+    return LegTask(
         team,
         requirements,
         polygon.vertices[None],
         reference[None],
         requirements.limits.leg * LIMIT_MARGIN,
         margin,
+        roll=None if roll is None else roll[None],
     )
-    q_legs: Array = split_slack(task).q_legs[0]
-    return q_legs

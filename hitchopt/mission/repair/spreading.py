@@ -15,7 +15,7 @@ from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.editing import with_spread_legs, with_spread_start
 from hitchopt.steps.edits import SPACE
 from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 
 COVERS = SPACE | {"crossing", "arena"}
 
@@ -45,6 +45,10 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
             relative = _farthest(problem, shape, legs)
         except InfeasibleError:  # no cable is left for any legs
             continue
+        if isinstance(legs, RolledLegs) and isinstance(legs.sharing, str):
+            if legs.sharing == "spread":
+                continue
+            legs = legs.sharing
         words = legs if isinstance(legs, str) else "as given"
         yield Change(key, "", words, "spread", "", relative, edited.problem, edited.edits)
 
@@ -53,6 +57,7 @@ def _farthest(problem: Problem, outline: Outline, legs: SlackSplit) -> float:
     """Return how far a leg is from the spread ones at most, over its cable's length."""
     team = problem.team
     requirements = problem.requirements
-    given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
+    lengths = legs.sharing if isinstance(legs, RolledLegs) else legs
+    given = balanced_legs(team, outline) if isinstance(lengths, str) else lengths
     spread = split_hitch(team, outline, 0.0, "spread", requirements)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))
