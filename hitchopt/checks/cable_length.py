@@ -46,7 +46,7 @@ def _used_up(motion: Motion, _: float) -> Finding:
 
 
 def _sags(motion: Motion) -> Array:
-    """Return, per piece and cable, its weight over its own length, and its tension (…, 2, …) [N]."""
+    """Return, per piece and cable, its weight over its own length, and its tension, in newtons."""
     team = motion.team
     weight = GRAVITY * team.cable_density * team.cable_length[:, None] * tautness(motion)
     return lowered(np.stack([weight, motion.tensions.coefficients], axis=2))

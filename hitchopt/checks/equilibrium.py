@@ -44,9 +44,9 @@ def _find(motion: Motion, _: float) -> Finding:
     friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ θ}``
     times the tension, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a
     chain's ends it wraps none. The weight that a clasp carries is its load and what the drones do
-    not carry of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share
-    that they are taut. Where there is weight cables have to press on each other as well: a clasp
-    that does not bear is infinitely far from balance.
+    not carry of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the
+    share that they are taut. Where there is weight cables have to press on each other as well: a
+    clasp that does not bear is infinitely far from balance.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
@@ -99,7 +99,7 @@ def _pulls(motion: Motion) -> Array:
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
-    rows, pulls, *weights = blocks
+    rows, pulls, weights = blocks[0], blocks[1], blocks[2:]
     vectors = rows.reshape(len(rows), 4, 3, -1)
     shared = 4 // pulls.shape[1]  # directions along which one pull acts
     tension = pulls if shared == 2 else pulls[:, 1::2]
@@ -108,7 +108,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     grouped = np.sum(signed.reshape(len(rows), -1, shared, *signed.shape[2:]), axis=2)
     residual = np.sum(bernstein.multiply(pulls[:, :, None], grouped), axis=1)
     if weights:
-        weight = weight_enclosure(*weights, noise)
+        weight = weight_enclosure(weights[0], weights[1], noise)
         order = max(bernstein.degree(residual), bernstein.degree(weight.coefficients))
         residual = bernstein.elevate(residual, order)
         residual[:, 2] -= bernstein.elevate(weight.coefficients, order)
@@ -133,7 +133,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     unknown = np.sum(np.where(known[..., 0], 0.0, np.abs(P)), axis=1)
     total = np.sum(forces, axis=1)
     if weights:
-        total[:, 2] -= weight_at(*weights, x)
+        total[:, 2] -= weight_at(weights[0], weights[1], x)
     unbalanced = np.linalg.norm(total, axis=-1) + unknown
     weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)

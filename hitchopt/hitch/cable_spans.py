@@ -9,6 +9,7 @@ from vertex to drone are their chords.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,9 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import GRAVITY, Team
 
 Array = NDArray[np.float64]
+
+Expression = TypeVar("Expression", bound=Any)
+"""Type of arrays, and of casadi's expressions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,22 +47,23 @@ def sag_factors(team: Team, tensions: ArrayLike) -> Array:
     return factors
 
 
-def cable_of(chords: Array, factors: ArrayLike) -> Array:
+def cable_of(chords: Array, factors: Array) -> Array:
     """Return the length of cable (…) [m] in spans with chords (…, 3 or 2) [m], level if planar."""
     level = chords[..., 0] ** 2 + chords[..., 1] ** 2
     return length(chords) * (1.0 + factors * level)
 
 
-def shortening(x: Array) -> Array:
+def shortening(x: Expression) -> Expression:
     """Return the chord of a span over the length of its cable, for ``x = c a² cos²α``.
 
     With ``s (1 + c s² cos²α) = a`` it is a power series of x, below 1e-2 for cables in use; casadi
     expressions may take the place of arrays.
     """
-    return 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
+    ratio: Expression = 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
+    return ratio
 
 
-def leg_vectors(cables: Array, directions: Array, factors: ArrayLike) -> Array:
+def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
     """Return the chords (…, 2 or 3) [m] of legs of cable (…) [m] along unit vectors; level if 2.
 
     Parameters

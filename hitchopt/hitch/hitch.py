@@ -9,7 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, checked_roll, fitting_polygon
+from hitchopt.hitch.cable_slack import (
+    balanced_legs,
+    cable_slack,
+    checked_legs,
+    checked_roll,
+    fitting_polygon,
+)
 from hitchopt.hitch.cable_spans import ClaspLoads, clasp_loads, sag_factors, shortening
 from hitchopt.hitch.leg_lengths import split_slack
 from hitchopt.hitch.leg_roll import least_roll_of_reference, split_with_least_roll

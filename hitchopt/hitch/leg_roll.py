@@ -1,8 +1,8 @@
 """How far legs are rolled out of their plane, where level ones come too near to cables.
 
-Along nearly straight edges a drone on a level leg stands beside its own edge, ``d sin φ`` from it. A
-roll lifts it off: the exterior angle φ no longer limits the number of robots. One angle serves all
-clasps, the smallest that is found: pulls of rolled legs have a part up or down, which costs thrust.
+Along nearly straight edges a drone on a level leg stands beside its own edge, ``d sin φ`` from it.
+A roll lifts it off: the exterior angle φ no longer limits the number of robots. One angle serves
+all clasps, the smallest that is found: rolled legs pull up or down as well, which costs thrust.
 """
 
 from __future__ import annotations
@@ -87,13 +87,14 @@ def _first(
 ) -> float | None:
     """Return the smallest roll that is found to suffice, between two rungs of a ladder; or None."""
     lower = 0.0
-    for upper in ladder:
-        if _possible(suffices, upper):
+    for rung in ladder:
+        if _possible(suffices, rung):
+            upper = rung
             for _ in range(halvings):
                 middle = 0.5 * (lower + upper)
                 lower, upper = (lower, middle) if _possible(suffices, middle) else (middle, upper)
             return upper
-        lower = upper
+        lower = rung
     return None
 
 

@@ -18,6 +18,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.schema import (
     Keys,
     MotionLimitsKeys,
+    RolledLegsKeys,
     StartKeys,
     TeamKeys,
 )
@@ -163,14 +164,15 @@ def _outline(
 
 
 def _legs(
-    path: str, legs: str | list[float], team: Team | None, faults: Collector
+    path: str, legs: str | list[float] | RolledLegsKeys, team: Team | None, faults: Collector
 ) -> SlackSplit | None:
     if team is None:
         return None
     if isinstance(legs, list) and len(legs) != team.robots:
         _refuse_count(f"{path}.legs", legs, f"{team.robots} q-legs", faults)
         return None
-    return faults.attempt(path, lambda: slack_split(legs, team))
+    given = legs.model_dump() if isinstance(legs, RolledLegsKeys) else legs
+    return faults.attempt(path, lambda: slack_split(given, team))
 
 
 def _vertices(keys: TeamKeys) -> int:

@@ -186,8 +186,8 @@ class TeamKeys(Keys):
     cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
     load: PerClasp = Field(
         default=0.0,
-        description="What hangs at the clasps [kg], one for all, or one per vertex of a polygon and "
-        "inner point of a chain",
+        description="What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
+        "and inner point of a chain",
     )
     cable_friction: NotNegative = Field(
         default=0.0,

@@ -8,6 +8,7 @@ chain's end has no leg, the cable's direction at the drone is that of its edge.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 
@@ -99,7 +100,7 @@ def loaded_planar_function(weighty: bool) -> ca.Function:
         (lengths, loads, has_leg, weight if weighty else ca.SX(0.0)),
     )
     q, r = (legs.ends[i] + legs.chords[i] * legs.directions[i] for i in range(2))
-    u = [unit(b - a) for a, b in zip(points[:2], points[1:3], strict=True)]
+    u = [unit(b - a) for a, b in pairwise(points)]
     turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
     return ca.Function(
         "loaded_planar",
@@ -148,7 +149,7 @@ class _Legs:
         constants: ``cable_length``, ``loads``, ``has_leg``, ``weight``.
         """
         (d, T, roll), (lengths, loads, has_leg, weight) = state, constants
-        chords = [b - a for a, b in zip(points[:3], points[1:], strict=True)]
+        chords = [b - a for a, b in pairwise(points)]
         sizes = [ca.norm_2(chord) for chord in chords]
         u = [chord / size for chord, size in zip(chords, sizes, strict=True)]
         factors = (weight / T) ** 2 / 24.0
@@ -221,7 +222,10 @@ def closed_triangle(
     for _ in range(PASSES):
         a = (size + (ahead - behind) * (ahead + behind) / size) / 2.0
         aside = ca.sqrt((ahead - a) * (ahead + a)) * across
-        r_direction, q_direction = ((size - a) * along - aside) / behind, (a * along + aside) / ahead
+        r_direction, q_direction = (
+            ((size - a) * along - aside) / behind,
+            (a * along + aside) / ahead,
+        )
         behind = pulls[0] + halves[0] * r_direction[2]
         ahead = pulls[1] + halves[1] * q_direction[2]
     return r_direction, q_direction

@@ -43,8 +43,10 @@ def split_hitch(
     """Return the hitch whose slack is split as ``legs`` says."""
     roll, auto = None, False
     if isinstance(legs, RolledLegs):
-        legs, roll, auto = legs.sharing, legs.roll, legs.roll is None
-    if isinstance(legs, str) and legs == "spread":
+        sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
+    else:
+        sharing = legs
+    if isinstance(sharing, str) and sharing == "spread":
         return Hitch.spread(
             team,
             polygon,
@@ -54,10 +56,10 @@ def split_hitch(
             roll=roll,
         )
     given = 0.0 if roll is None else roll
-    if isinstance(legs, str):
+    if isinstance(sharing, str):
         hitch = Hitch.balanced(team, polygon, altitude, given)
     else:
-        hitch = Hitch(team, polygon, altitude, legs, given)
+        hitch = Hitch(team, polygon, altitude, sharing, given)
     return hitch.least_rolled(requirements) if auto else hitch
 
 

@@ -87,7 +87,8 @@ def moving(
         return leg_vectors(given, q_dir, sag), leg_vectors(slack - given, r_dir, sag)
 
     def legs(t: Array) -> Array:
-        return np.linalg.norm(np.stack(chords(t), axis=2), axis=-1)
+        both: Array = np.linalg.norm(np.stack(chords(t), axis=2), axis=-1)
+        return both
 
     def drones(t: Array) -> Array:
         p, (q, r) = vertices(t), chords(t)

@@ -81,7 +81,7 @@ def test_replacing_one_field_keeps_all_others() -> None:
     }
     for field in fields(Team):
         # A closed hitch has one clasp more than a chain: loads alike fit both.
-        given = replace(team(), load=0.001) if field.name == "topology" else team()
+        given = replace(team(), load=np.full(3, 0.001)) if field.name == "topology" else team()
         changed = replace(given, **{field.name: changes[field.name]})
         if field.name == "topology":
             np.testing.assert_array_equal(changed.load, [0.001] * 4)

@@ -28,10 +28,10 @@ clasp bears."""
 def clasp_weights(motion: Motion) -> list[Array]:
     """Return what the weights at clasps are computed of, per piece and clasp.
 
-    The other legs of its two cables, ``r_k``'s and ``q_{k-1}``'s (…, 6, degree + 1) [m]; then of the
-    cable ahead and of that behind, three rows each (…, 6, degree + 1): its share of the load and
-    half of its cable's weight [N], and half of the weight per length [N/m], all to the share that
-    the cable is taut.
+    The other legs of its two cables, ``r_k``'s and ``q_{k-1}``'s (…, 6, degree + 1) [m]; then, of
+    the cable ahead and of that behind, three rows each (…, 6, degree + 1): its share of the load
+    and half of its cable's weight [N], and half of the weight per length [N/m], all to the share
+    that the cable is taut.
     """
     team, layout = motion.team, motion.team.layout
     # A drone at a chain's end has no leg, wherever a plan has it.

@@ -39,16 +39,13 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
             key = f"mission[{i}].{step.name}.legs"
             places.append((key, legs, outline, with_spread_legs(problem, i)))
     for key, legs, shape, edited in places:
-        if isinstance(legs, str) and legs == "spread":
+        sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+        if isinstance(sharing, str) and sharing == "spread":
             continue
         try:
             relative = _farthest(problem, shape, legs)
         except InfeasibleError:  # no cable is left for any legs
             continue
-        if isinstance(legs, RolledLegs) and isinstance(legs.sharing, str):
-            if legs.sharing == "spread":
-                continue
-            legs = legs.sharing
         words = legs if isinstance(legs, str) else "as given"
         yield Change(key, "", words, "spread", "", relative, edited.problem, edited.edits)
 

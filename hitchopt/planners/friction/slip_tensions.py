@@ -145,7 +145,7 @@ class _Clasps:
     def wrapped(self) -> Array:
         """(J, clasps, 2) [rad], the angles that both cables wrap: V halves them.
 
-        Nearly so where clasps carry weight. 0 where the cables run on straight, and no leg can lean.
+        Nearly so where clasps carry weight. 0 where the cables run on straight: no leg can lean.
         """
         return np.nan_to_num(2.0 * self.upright)
 

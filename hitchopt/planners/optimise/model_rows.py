@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch.parts import SEPARATION
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.parts import SEPARATION
 from hitchopt.model.loaded_robot import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath

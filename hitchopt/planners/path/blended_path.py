@@ -47,7 +47,8 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     """Return the path through three hitches or more, no two neighbours of them the same.
 
     Vertices, fractions and roll are natural quintic splines: of all curves through the hitches
-    those with the least third derivative. Their parameter is nearly the distance of the farthest drone.
+    those with the least third derivative. Their parameter is nearly the distance of the farthest
+    drone.
     """
     places = np.stack([hitch.drones for hitch in hitches])
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)

@@ -89,7 +89,7 @@ class ShapePath:
 
     @classmethod
     def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
-        """Return the path on which vertices go straight and fractions and roll change linearly with s."""
+        """Return the path on which vertices go straight; fractions and roll change linearly."""
         whole = np.array([0.0, 1.0])
         vertices = np.stack([start.vertices, end.vertices], axis=-1)
         fractions = np.stack([start.fractions, end.fractions], axis=-1)
@@ -152,8 +152,8 @@ class Shapes:
     Attributes
     ----------
     polygons: (J, points, 2) [m], in plan view.
-    legs: (J, n, 2) [m], ``d`` and ``e``: lengths of cable, negative where a cable is too short, zero
-        where a chain's end has no leg.
+    legs: (J, n, 2) [m], ``d`` and ``e``: lengths of cable, negative where a cable is too short,
+        zero where a chain's end has no leg.
     roll: (J, clasps) [rad], or None where legs are not rolled.
     """
 
