@@ -21,7 +21,7 @@ import hitchopt as ho
 from benchmarks.environment import print_environment
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.forming.tying_stages import tied
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.steps.form import Assign

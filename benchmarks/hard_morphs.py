@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.environment import busy, environment
 from benchmarks.hard_cases import Case, named_cases, random_case, random_name
 from benchmarks.hard_restarts import CAP, restarts
-from hitchopt.planners.optimise.candidates import ROUNDS, candidates
+from hitchopt.planners.optimise.candidates import ROUNDS, OptimisedMorph
 
 LIMITATIONS = (
     "one machine, one run, other jobs beside it; processor time, not the wall's; "
@@ -69,7 +69,7 @@ class Outcome:
 def outcome(case: Case, robots: int, count: int) -> Outcome:
     """Return what becomes of a morph; restarts for named ones and where none is found."""
     began = time.process_time()
-    found = candidates(case.start, case.end, case.requirements, case.judge)
+    found = OptimisedMorph(case.start, case.end, case.requirements, case.judge).solve()
     seconds = time.process_time() - began
     if found and robots:
         first = found[0]

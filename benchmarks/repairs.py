@@ -17,8 +17,8 @@ from typing import Any
 
 import hitchopt as ho
 from benchmarks.environment import print_environment
+from benchmarks.problem_edits import edited, put
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair.mapping import edited, put
 from hitchopt.storage.yaml_file import read_yaml
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

@@ -22,7 +22,7 @@ from hitchopt.checks import certify
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.separation.fastest import fastest_ramps
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Requirements
 from problems.swarm import antipodal_circle, random_team
 

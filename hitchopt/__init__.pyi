@@ -68,7 +68,7 @@ from hitchopt.plan import (
     closest as closest,
     load as load,
 )
-from hitchopt.planners.forming.swap_settings import SwapSettings as SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings as SwapSettings
 from hitchopt.planning import (
     repair as repair,
     separate as separate,

@@ -9,49 +9,42 @@ which.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt import steps
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.mission.problem import DronesStart, Problem
-from hitchopt.mission.solving import solve_problem, solve_steps
+from hitchopt.mission.problem import DronesStart, Problem, Start
+from hitchopt.mission.solving import solve_problem
 from hitchopt.plan import Plan
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steps import (
-    Adjust,
-    FollowVertex,
-    Form,
-    Hold,
-    Land,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Release,
-    Step,
-    Transport,
-)
+from hitchopt.planners.forming.turns import SwapSettings
+from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.steps.form import Assign
-from hitchopt.steps.slack_split import SlackSplit, slack_split
 
 Legs = str | Sequence[float] | ArrayLike
+
+
+class Required(TypedDict, total=False):
+    """Keywords of every function: what the plan must satisfy."""
+
+    limits: Limits | None
+    separation: Separation | None
+    arena: Arena | None
 
 
 def morph(
     start: Hitch,
     polygon: Outline | ArrayLike,
     *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
     optimize: bool = False,
     tension: tuple[float, float] | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan from one hitch to another.
 
@@ -74,9 +67,8 @@ def morph(
     InputError: arguments that are wrong in themselves.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    outline = fitting_polygon(start.team, polygon)
-    step = Morph(outline, _split(legs, start.team), duration, optimize=optimize, tension=tension)
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.Morph, polygon, legs, duration, optimize=optimize, tension=tension)
+    return _planned(start.team, start, step, requirements)
 
 
 def move_vertex(
@@ -85,11 +77,9 @@ def move_vertex(
     *,
     to: ArrayLike | None = None,
     by: ArrayLike | None = None,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which one vertex goes elsewhere.
 
@@ -108,8 +98,8 @@ def move_vertex(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = MoveVertex(vertex, _array(to), _array(by), _split(legs, start.team), duration)
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.MoveVertex, vertex, to, by, legs, duration)
+    return _planned(start.team, start, step, requirements)
 
 
 def move_edge(
@@ -118,11 +108,9 @@ def move_edge(
     *,
     to: ArrayLike | None = None,
     by: ArrayLike | None = None,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     legs: Legs | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which both ends of an edge go elsewhere.
 
@@ -140,18 +128,16 @@ def move_edge(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = MoveEdge(edge, _array(to), _array(by), _split(legs, start.team), duration)
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.MoveEdge, edge, to, by, legs, duration)
+    return _planned(start.team, start, step, requirements)
 
 
 def adjust(
     start: Hitch,
     legs: Legs = "balanced",
     *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which cables slide through their clasps and vertices stay.
 
@@ -165,8 +151,8 @@ def adjust(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = Adjust(slack_split(legs, start.team), duration)
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.Adjust, legs, duration)
+    return _planned(start.team, start, step, requirements)
 
 
 def follow_vertex(
@@ -174,10 +160,8 @@ def follow_vertex(
     vertex: int,
     path: ArrayLike,
     *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     legs: Legs | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which one vertex meets timed points at their times.
 
@@ -193,8 +177,8 @@ def follow_vertex(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = FollowVertex(vertex, np.array(path), _split(legs, start.team))
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.FollowVertex, vertex, path, legs)
+    return _planned(start.team, start, step, requirements)
 
 
 def transport(
@@ -202,10 +186,8 @@ def transport(
     to: ArrayLike,
     yaw: float = 0.0,
     *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which the whole hitch is carried and turned, rigidly.
 
@@ -220,25 +202,19 @@ def transport(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = Transport(np.array(to), yaw, duration)
-    return _planned(start, step, limits, separation, arena)
+    step = _step(steps.Transport, to, yaw, duration)
+    return _planned(start.team, start, step, requirements)
 
 
-def hold(
-    start: Hitch,
-    seconds: float,
-    *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
-) -> Plan:
+def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan:
     """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
 
     Raises
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _planned(start, Hold(seconds), limits, separation, arena)
+    step = _step(steps.Hold, seconds)
+    return _planned(start.team, start, step, requirements)
 
 
 def form(
@@ -251,10 +227,8 @@ def form(
     legs: str | ArrayLike | None = None,
     assign: Assign = "auto",
     swap: SwapSettings | None = None,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan that ties a hitch of drones on free cables.
 
@@ -277,18 +251,12 @@ def form(
     InputError: arguments that are wrong in themselves.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    outline = fitting_polygon(team, polygon)
-    step = Form(outline, altitude, _split(legs, team), assign, swap or SwapSettings(), duration)
-    return _from_drones(team, q, r, step, limits, separation, arena)
+    step = _step(steps.Form, polygon, altitude, legs, assign, swap or SwapSettings(), duration)
+    return _planned(team, _free(q, r), step, requirements)
 
 
 def release(
-    start: Hitch,
-    *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
-    duration: float | None = None,
+    start: Hitch, *, duration: float | None = None, **requirements: Unpack[Required]
 ) -> Plan:
     """Return the certified plan that unties a hitch, until its cables hang free.
 
@@ -303,7 +271,8 @@ def release(
     ------
     InputError, InfeasibleError: as form.
     """
-    return _planned(start, Release(duration), limits, separation, arena)
+    step = _step(steps.Release, duration)
+    return _planned(start.team, start, step, requirements)
 
 
 def land(
@@ -311,10 +280,8 @@ def land(
     q: ArrayLike,
     r: ArrayLike,
     *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
     duration: float | None = None,
+    **requirements: Unpack[Required],
 ) -> Plan:
     """Return the certified plan in which drones on free cables go straight down to the ground.
 
@@ -328,40 +295,22 @@ def land(
     ------
     InputError, InfeasibleError: as form.
     """
-    return _from_drones(team, q, r, Land(duration), limits, separation, arena)
+    step = _step(steps.Land, duration)
+    return _planned(team, _free(q, r), step, requirements)
 
 
-def _array(value: ArrayLike | None) -> np.ndarray | None:
-    return None if value is None else np.array(value)
+def _step(kind: Callable[..., steps.Step], *values: Any, **named: Any) -> steps.Step:
+    """Return the step; its polygon and legs are as a user writes them until it is fitting."""
+    return kind(*values, **named)
 
 
-def _split(legs: Legs | None, team: Team) -> SlackSplit | None:
-    return None if legs is None else slack_split(legs, team)
+def _free(q: ArrayLike, r: ArrayLike) -> DronesStart:
+    return DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
 
 
-def _planned(
-    start: Hitch,
-    step: Step,
-    limits: Limits | None,
-    separation: Separation | None,
-    arena: Arena | None,
-) -> Plan:
-    step.polygon_left(start.team, start.polygon)  # what is wrong in itself is said first
-    requirements = Requirements(limits or Limits(), separation or Separation(), arena)
-    found = solve_steps(start, (step,), requirements)
-    return Plan(found.motion, found.certificate)
-
-
-def _from_drones(
-    team: Team,
-    q: ArrayLike,
-    r: ArrayLike,
-    step: Form | Land,
-    limits: Limits | None,
-    separation: Separation | None,
-    arena: Arena | None,
-) -> Plan:
-    start = DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
-    problem = Problem(team, start, (step,), limits or Limits(), separation or Separation(), arena)
-    found = solve_problem(problem)
+def _planned(team: Team, start: Start, step: steps.Step, requirements: Required) -> Plan:
+    fitting = step.fitting(team)  # what is wrong in itself is said first
+    fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
+    given: dict[str, Any] = {name: part for name, part in requirements.items() if part is not None}
+    found = solve_problem(Problem(team, start, (fitting,), **given))
     return Plan(found.motion, found.certificate)

@@ -6,7 +6,7 @@ cannot be met and says what binds; the command line turns them into exit codes 2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 
@@ -90,7 +90,7 @@ class InfeasibleError(HitchoptError):
     note: what else was tried, or an empty text.
     """
 
-    def __init__(self, violations: Sequence[Violation], note: str = "") -> None:
+    def __init__(self, violations: Iterable[Violation], note: str = "") -> None:
         self.violations = tuple(violations)
         self.note = note
         lines = [str(v) for v in self.violations] + ([note] if note else [])

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import first_smallest
-from hitchopt.values import acute, finite, not_negative, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, acute, finite, not_negative, positive
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class Separation:
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
 
     @property
-    def scale(self) -> NDArray[np.float64]:
+    def scale(self) -> Array:
         """Factors (3,) [1/m]: ``separation`` is the norm of two drones' offset times these."""
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
@@ -86,8 +84,8 @@ class Arena:
     lower, upper: opposite corners (3,) [m]
     """
 
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    lower: Array
+    upper: Array
 
     def __init__(
         self, lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike
@@ -103,12 +101,9 @@ class Arena:
             point.setflags(write=False)
             object.__setattr__(self, name, point)
         if not np.all(self.lower < self.upper):
-            raise InputError(
-                "upper",
-                self.upper.tolist(),
-                f"greater than lower {self.lower.tolist()} on every axis",
-                "exchange the corners or move them apart",
-            )
+            bound = f"greater than lower {self.lower.tolist()} on every axis"
+            remedy = "exchange the corners or move them apart"
+            raise InputError("upper", self.upper.tolist(), bound, remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +144,9 @@ class Prism:
         object.__setattr__(self, "lower", finite("lower", lower))
         object.__setattr__(self, "upper", finite("upper", upper))
         if self.lower >= self.upper:
-            raise InputError(
-                "upper",
-                self.upper,
-                f"greater than lower {self.lower:g}",
-                "exchange the altitudes or move them apart",
-            )
+            bound = f"greater than lower {self.lower:g}"
+            remedy = "exchange the altitudes or move them apart"
+            raise InputError("upper", self.upper, bound, remedy)
 
     @property
     def corners(self) -> Array:

@@ -13,6 +13,9 @@ from hitchopt.errors import InputError
 Array = NDArray[np.float64]
 """Type of arrays of real numbers."""
 
+Indices = NDArray[np.intp]
+"""Type of arrays of indices."""
+
 MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 
@@ -64,6 +67,41 @@ def coordinate(key: str, value: object) -> float:
     return number
 
 
+def as_array(value: object) -> Array:
+    """Return ``value`` as an array of its own, or one without axes of length where it is none."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: str) -> Array:
+    """Return ``value`` as a read-only array of points within ±MAX_COORDINATE on every axis.
+
+    Parameters
+    ----------
+    key: name of the value in messages.
+    value: the points [m].
+    shape: smallest number of points, and their number of coordinates.
+    bound, remedy: what to say of another shape.
+
+    Raises
+    ------
+    InputError: another shape, or a coordinate that is not finite or beyond the largest.
+    """
+    array = as_array(value)
+    if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
+        raise InputError(key, value, bound, remedy)
+    bad = ~np.all(np.abs(array) <= MAX_COORDINATE, axis=1)  # also catches nan
+    if np.any(bad):
+        k = int(np.argmax(bad))
+        finite_within = f"finite and within ±{MAX_COORDINATE:g} m"
+        remedy = "check the point's coordinates"
+        raise InputError(f"{key}[{k}]", array[k].tolist(), finite_within, remedy)
+    array.setflags(write=False)
+    return array
+
+
 def per_robot(
     key: str,
     value: float | Sequence[float] | ArrayLike,
@@ -95,12 +133,9 @@ def per_robot(
         except TypeError:
             given = []
         if len(given) != robots:
-            raise InputError(
-                key,
-                value,
-                f"one number, or a list of {robots} (one per {owner})",
-                f"{len(given)} were given; add or remove entries, or change team.robots",
-            )
+            bound = f"one number, or a list of {robots} (one per {owner})"
+            remedy = f"{len(given)} were given; add or remove entries, or change team.robots"
+            raise InputError(key, value, bound, remedy)
         array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])
     array.setflags(write=False)
     return array

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING, magnitude
 from hitchopt.checks.certificate import within
@@ -11,8 +10,7 @@ from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 EXPORTED = -1e-4
 """[m] How far exported curves may pass a wall, as those of a drone at rest on the floor do."""

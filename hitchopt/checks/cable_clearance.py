@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import cable_parts, closest, drone_points
+from hitchopt.checks.bounds.cable_states import phase_parts
 from hitchopt.checks.bounds.hanging_clearance import distance_to_drones, height_above_ground
 from hitchopt.checks.bounds.hanging_links import foreign, plan_chords, plan_points
-from hitchopt.checks.bounds.phase_parts import phase_parts
 from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.broadphase import Indices

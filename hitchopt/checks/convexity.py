@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
@@ -18,8 +17,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, smallest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BACKWARD = -180.0
 """[deg] The smallest angle there is; also that of an edge without direction."""

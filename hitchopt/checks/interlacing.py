@@ -17,9 +17,8 @@ from itertools import groupby
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import clasped_pairs, pair_of
-from hitchopt.checks.bounds.cable_states import Wrong, contradicted
+from hitchopt.checks.bounds.cable_states import Wrong, contradicted, phase_parts
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
-from hitchopt.checks.bounds.phase_parts import phase_parts
 from hitchopt.checks.bounds.strands import entered
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.hitch.layout import Layout

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.certificate import within
@@ -15,8 +14,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def _find(motion: Motion, limit: float) -> Finding:
@@ -40,39 +38,34 @@ def smallest_clearance(
     for prism in prisms:
         margin = ROUNDING * (size + float(np.max(np.abs(prism.corners))))
         cells = Cells.over(part.breaks, [part.coefficients], margin)
-        found = smallest(cells, _bound(prism), aim)
+        found = smallest(cells, partial(_bound, prism=prism), aim)
         if found.worst < best.worst:
             best = found
     return Extremum(max(best.worst, 0.0), best.value, best.item, best.time)
 
 
-def _bound(prism: Prism) -> Callable[[tuple[Array, ...]], Estimate]:
+def _bound(blocks: tuple[Array, ...], prism: Prism) -> Estimate:
     """Return what bounds the distance to a prism from below.
 
     The distance is the largest, over vectors n no longer than one, of n·p minus the largest n·v of
     the prism's corners v. Along the normals at both ends of a cell, and between them in between.
     """
-    corners = prism.corners
-
-    def bound(blocks: tuple[Array, ...]) -> Estimate:
-        (rows,) = blocks
-        degree = rows.shape[-1] - 1
-        first, last = prism.clearance(rows[..., 0]), prism.clearance(rows[..., -1])
-        lengths = np.maximum(np.stack([first.distance, last.distance]), 0.0)
-        towards = []
-        for clearance in (first, last):
-            reach = np.max(clearance.normals @ corners.T, axis=1)
-            product = np.einsum("md,mdk->mk", clearance.normals, rows)
-            towards.append(product - reach[:, None])
-        weight = np.arange(degree + 2) / (degree + 1)
-        coefficients = np.zeros((len(rows), degree + 2))
-        coefficients[:, :-1] = (1.0 - weight[:-1]) * towards[0]
-        coefficients[:, 1:] += weight[1:] * towards[1]
-        x = np.argmin(lengths, axis=0)
-        lowest = np.maximum(np.min(coefficients, axis=-1), 0.0)
-        return Estimate(lowest, np.min(lengths, axis=0), x.astype(np.float64))
-
-    return bound
+    (rows,) = blocks
+    degree = rows.shape[-1] - 1
+    first, last = prism.clearance(rows[..., 0]), prism.clearance(rows[..., -1])
+    lengths = np.maximum(np.stack([first.distance, last.distance]), 0.0)
+    towards = []
+    for clearance in (first, last):
+        reach = np.max(clearance.normals @ prism.corners.T, axis=1)
+        product = np.einsum("md,mdk->mk", clearance.normals, rows)
+        towards.append(product - reach[:, None])
+    weight = np.arange(degree + 2) / (degree + 1)
+    coefficients = np.zeros((len(rows), degree + 2))
+    coefficients[:, :-1] = (1.0 - weight[:-1]) * towards[0]
+    coefficients[:, 1:] += weight[1:] * towards[1]
+    x = np.argmin(lengths, axis=0)
+    lowest = np.maximum(np.min(coefficients, axis=-1), 0.0)
+    return Estimate(lowest, np.min(lengths, axis=0), x.astype(np.float64))
 
 
 RULE = CheckRule(

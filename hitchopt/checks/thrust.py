@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
@@ -14,8 +13,7 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def _find(motion: Motion, _: float) -> Finding:

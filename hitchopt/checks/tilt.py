@@ -6,17 +6,16 @@ import math
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 UPSIDE_DOWN = 180.0
 """[deg] The largest angle there is; also that of a thrust of no direction."""
@@ -42,9 +41,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     # Else look at it in the plane of ẑ and the azimuth at mid time: where a thrust points below
     # the horizon, leaving out the third coordinate turns it farther down.
     middle = np.full((len(f), 1), 0.5)
-    azimuth = bernstein.evaluate(f[:, :2], middle)
-    size = np.linalg.norm(azimuth, axis=-1, keepdims=True)
-    azimuth = np.divide(azimuth, size, out=np.zeros_like(azimuth), where=size > 0.0)
+    azimuth = unit(bernstein.evaluate(f[:, :2], middle))
     across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
     level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
     downward = np.maximum(np.max(level, axis=-1), 90.0)
@@ -60,15 +57,13 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
 
 def _angle(across: Array, upward: Array) -> Array:
     """Return the angle from +z in the half plane of (across, upward) [deg]."""
-    angle: Array = np.degrees(np.arctan2(across, upward))
-    return angle
+    return np.degrees(np.arctan2(across, upward))
 
 
 def _spread(radius: Array, length: Array) -> Array:
     """Return by how much a ball of ``radius`` at ``length`` can turn a direction [deg]."""
     ratio = np.divide(radius, length, out=np.ones_like(length), where=length > radius)
-    turned: Array = np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
-    return turned
+    return np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
 
 
 RULE = CheckRule(

@@ -13,13 +13,7 @@ import click
 
 from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import (
-    FileError,
-    HitchoptError,
-    InfeasibleError,
-    InputError,
-    TimeLimitError,
-)
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate
@@ -262,10 +256,8 @@ def _least_duration(problem: AnyProblem) -> float:
 def _check_rows(rate: float, duration: float, drones: int) -> None:
     rows = rate * duration * drones
     if rows > MAX_ROWS:
-        raise InputError(
-            "--rate",
-            rate,
+        bound = (
             f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
-            f"and {drones} drones (it would write {rows:.3g} rows)",
-            "lower it, or shorten the plan",
+            f"and {drones} drones (it would write {rows:.3g} rows)"
         )
+        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")

@@ -28,9 +28,7 @@ MAX_NAMES = 4
 def phase_table(phases: Iterable[Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = tuple(phases)
-    table = new_table(
-        "Phases", [("phase", "left"), ("step", "right")], ["start", "end", "duration"]
-    )
+    table = new_table("Phases", ["phase"], ["step", "start", "end", "duration"])
     if any(phase.remark for phase in rows):
         table.add_column("remark", overflow="fold")
     for phase in rows:
@@ -42,7 +40,7 @@ def phase_table(phases: Iterable[Phase]) -> str:
 
 def certificate_table(certificate: Certificate) -> str:
     """Return the table of a certificate's checks, each with its worst value over all of time."""
-    table = new_table("Certificate", [("check", "left")], ["worst", "limit"])
+    table = new_table("Certificate", ["check"], ["worst", "limit"])
     for name in ("unit", "where", "when", "holds"):
         table.add_column(name, overflow="fold")
     for check in certificate.checks:
@@ -73,11 +71,11 @@ def _names(names: Sequence[str]) -> str:
     return f"{shown}, and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else shown
 
 
-def new_table(title: str, words: Sequence[tuple[str, str]], numbers: Sequence[str]) -> Table:
-    """Return an empty table: columns of words, each with its alignment, then of numbers."""
+def new_table(title: str, words: Sequence[str], numbers: Sequence[str]) -> Table:
+    """Return an empty table: columns of words, then of numbers."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name, side in words:
-        table.add_column(name, justify="left" if side == "left" else "right", overflow="fold")
+    for name in words:
+        table.add_column(name, overflow="fold")
     for name in numbers:
         table.add_column(name, justify="right", overflow="fold")
     return table

@@ -141,14 +141,7 @@ def _show(part: Export) -> None:
     is_flag=True,
     help="Every drone flies from where it stands (initial_position, home), not in one frame.",
 )
-def lint(
-    path: Path,
-    speed: float | None,
-    acceleration: float | None,
-    radius: float,
-    height: float,
-    relative: bool,
-) -> None:
+def lint(path: Path, relative: bool, **limits: float | None) -> None:
     """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
 
     PATH is a file or a folder of any format that `export` writes. The limits that a show sets
@@ -160,11 +153,9 @@ def lint(
     from hitchopt.requirements import Separation
     from hitchopt.values import positive
 
-    rules = Rules(
-        None if speed is None else positive("--speed", speed),
-        None if acceleration is None else positive("--acceleration", acceleration),
-        Separation(positive("--radius", radius), positive("--height", height)),
-    )
+    given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}
+    separation = Separation(given["radius"], given["height"])
+    rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     reports = linted(path, rules, relative=relative)
     for report in reports:
         say_report(report)

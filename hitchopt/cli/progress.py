@@ -24,11 +24,7 @@ class LateProgress:
     """
 
     def __init__(
-        self,
-        stream: TextIO | None,
-        message: str,
-        limit: float | None = None,
-        delay: float = DELAY,
+        self, stream: TextIO | None, message: str, limit: float | None = None, delay: float = DELAY
     ) -> None:
         self._stream = stream
         self._at_most = "" if limit is None else f"of at most {limit:.0f} s"

@@ -22,7 +22,7 @@ def flight_tables(simulation: Simulation) -> str:
     outcome, errors, run = simulation.outcome, simulation.errors, simulation.run
     vertices = new_table(
         "Vertices: distances to the plan's, mean ± standard deviation (largest)",
-        [("vertex", "left")],
+        ["vertex"],
         ["linked", "bears [N]", "error [cm]", "without sag [cm]", "pull test moves it", "holds"],
     )
     for c, clasp in enumerate(outcome.clasps):
@@ -35,7 +35,7 @@ def flight_tables(simulation: Simulation) -> str:
             _centimetres(clasp.moved),
             Text("yes" if clasp.holds else "NO", style="green" if clasp.holds else "bold red"),
         )
-    figures = new_table("Flight", [("quantity", "left")], ["value"])
+    figures = new_table("Flight", ["quantity"], ["value"])
     for name, value in (
         ("drones to their setpoints [cm]", _spread(run.tracking)),
         ("vertices, all [cm]", _spread(run.vertex_error)),
@@ -62,7 +62,7 @@ def campaign_tables(campaign: Campaign) -> str:
         f"seeds {campaign.runs[0].seed} to {campaign.runs[-1].seed}, "
         f"preset {campaign.settings.preset.name}\n"
     )
-    runs = new_table("Runs, over all flights", [("quantity", "left")], ["mean", "largest"])
+    runs = new_table("Runs, over all flights", ["quantity"], ["mean", "largest"])
     for name, values in (
         ("mean vertex error", [run.vertex_error.mean for run in campaign.runs]),
         ("mean vertex error without sag", [run.without_sag.mean for run in campaign.runs]),
@@ -73,7 +73,7 @@ def campaign_tables(campaign: Campaign) -> str:
             runs.add_row(name, _centimetres(np.mean(there)), _centimetres(np.max(there)))
     if not campaign.failures:
         return f"{head}\n{rendered(runs)}\n"
-    failed = new_table("First failures", [("kind", "left"), ("where", "left")], ["flights"])
+    failed = new_table("First failures", ["kind", "where"], ["flights"])
     for (kind, where), number in campaign.failures.most_common():
         failed.add_row(kind, where, str(number))
     return f"{head}\n{rendered(runs)}\n\n{rendered(failed)}\n"

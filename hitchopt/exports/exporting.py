@@ -6,7 +6,9 @@ flown by its rounding or refitting is refused, and nothing that was there before
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +25,7 @@ from hitchopt.exports.manifest import (
 )
 from hitchopt.exports.verification import SLOWER, Verdict, verify
 from hitchopt.motion.cutting import stretched
-from hitchopt.storage.atomic import replace_files
+from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
 
 FACTORS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1)
@@ -131,11 +133,12 @@ class _Exporter:
             done = [self._whole(tasks[0], folder, note)]
         else:
             names = tuple(f"part{i + 1}" for i in range(len(tasks)))
-            parts = list(zip(tasks, names, strict=True))
             with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
-                for part, name in parts:
-                    self._whole(part, Path(trial) / name, note)
-            done = [self._whole(p, folder / name, f"{p.part}: {note}") for p, name in parts]
+                tried = [
+                    self._whole(part, Path(trial) / name, f"{part.part}: {note}")
+                    for part, name in zip(tasks, names, strict=True)
+                ]
+                done = [self._copied(each, folder / each.folder.name) for each in tried]
             write = partial(write_strict_json, content=manifest_of_parts(self.kind, tasks, names))
             replace_files(folder, {FILE: write}, {FILE, *owned_files(folder)}, seal=FILE)
         for name in before:  # an earlier export was cut into more parts
@@ -161,13 +164,7 @@ class _Exporter:
 
     def _candidate(self, task: Task, candidate: Candidate, folder: Path) -> Export:
         kind, files = self.kind, tuple(candidate.writers)
-        owned = {FILE, *owned_files(folder)}
-        for name in files:
-            if name not in owned and (folder / name).exists():
-                raise FileError(
-                    f"{folder / name}: is there already and not from an export; "
-                    "choose another folder with -o"
-                )
+        owned = _owned(folder, files)
         verdicts: list[Verdict] = []
 
         def check(path: Path) -> None:
@@ -179,5 +176,30 @@ class _Exporter:
             write_strict_json(path, manifest_of(kind, task, candidate, verdict))
             verdicts.append(verdict)
 
-        replace_files(folder, {**candidate.writers, FILE: check}, {*owned, *files}, seal=FILE)
+        replace_files(folder, {**candidate.writers, FILE: check}, owned, seal=FILE)
         return Export(folder, files, verdicts[-1], candidate.notes, task.begins)
+
+    def _copied(self, done: Export, folder: Path) -> Export:
+        """Copy what was written and verified elsewhere into the folder, all of it or nothing."""
+        writers: dict[str, Writer] = {
+            name: partial(shutil.copyfile, done.folder / name) for name in (*done.files, FILE)
+        }
+        replace_files(folder, writers, _owned(folder, done.files), seal=FILE)
+        return replace(done, folder=folder)
+
+
+def _owned(folder: Path, files: Sequence[str]) -> set[str]:
+    """Return the files of an earlier export and of the next one, which replaces no others.
+
+    Raises
+    ------
+    FileError: a file of such a name is there and not from an export.
+    """
+    owned = {FILE, *owned_files(folder)}
+    for name in files:
+        if name not in owned and (folder / name).exists():
+            raise FileError(
+                f"{folder / name}: is there already and not from an export; "
+                "choose another folder with -o"
+            )
+    return {*owned, *files}

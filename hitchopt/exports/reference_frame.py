@@ -73,8 +73,7 @@ class ReferenceFrame:
     @property
     def shift(self) -> Array:
         """Place (3,) [m] of the plan's origin in the file's axes."""
-        shift: Array = AXES[self.name] @ np.asarray(self.origin, dtype=np.float64)
-        return shift
+        return AXES[self.name] @ np.asarray(self.origin, dtype=np.float64)
 
     @property
     def heading(self) -> float:
@@ -85,13 +84,11 @@ class ReferenceFrame:
 
     def vectors(self, values: Array) -> Array:
         """Return vectors (…, 3) of the plan in the file's axes."""
-        turned: Array = values @ self.rotation.T
-        return turned
+        return values @ self.rotation.T
 
     def points(self, values: Array) -> Array:
         """Return points (…, 3) of the plan in the file's axes [m]."""
-        placed: Array = values @ self.rotation.T + self.shift
-        return placed
+        return values @ self.rotation.T + self.shift
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""

@@ -6,10 +6,9 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hitchopt.errors import InputError
 from hitchopt.geometry.outline import Outline
+from hitchopt.values import Array
 
 
 class ConvexArc(Outline):
@@ -27,20 +26,16 @@ class ConvexArc(Outline):
     closed: ClassVar[bool] = False
 
     @property
-    def centroid(self) -> NDArray[np.float64]:
+    def centroid(self) -> Array:
         """(2,) [m]: centre of the arc's length."""
         middles = 0.5 * (self.vertices[1:] + self.vertices[:-1])
-        centroid: NDArray[np.float64] = np.average(middles, axis=0, weights=self.edge_lengths)
+        centroid: Array = np.average(middles, axis=0, weights=self.edge_lengths)
         return centroid
 
     def _check_turns(self) -> None:
         super()._check_turns()
         total = float(np.sum(self.exterior_angles))
         if total >= 2.0 * math.pi:
-            raise InputError(
-                "polygon",
-                self.vertices.tolist(),
-                f"an arc that turns by less than 360° in all (it turns by "
-                f"{math.degrees(total):.6g}°)",
-                "open the chain, or close it and write topology: closed",
-            )
+            turned = f"it turns by {math.degrees(total):.6g}°"
+            remedy = "open the chain, or close it and write topology: closed"
+            raise self._refused(f"an arc that turns by less than 360° in all ({turned})", remedy)

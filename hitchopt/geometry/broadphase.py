@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
+
 Indices = NDArray[np.intp]
 
 

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.values import MAX_COORDINATE
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, points
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""
@@ -40,9 +38,8 @@ class Outline(ABC):
     closed: ClassVar[bool]
 
     def __init__(self, vertices: ArrayLike) -> None:
-        points = _as_points(vertices)
-        points.setflags(write=False)
-        object.__setattr__(self, "vertices", points)
+        bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
+        object.__setattr__(self, "vertices", points("polygon", vertices, (3, 2), bound, remedy))
         self._check_edges()
         self._check_turns()
 
@@ -111,50 +108,26 @@ class Outline(ABC):
         lengths = self.edge_lengths
         shortest = int(np.argmin(lengths))
         if lengths[shortest] < MIN_EDGE:
-            raise InputError(
-                f"polygon[{shortest}]",
-                self.vertices[shortest].tolist(),
-                f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]",
-                "remove or move one of the coincident points",
-            )
+            bound = f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]"
+            remedy = "remove or move one of the coincident points"
+            raise self._refused(bound, remedy, shortest)
 
     def _check_turns(self) -> None:
         angles = self.exterior_angles
         if np.all(angles < 0.0):
-            raise InputError(
-                "polygon",
-                self.vertices.tolist(),
-                "in clockwise order seen from above",
-                "list its points in the reverse order",
-            )
+            remedy = "list its points in the reverse order"
+            raise self._refused("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
-            k = int(self.corners[flattest])
-            raise InputError(
-                f"polygon[{k}]",
-                self.vertices[k].tolist(),
+            bound = (
                 f"a convex corner (it turns right by {math.degrees(angles[flattest]):.6g}°, "
-                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)",
-                "move the point outward, or list the points in clockwise order",
+                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)"
             )
+            remedy = "move the point outward, or list the points in clockwise order"
+            raise self._refused(bound, remedy, int(self.corners[flattest]))
 
-
-def _as_points(vertices: ArrayLike) -> Array:
-    try:
-        points = np.array(vertices, dtype=np.float64)
-    except (TypeError, ValueError):
-        points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
-        raise InputError(
-            "polygon", vertices, "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
-        )
-    bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
-    if np.any(bad):
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"polygon[{k}]",
-            points[k].tolist(),
-            f"finite and within ±{MAX_COORDINATE:g} m",
-            "check the point's coordinates",
-        )
-    return points
+    def _refused(self, bound: str, remedy: str, point: int | None = None) -> InputError:
+        """Return the error that the points, or one of them, are not as they have to be."""
+        if point is None:
+            return InputError("polygon", self.vertices.tolist(), bound, remedy)
+        return InputError(f"polygon[{point}]", self.vertices[point].tolist(), bound, remedy)

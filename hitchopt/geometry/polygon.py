@@ -6,10 +6,10 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.outline import Outline
+from hitchopt.values import Array
 
 
 class ConvexPolygon(Outline):
@@ -27,14 +27,14 @@ class ConvexPolygon(Outline):
     closed: ClassVar[bool] = True
 
     @property
-    def centroid(self) -> NDArray[np.float64]:
+    def centroid(self) -> Array:
         """(2,) [m]: centre of the polygon's area."""
         origin = self.vertices[0]
         points = self.vertices - origin
         following = np.roll(points, -1, axis=0)
         cross = points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]
-        moments: NDArray[np.float64] = np.sum((points + following) * cross[:, None], axis=0)
-        centroid: NDArray[np.float64] = origin + moments / (3.0 * np.sum(cross))
+        moments: Array = np.sum((points + following) * cross[:, None], axis=0)
+        centroid: Array = origin + moments / (3.0 * np.sum(cross))
         return centroid
 
     @property

@@ -9,11 +9,9 @@ hull's point nearest to the origin.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def shortest_offset(differences: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 TIE = 1e-9
 """Relative difference of values that tie: far above rounding, far below what matters."""

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import GRAVITY, Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 Expression = TypeVar("Expression", bound=Any)
 """Type of arrays, and of casadi's expressions."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, unit
 from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
@@ -125,25 +124,17 @@ class LegBodies:
         # From above nothing is farther than in space.
         ends = [self.nodes(lower)[:, :2], self.nodes(upper)[:, :2]]
         swept = np.stack(ends).reshape(2, J, self.count, 2)
-        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, -1, 2)
+        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, J, -1, 2)
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff += SWAY if self._turns else 0.0
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) + (SWAY if self._turns else 0.0)
-        # A third coordinate keeps the polygons apart, so that one tree serves them all.
-        size = cutoff + float(np.max(highest) - np.min(lowest))
-        level = np.repeat(np.arange(J) * 4.0 * size, len(parts.nodes))
-        boxes = Boxes(np.column_stack([lowest, level]), np.column_stack([highest, level]))
-        pairs = close_pairs(boxes, None, cutoff * (1.0 + 1e-9))
-        frame, i = np.divmod(pairs.first, len(parts.nodes))
-        j = pairs.second % len(parts.nodes)
-        kind = parts.kind(i, j)
-        wanted = (kind >= 0) & (self.limits[kind] > 0.0)
+        frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
-            wanted &= ~task.fixed[frame]
-        offset = (self.count * frame[wanted])[:, None]
-        self.frame: Index = frame[wanted]
-        self.kind: Index = kind[wanted]
-        self.first: Index = parts.nodes[i[wanted]] + offset
-        self.second: Index = parts.nodes[j[wanted]] + offset
+            moving = ~task.fixed[frame]
+            frame, i, j, kind = frame[moving], i[moving], j[moving], kind[moving]
+        self.frame, self.kind = frame, kind
+        self.first: Index = parts.nodes[i] + self.count * frame[:, None]
+        self.second: Index = parts.nodes[j] + self.count * frame[:, None]
 
 
 def leg_bounds(task: LegTask) -> tuple[Array, Array]:

@@ -12,13 +12,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegLengths, LegTask
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
 """[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.hitch.layout import CLOSED, Layout, layout_of
-
-Index = NDArray[np.intp]
+from hitchopt.values import Array
+from hitchopt.values import Indices as Index
 
 SEPARATION, CABLE, CROSSING = 0, 1, 2
 """Kinds of pairs: drone and drone, drone and cable, cable and cable."""
@@ -65,6 +66,29 @@ class Parts:
         kind[drone_cable] = CABLE
         kind[apart] = CROSSING
         return kind
+
+    def near(
+        self, lowest: Array, highest: Array, limits: Array, cutoff: float
+    ) -> tuple[Index, Index, Index, Index]:
+        """Return (frame, body, body, kind) of all pairs whose boxes come near in a frame.
+
+        Parameters
+        ----------
+        lowest, highest: (J, bodies, 2) [m], opposite corners of the boxes in J frames.
+        limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
+        cutoff: [m]
+        """
+        # A third coordinate keeps the frames apart, so that one tree serves them all.
+        step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
+        bodies = len(self.nodes)
+        level = np.repeat(np.arange(len(lowest)) * step, bodies)
+        corners = (np.column_stack([c.reshape(-1, 2), level]) for c in (lowest, highest))
+        pairs = close_pairs(Boxes(*corners), None, cutoff)
+        frame, i = np.divmod(pairs.first, bodies)
+        j = pairs.second % bodies
+        kind = self.kind(i, j)
+        wanted = (kind >= 0) & (limits[kind] > 0.0)
+        return frame[wanted], i[wanted], j[wanted], kind[wanted]
 
     def _have_common_clasp(self, i: Index, j: Index) -> NDArray[np.bool_]:
         a, b = self.nodes[i], self.nodes[j]

@@ -9,25 +9,15 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch import Quadrotor, Swarm, Team
-from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
-from hitchopt.mission.schema import (
-    Keys,
-    MotionLimitsKeys,
-    RolledLegsKeys,
-    StartKeys,
-    TeamKeys,
-)
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fitting_start
+from hitchopt.mission.schema import Keys, MotionLimitsKeys, StartKeys, TeamKeys
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
-from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.steps.step import check_within
 
 
 def built_problem(keys: ProblemKeys) -> Problem:
@@ -40,13 +30,13 @@ def built_problem(keys: ProblemKeys) -> Problem:
     faults = Collector()
     common = _common_parts(keys, faults)
     team = faults.attempt("team", lambda: Team(**_team_values(keys.team)))
-    start = _start(keys.start, keys.team, team, faults)
-    steps = [_step(i, step, keys.team, team, faults) for i, step in enumerate(keys.mission)]
-    mission = tuple(step for step in steps if step is not None)
+    if team is None:  # nothing else can be judged without it
+        return faults.made(None)
+    start = _start(keys.start, team, faults)
+    steps = [_step(i, step, team, faults) for i, step in enumerate(keys.mission)]
     faults.check()
-    if team is None or start is None:
-        raise RuntimeError("a part of the problem is missing although nothing was refused")
-    return Problem(team, start, mission, **common)
+    mission = tuple(step for step in steps if step is not None)
+    return faults.made(Problem(team, start, mission, **common) if start else None)
 
 
 def built_swarm(keys: SwarmKeys) -> SwarmProblem:
@@ -54,20 +44,16 @@ def built_swarm(keys: SwarmKeys) -> SwarmProblem:
     faults = Collector()
     common = _common_parts(keys, faults)
     team = faults.attempt("team", lambda: Swarm(**_team_values(keys.team)))
-    prisms = [
+    keep_out = [
         faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
         for k, prism in enumerate(keys.keep_out)
     ]
-    if team is None or not common.keys() >= {"limits", "separation"}:
-        faults.check()
-        raise RuntimeError("a part of the problem is missing although nothing was refused")
-    common |= {"keep_out": [p for p in prisms if p is not None], "duration": keys.duration}
-    start, goal = np.array(keys.start), np.array(keys.goal)
-    problem = faults.attempt("", lambda: SwarmProblem(team, start, goal, **common))
-    faults.check()
-    if problem is None:
-        raise RuntimeError("no problem although nothing was refused")
-    return problem
+    places: dict[str, Any] = {"start": np.array(keys.start), "goal": np.array(keys.goal)}
+    prisms = tuple(prism for prism in keep_out if prism is not None)
+    rest: dict[str, Any] = {"keep_out": prisms, "duration": keys.duration}
+    if team is None:
+        return faults.made(None)
+    return faults.made(faults.attempt("", lambda: SwarmProblem(team, **places, **common, **rest)))
 
 
 def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str, Any]:
@@ -106,86 +92,20 @@ def _limits(keys: MotionLimitsKeys) -> Limits:
     return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
 
 
-def _start(
-    keys: StartKeys, team_keys: TeamKeys, team: Team | None, faults: Collector
-) -> Start | None:
+def _start(keys: StartKeys, team: Team, faults: Collector) -> Start | None:
+    """Return where the plan starts; None where it has been refused."""
+    start: Start | None = None
     if keys.hitch is not None:
-        hitch = keys.hitch
-        outline = _outline("start.hitch", hitch.polygon, team_keys, team, faults)
-        legs = _legs("start.hitch", hitch.legs, team, faults)
-        if outline is None or legs is None:
-            return None
-        return faults.attempt("start.hitch", lambda: HitchStart(outline, hitch.altitude, legs))
-    places = keys.drones
-    if places is None:
-        raise RuntimeError("a start that is neither a hitch nor drones")
-    fits = [
-        _check_count(f"start.drones.{end}", len(points), team_keys.robots, faults)
-        for end, points in (("q", places.q), ("r", places.r))
-    ]
-    if not all(fits):
-        return None
-    return faults.attempt(
-        "start.drones", lambda: DronesStart(np.array(places.q), np.array(places.r))
-    )
+        values: dict[str, Any] = keys.hitch.model_dump()
+        start = faults.attempt("start.hitch", lambda: HitchStart(**values))
+    elif keys.drones is not None:
+        q, r = np.array(keys.drones.q), np.array(keys.drones.r)
+        start = faults.attempt("start.drones", lambda: DronesStart(q, r))
+    return start and faults.attempt("", partial(fitting_start, team, start))
 
 
-def _step(
-    i: int, keys: Keys, team_keys: TeamKeys, team: Team | None, faults: Collector
-) -> Step | None:
-    """Return the record of a step; None where a part of it has been refused."""
+def _step(i: int, keys: Keys, team: Team, faults: Collector) -> Step | None:
+    """Return the record of a step; None where it has been refused."""
     ((name, given),) = ((name, step) for name, step in keys if step is not None)
-    path, values = f"mission[{i}].{name}", given.model_dump()
-    parts: dict[str, object] = {}
-    if values.get("polygon") is not None:
-        parts["polygon"] = _outline(path, values["polygon"], team_keys, team, faults)
-    if values.get("legs") is not None:
-        parts["legs"] = _legs(path, values["legs"], team, faults)
-    for key, count in (("vertex", _vertices(team_keys)), ("edge", team_keys.robots)):
-        if values.get(key, 0) >= count:
-            faults.attempt(path, partial(check_within, key, values[key], count))
-    if any(part is None for part in parts.values()):
-        return None
-    return faults.attempt(path, lambda: STEP_KINDS[name].from_file(values | parts))
-
-
-def _outline(
-    path: str,
-    points: list[list[float]],
-    team_keys: TeamKeys,
-    team: Team | None,
-    faults: Collector,
-) -> Outline | None:
-    kind: type[Outline] = ConvexArc if team_keys.topology == "open" else ConvexPolygon
-    outline = faults.attempt(path, lambda: kind(points))
-    if outline is None or team is None:
-        return outline
-    return faults.attempt(path, lambda: fitting_polygon(team, outline))
-
-
-def _legs(
-    path: str, legs: str | list[float] | RolledLegsKeys, team: Team | None, faults: Collector
-) -> SlackSplit | None:
-    if team is None:
-        return None
-    if isinstance(legs, list) and len(legs) != team.robots:
-        _refuse_count(f"{path}.legs", legs, f"{team.robots} q-legs", faults)
-        return None
-    given = legs.model_dump() if isinstance(legs, RolledLegsKeys) else legs
-    return faults.attempt(path, lambda: slack_split(given, team))
-
-
-def _vertices(keys: TeamKeys) -> int:
-    return keys.robots + (keys.topology == "open")
-
-
-def _check_count(path: str, count: int, expected: int, faults: Collector) -> bool:
-    """Return whether a count is the expected one; a fault is gathered if not."""
-    if count != expected:
-        _refuse_count(path, f"{count} points", f"{expected} points", faults)
-    return count == expected
-
-
-def _refuse_count(path: str, value: object, expected: str, faults: Collector) -> None:
-    remedy = "add or remove entries, or change team.robots"
-    faults.inputs.append(InputError(path, value, f"a list of {expected}", remedy))
+    kind, values = STEP_KINDS[name], given.model_dump()
+    return faults.attempt(f"mission[{i}].{name}", lambda: kind.from_file(values).fitting(team))

@@ -54,6 +54,13 @@ class Collector:
         if self.inputs:
             raise one_or_all(self.inputs)
 
+    def made(self, whole: T | None) -> T:
+        """Return what was made of all parts, or raise what was gathered."""
+        self.check()
+        if whole is None:
+            raise RuntimeError("a part is missing although nothing was refused")
+        return whole
+
 
 def one_or_all(errors: Sequence[InputError]) -> InputError:
     """Return the only error, or all as one."""

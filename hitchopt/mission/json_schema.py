@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def problem_schema() -> dict[str, Any]:
     return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": forms, **schema}
 
 
+@cache
 def kind_schema(model: type[Keys]) -> dict[str, Any]:
     """Return the JSON Schema of one of the KINDS alone."""
     schema = problem_schema()

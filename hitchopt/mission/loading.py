@@ -9,7 +9,6 @@ from pydantic import ValidationError
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.building import built_problem, built_swarm
-from hitchopt.mission.faults import JointInputError
 from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.swarm_problem import SwarmProblem
@@ -17,16 +16,6 @@ from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
 from hitchopt.storage.yaml_file import read_yaml
-
-__all__ = [
-    "AnyProblem",
-    "JointInputError",
-    "any_problem_from_dict",
-    "load_problem",
-    "load_swarm",
-    "problem_from_dict",
-    "read_problem",
-]
 
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 

@@ -4,9 +4,9 @@ A request is a function and its arguments; its key is a digest of their pickle, 
 all contents to the last bit. Two requests of equal contents have different keys only if objects are
 shared in one of them and equal copies in the other; the plan is then made again.
 
-Plans are stored as pickles whose arrays lie in read-only memory: what a caller does to a plan never
-changes the next one. The environment variable ``HITCHOPT_MEMORY=off`` turns the memory off;
-``forget`` empties it, for example after a change of the code.
+Plans are stored as pickles: what a caller does to a plan never changes the next one. The
+environment variable ``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for
+example after a change of the code.
 """
 
 from __future__ import annotations
@@ -35,15 +35,12 @@ MAX_OUTCOMES = 512
 MAX_BYTES = 256 * 2**20
 """Total size of what is remembered [B]; a step of 1000 robots takes 76 MB."""
 
-Pickled = tuple[bytes, ...]
-"""A value that nobody can change: its pickle, followed by the contents of its arrays."""
-
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles the contents of every array apart, also if its memory has gaps or is read-only."""
+    """Pickles arrays as read-only bytes, also if their memory has gaps or may be written to."""
 
     def reducer_override(self, value: Any) -> Any:
         """Return how an array is pickled; everything else has its own method."""
@@ -54,19 +51,14 @@ class _Pickler(pickle.Pickler):
         return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
 
 
-def pickled(value: object) -> Pickled | None:
-    """Return a value as bytes, or None if it cannot be pickled."""
-    stream, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
+def pickled(value: object) -> bytes | None:
+    """Return a value as bytes, or None if it cannot be pickled; the arrays in it are read-only."""
+    stream = io.BytesIO()
     try:
-        _Pickler(stream, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append).dump(value)
+        _Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(value)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError):
         return None
-    return (stream.getvalue(), *(bytes(buffer.raw()) for buffer in buffers))
-
-
-def unpickled(pickle_: Pickled) -> Any:
-    """Return a new copy of a value; its arrays are views of the read-only bytes."""
-    return pickle.loads(pickle_[0], buffers=pickle_[1:])
+    return stream.getvalue()
 
 
 class Memory:
@@ -79,7 +71,7 @@ class Memory:
 
     def __init__(self, max_outcomes: int = MAX_OUTCOMES, max_bytes: int = MAX_BYTES) -> None:
         self._max_outcomes, self._max_bytes = max_outcomes, max_bytes
-        self._pickles: OrderedDict[bytes, Pickled] = OrderedDict()
+        self._pickles: OrderedDict[bytes, bytes] = OrderedDict()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -88,18 +80,18 @@ class Memory:
     @property
     def size(self) -> int:
         """Total size of the pickles [B]."""
-        return sum(len(part) for found in self._pickles.values() for part in found)
+        return sum(map(len, self._pickles.values()))
 
-    def recall(self, key: bytes) -> Pickled | None:
+    def recall(self, key: bytes) -> bytes | None:
         """Return the pickle of a key, or None."""
         with self._lock:
             if key in self._pickles:
                 self._pickles.move_to_end(key)
             return self._pickles.get(key)
 
-    def store(self, key: bytes, found: Pickled) -> None:
+    def store(self, key: bytes, found: bytes) -> None:
         """Remember a pickle, unless it alone exceeds the memory budget."""
-        if sum(map(len, found)) > self._max_bytes:
+        if len(found) > self._max_bytes:
             return
         with self._lock:
             self._pickles.pop(key, None)
@@ -124,8 +116,8 @@ def forget() -> None:
 def request_key(*request: object) -> bytes | None:
     """Return the digest (32,) of a request, or None if it cannot be pickled or memory is off."""
     off = os.environ.get(VARIABLE, "").lower() == OFF
-    parts = None if off else pickled(request)
-    return None if parts is None else hashlib.sha256(b"".join(parts)).digest()
+    given = None if off else pickled(request)
+    return None if given is None else hashlib.sha256(given).digest()
 
 
 def remembered(
@@ -172,7 +164,7 @@ def remembered(
             if known is not None and key is not None and not raised:
                 memory.store(key, known)
         result: T
-        result, refusal = outcome if known is None else unpickled(known)
+        result, refusal = outcome if known is None else pickle.loads(known)
         if refusal is not None:
             raise InfeasibleError(*refusal)
         return result

@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.step_order import fitting_steps
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.values import MAX_COORDINATE, coordinate
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, coordinate, points
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +50,9 @@ class DronesStart:
 
     def __post_init__(self) -> None:
         for name in ("q", "r"):
-            try:
-                points = np.array(getattr(self, name), dtype=np.float64)
-            except (TypeError, ValueError):
-                points = np.empty(0)
-            if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-                given = getattr(self, name)
-                value = given if points.size == 0 else points.shape
-                raise InputError(name, value, "(n, 3)", "give one point [x, y, z] a robot")
-            bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
-            if np.any(bad):
-                k = int(np.argmax(bad))
-                raise InputError(
-                    f"{name}[{k}]",
-                    points[k].tolist(),
-                    f"finite and within ±{MAX_COORDINATE:g} m",
-                    "check the point's coordinates",
-                )
-            points.setflags(write=False)
-            object.__setattr__(self, name, points)
-        if len(self.q) != len(self.r):
-            raise InputError("r", len(self.r), f"{len(self.q)} points, as q", "give one per robot")
+            remedy = "give one point [x, y, z] a robot"
+            given = points(name, getattr(self, name), (2, 3), "(n, 3)", remedy)
+            object.__setattr__(self, name, given)
 
     @property
     def drones(self) -> Array:
@@ -81,7 +60,8 @@ class DronesStart:
         return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
 
 
-Start = HitchStart | DronesStart
+Start = HitchStart | Hitch | DronesStart
+"""Start as a hitch to be made, as one that is there, or as drones on free cables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +87,7 @@ class Problem:
     title: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", _fitting_start(self.team, self.start))
+        object.__setattr__(self, "start", fitting_start(self.team, self.start))
         steps = tuple(self.mission)
         if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
@@ -121,28 +101,30 @@ class Problem:
     @property
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
-        return self.start.polygon if isinstance(self.start, HitchStart) else None
+        return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
-def _fitting_start(team: Team, start: Start) -> Start:
+def fitting_start(team: Team, start: Start) -> Start:
     """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
 
     Raises
     ------
     InputError: a start that does not fit the team; its key is that of the problem file.
     """
+    if isinstance(start, Hitch):
+        if start.team is not team:
+            raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
+        return start
+    key = "hitch" if isinstance(start, HitchStart) else "drones"
     try:
         if isinstance(start, HitchStart):
             outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
             return replace(start, polygon=outline, legs=legs)
-        if len(start.q) != team.robots:
-            raise InputError(
-                "q",
-                len(start.q),
-                f"a list of {team.robots} points",
-                "add or remove points, or change team.robots",
-            )
+        for name, given in (("q", start.q), ("r", start.r)):
+            if len(given) != team.robots:
+                bound = f"a list of {team.robots} points"
+                remedy = "add or remove points, or change team.robots"
+                raise InputError(name, f"{len(given)} points", bound, remedy)
     except InputError as error:
-        key = "hitch" if isinstance(start, HitchStart) else "drones"
         raise error.within(f"start.{key}") from None
     return start

@@ -231,15 +231,21 @@ class LimitsKeys(MotionLimitsKeys):
     )
 
 
-class SeparationKeys(Keys):
-    """Distances to keep."""
+class EllipsoidKeys(Keys):
+    """The ellipsoids that must not overlap."""
 
     radius: Positive = Field(
-        default=Separation.radius, description="Horizontal semi-axis of a drone's ellipsoid [m]"
+        default=Separation.radius,
+        description="Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
     )
     height: Positive = Field(
         default=Separation.height, description="Vertical semi-axis of a drone's ellipsoid [m]"
     )
+
+
+class SeparationKeys(EllipsoidKeys):
+    """Distances to keep."""
+
     cable: NotNegative = Field(
         default=Separation.cable,
         description="Drone to any cable but its own, and to its own edge [m]",

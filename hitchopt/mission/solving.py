@@ -16,13 +16,10 @@ from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 from hitchopt.steps import Form, Step
 from hitchopt.steps.blending import plan_blended
-from hitchopt.steps.certified_motions import Certified, certified, check_at_rest
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, certified, check_at_rest, infeasible
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
 from hitchopt.steps.situation import Situation, StepTask
-
-__all__ = ["Certified", "Progress", "solve_problem", "solve_steps"]
 
 
 def solve_problem(
@@ -46,21 +43,11 @@ def solve_problem(
     )
 
 
-def solve_steps(
-    start: Hitch,
-    steps: tuple[Step, ...],
-    requirements: Requirements,
-    progress: Progress | None = None,
-) -> Certified:
-    """Return the plan of ``steps`` from a formed hitch; errors as solve_problem."""
-    return _solved(progress, start.team, start, steps, requirements, optimiser=True)
-
-
 @remembered
 def _solved(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     steps: tuple[Step, ...],
     requirements: Requirements,
     optimiser: bool,
@@ -77,7 +64,7 @@ def _solved(
     motion = joined_motions([part.motion for part in parts])
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
-        broken = infeasible(certificate, requirements.separation, motion.phases)
+        broken = infeasible(certificate, motion)
         raise _advised(broken, certificate, motion, steps)
     if isinstance(start, DronesStart):
         check_above_ground(motion)
@@ -96,7 +83,7 @@ class _Begun:
 def _begun(
     progress: Progress | None,
     team: Team,
-    start: Start | Hitch,
+    start: Start,
     form: Form | None,
     requirements: Requirements,
 ) -> _Begun:

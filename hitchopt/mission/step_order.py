@@ -43,28 +43,18 @@ def _check_blend(step: Step, following: Step | None) -> None:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
     if not following.blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
-        raise InputError(
-            "blend",
-            True,
-            f"false before a {following.name}",
-            f"leave it out: only {names} go on into one another",
-        )
+        remedy = f"leave it out: only {names} go on into one another"
+        raise InputError("blend", True, f"false before a {following.name}", remedy)
     _check_untimed(step)
 
 
 def _check_untimed(step: Step) -> None:
-    for key in ("optimize", "tension"):
-        if getattr(step, key, None):
-            raise InputError(
-                key,
-                getattr(step, key),
-                "left out of steps that are blended, whose path is not optimised",
-                f"leave out {key} or blend",
-            )
-    if step.given_duration is not None:
-        raise InputError(
-            "duration",
-            step.given_duration,
-            "left out of steps that are blended, which have no stop to end with",
-            "leave out duration or blend",
-        )
+    not_optimised = "whose path is not optimised"
+    for key, value, reason in (
+        ("optimize", getattr(step, "optimize", None), not_optimised),
+        ("tension", getattr(step, "tension", None), not_optimised),
+        ("duration", step.given_duration, "which have no stop to end with"),
+    ):
+        if value:
+            bound = f"left out of steps that are blended, {reason}"
+            raise InputError(key, value, bound, f"leave out {key} or blend")

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.values import MAX_COORDINATE, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, points, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,30 +43,13 @@ class SwarmProblem:
 
     def __post_init__(self) -> None:
         for name in ("start", "goal"):
-            object.__setattr__(self, name, _points(name, getattr(self, name), self.team.drones))
+            bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
+            given = points(name, getattr(self, name), (1, 3), bound, remedy)
+            if len(given) != self.team.drones:
+                bound = f"{self.team.drones} points, one per drone"
+                remedy = "add or remove points, or change team.drones"
+                raise InputError(name, f"{len(given)} points", bound, remedy)
+            object.__setattr__(self, name, given)
         object.__setattr__(self, "keep_out", tuple(self.keep_out))
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))
-
-
-def _points(name: str, value: object, drones: int) -> Array:
-    try:
-        points = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        points = np.zeros(0)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(name, value, "a list of points [x, y, z]", "give three numbers per drone")
-    if len(points) != drones:
-        raise InputError(
-            name,
-            f"{len(points)} points",
-            f"{drones} points, one per drone",
-            "add or remove points, or change team.drones",
-        )
-    bad = ~np.all(np.abs(points) <= MAX_COORDINATE, axis=1)  # also catches nan
-    if np.any(bad):
-        k = int(np.argmax(bad))
-        bound = f"finite and within ±{MAX_COORDINATE:g} m"
-        raise InputError(f"{name}[{k}]", points[k].tolist(), bound, "check its coordinates")
-    points.setflags(write=False)
-    return points

@@ -12,6 +12,7 @@ from hitchopt.mission.schema import (
     MAX_TITLE,
     ONE,
     ArenaKeys,
+    EllipsoidKeys,
     Keys,
     MotionLimitsKeys,
     Number,
@@ -21,7 +22,6 @@ from hitchopt.mission.schema import (
     QuadrotorKeys,
     one_or_each,
 )
-from hitchopt.requirements import Separation
 
 MAX_PRISMS = 1000
 """Prisms of one problem."""
@@ -46,18 +46,6 @@ class SwarmTeamKeys(Keys):
     )
 
 
-class SwarmSeparationKeys(Keys):
-    """The ellipsoids that must not overlap."""
-
-    radius: Positive = Field(
-        default=Separation.radius,
-        description="Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
-    )
-    height: Positive = Field(
-        default=Separation.height, description="Vertical semi-axis of a drone's ellipsoid [m]"
-    )
-
-
 class PrismKeys(Keys):
     """An upright prism that the drones stay out of."""
 
@@ -77,8 +65,8 @@ class SwarmKeys(Keys):
     limits: MotionLimitsKeys = Field(
         default_factory=MotionLimitsKeys, description=str(MotionLimitsKeys.__doc__)
     )
-    separation: SwarmSeparationKeys = Field(
-        default_factory=SwarmSeparationKeys, description=str(SwarmSeparationKeys.__doc__)
+    separation: EllipsoidKeys = Field(
+        default_factory=EllipsoidKeys, description=str(EllipsoidKeys.__doc__)
     )
     arena: ArenaKeys | None = Field(default=None, description=str(ArenaKeys.__doc__))
     keep_out: Annotated[list[PrismKeys], Field(max_length=MAX_PRISMS)] = Field(

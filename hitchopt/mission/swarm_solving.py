@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, Violation
@@ -13,10 +12,8 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.steps.certified_motions import Certified
-from hitchopt.steps.diagnosis import infeasible
-
-Array = NDArray[np.float64]
+from hitchopt.steps.certified_motions import Certified, infeasible
+from hitchopt.values import Array
 
 SHARE = 1.0 - 1e-6
 """Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
@@ -34,7 +31,9 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
 
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
-        raise InfeasibleError([_too_long(problem.duration, longest)])
+        remedy, asked = "lower duration, or raise limits.duration", problem.duration
+        found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
+        raise InfeasibleError([found])
     task = SeparationTask(
         problem.start,
         problem.goal,
@@ -43,12 +42,12 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
     )
-    found = separate(task, progress)
-    phase = Phase("fly", 0, 0.0, found.drones.duration, found.remark)
-    motion = Motion.single(problem.team, problem.requirements, found.drones, (phase,))
+    separated = separate(task, progress)
+    phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
+    motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise infeasible(certificate, problem.separation, motion.phases)
+        raise infeasible(certificate, motion)
     return Certified(motion, certificate)
 
 
@@ -63,25 +62,11 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
     spare = team.max_thrust / team.mass - GRAVITY
     heavy = np.flatnonzero(spare <= 0.0)
     if len(heavy):
+        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
+        most, names = team.max_thrust, team.drone_names
         raise InfeasibleError(
-            [
-                Violation(
-                    "thrust",
-                    float(team.mass[i] * GRAVITY),
-                    float(team.max_thrust[i]),
-                    "max",
-                    "N",
-                    (team.drone_names[i],),
-                    "at rest",
-                    "give the drone more thrust, or less mass",
-                )
-                for i in heavy
-            ]
+            Violation("thrust", weights[i], most[i], "max", "N", (names[i],), "at rest", remedy)
+            for i in heavy
         )
     level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
     return np.minimum(SHARE * np.minimum(spare, level), problem.limits.acceleration)
-
-
-def _too_long(duration: float, longest: float) -> Violation:
-    remedy = "lower duration, or raise limits.duration"
-    return Violation("duration", duration, longest, "max", "s", (), "as asked for", remedy)

@@ -6,7 +6,6 @@ import difflib
 import json
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
@@ -37,13 +36,8 @@ class _Missing:
 
 def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> InputError:
     """Return what pydantic found in a file of one of the kinds, in this package's words."""
-    schema = _schema(model)
+    schema = kind_schema(model)
     return one_or_all([_translated(entry, schema) for entry in error.errors(include_url=False)])
-
-
-@cache
-def _schema(model: type[Keys]) -> Schema:
-    return kind_schema(model)
 
 
 def _translated(entry: Any, schema: Schema) -> InputError:
@@ -66,15 +60,17 @@ def _words(
     elif kind == FAULT:
         words = _Words(ctx["bound"], ctx["remedy"])
     elif kind == "extra_forbidden":
-        words = _Words("a known key", _nearest(str(path[-1]), _keys_at(path[:-1], schema)))
+        forms = entries_at(schema, path[:-1])
+        known = [key for form in forms for key in form.get("properties", {})]
+        words = _Words("a known key", _nearest(str(path[-1]), known))
     elif kind == "missing":
         words = _Words("given", f"add {path[-1]}: {_example(path, schema)}")
     elif kind in {"too_short", "too_long", "string_too_long"}:
-        words = _Words(
-            _counted(path, schema), "make it longer" if kind == "too_short" else "shorten it"
-        )
+        remedy = "make it longer" if kind == "too_short" else "shorten it"
+        words = _Words(_counted(path, schema), remedy)
     elif kind == "literal_error":
-        words = _Words(_type_at(path, schema), _nearest(str(value), _options(path, schema)))
+        known = [str(word) for form in entries_at(schema, path) for word in form.get("enum", ())]
+        words = _Words(_type_at(path, schema), _nearest(str(value), known))
     elif kind.startswith(("greater_than", "less_than")):
         words = _range(ctx, value)
     else:
@@ -92,22 +88,13 @@ def _range(ctx: dict[str, Any], value: object) -> _Words:
     return _Words(f"at least {least:g}", "give a larger number")
 
 
-def _keys_at(path: list[str | int], schema: Schema) -> list[str]:
-    return [key for form in entries_at(schema, path) for key in form.get("properties", {})]
-
-
-def _options(path: list[str | int], schema: Schema) -> list[str]:
-    return [str(option) for form in entries_at(schema, path) for option in form.get("enum", ())]
-
-
 def _nearest(word: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
 
 
 def _example(path: list[str | int], schema: Schema) -> str:
-    inside = entries_at(schema, path[:-1])
-    for form in inside:
+    for form in entries_at(schema, path[:-1]):
         entry = form.get("properties", {}).get(path[-1], {})
         for example in entry.get("examples", ()):
             return json.dumps(example).replace('"', "")
@@ -122,9 +109,8 @@ def _counted(path: list[str | int], schema: Schema) -> str:
         if "maxLength" in form:
             return f"at most {most} characters long"
         if "minItems" in form:
-            return f"a list of at least {least}" + (
-                f" and at most {most} entries" if most < math.inf else " entries"
-            )
+            bounded = f" and at most {most}" if most < math.inf else ""
+            return f"a list of at least {least}{bounded} entries"
     return "a list of another length"
 
 
@@ -137,6 +123,16 @@ _TYPES = {
     "object": "a mapping",
     "null": "null",
 }
+
+_REMEDIES = {
+    "object": "write its keys indented below it, or in braces",
+    "integer": "write it without a fraction",
+    "number": "give a plain number in SI units",
+    "array": "write a list in brackets",
+    "boolean": "write true or false",
+    "string": "put it in quotes if it is meant as text",
+}
+"""Remedies of a wrong type, by the types that a key may have; the first one counts."""
 
 
 def _type_at(path: list[str | int], schema: Schema) -> str:
@@ -158,18 +154,8 @@ def _type_remedy(path: list[str | int], value: object, schema: Schema) -> str:
         remedy = "remove the key, or write its value after it"
     elif isinstance(value, str) and types & {"number", "integer"}:
         remedy = "remove the quotes" if _is_number(value) else "give a plain number in SI units"
-    elif "object" in types:
-        remedy = "write its keys indented below it, or in braces"
-    elif "integer" in types:
-        remedy = "write it without a fraction"
-    elif "number" in types:
-        remedy = "give a plain number in SI units"
-    elif "array" in types:
-        remedy = "write a list in brackets"
-    elif "boolean" in types:
-        remedy = "write true or false"
     else:
-        remedy = "put it in quotes if it is meant as text"
+        remedy = next(_REMEDIES[name] for name in _REMEDIES if name in types or name == "string")
     return remedy
 
 

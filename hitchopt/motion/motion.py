@@ -101,15 +101,19 @@ class Motion:
         drones: PiecewisePolynomial,
         phases: Sequence[Phase],
     ) -> Motion:
-        """Return the motion of drones without cables; the state of its phases becomes ``none``."""
+        """Return the motion of drones without a hitch.
+
+        The state of its phases becomes ``none`` where there are no cables.
+        """
         breaks = drones.breaks
         n = team.robots
         vertices, legs, tensions = (
             PiecewisePolynomial.constant(breaks, np.zeros(shape))
             for shape in ((team.layout.points, 3), (n, 2), (n,))
         )
-        stateless = tuple(replace(phase, state=CableState.NONE) for phase in phases)
-        return cls(team, requirements, drones, vertices, legs, tensions, stateless)
+        if not team.has_cables:
+            phases = [replace(phase, state=CableState.NONE) for phase in phases]
+        return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
 
     @property
     def duration(self) -> float:

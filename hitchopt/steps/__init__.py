@@ -1,16 +1,16 @@
 """Steps of a mission, one file each: its keys, its record, its planning and what repair edits."""
 
-from hitchopt.steps.adjust import Adjust
-from hitchopt.steps.follow_vertex import FollowVertex
-from hitchopt.steps.form import Form
-from hitchopt.steps.hold import Hold
-from hitchopt.steps.land import Land
-from hitchopt.steps.morph import Morph
-from hitchopt.steps.move_edge import MoveEdge
-from hitchopt.steps.move_vertex import MoveVertex
-from hitchopt.steps.release import Release
-from hitchopt.steps.step import Step
-from hitchopt.steps.transport import Transport
+from hitchopt.steps.adjust import Adjust as Adjust
+from hitchopt.steps.follow_vertex import FollowVertex as FollowVertex
+from hitchopt.steps.form import Form as Form
+from hitchopt.steps.hold import Hold as Hold
+from hitchopt.steps.land import Land as Land
+from hitchopt.steps.morph import Morph as Morph
+from hitchopt.steps.move_edge import MoveEdge as MoveEdge
+from hitchopt.steps.move_vertex import MoveVertex as MoveVertex
+from hitchopt.steps.release import Release as Release
+from hitchopt.steps.step import Step as Step
+from hitchopt.steps.transport import Transport as Transport
 
 STEPS: tuple[type[Step], ...] = (
     Morph,
@@ -25,18 +25,3 @@ STEPS: tuple[type[Step], ...] = (
     Land,
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
-
-__all__ = [
-    "STEPS",
-    "Adjust",
-    "FollowVertex",
-    "Form",
-    "Hold",
-    "Land",
-    "Morph",
-    "MoveEdge",
-    "MoveVertex",
-    "Release",
-    "Step",
-    "Transport",
-]

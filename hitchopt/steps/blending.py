@@ -9,9 +9,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Phase
-from hitchopt.planners.path.blended_path import SAME, blended, check_turns, passing_times
-from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
-from hitchopt.planners.timing.fly_path import fly
+from hitchopt.planners.path.blended_path import SAME, BlendedMorph, passing_times
 from hitchopt.steps.certified_motions import flying
 from hitchopt.steps.friction_lean import against_friction
 from hitchopt.steps.hitch_step import ShapeStep
@@ -42,11 +40,8 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
                 "leave it out, or leave out blend",
             )
         hitches.append(end)
-    whole = blended(hitches)
-    check_shapes(whole.path)
-    check_turns(whole)
-    check_loads(whole.path, requirements.limits)
-    flight = fly(whole.path, requirements.limits)
+    planner = BlendedMorph(hitches, requirements)
+    whole, flight = planner.problem, planner.solve()
     passed = passing_times(whole.path, whole.s[1:-1], flight)
     times = [0.0, *passed.tolist(), flight.duration]
     remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]

@@ -1,18 +1,17 @@
-"""Motions of single steps, at rest or flying, with their certificates."""
+"""Motions of single steps, at rest or flying, with their certificates and what these say."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.requirements import Requirements
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -29,46 +28,90 @@ def certified(motion: Motion) -> Certified:
     return Certified(motion, certify(motion.untimed))
 
 
+def checked(motion: Motion, when: str = "") -> Certified:
+    """Return the motion with its certificate, or raise InfeasibleError for what it breaks.
+
+    Parameters
+    ----------
+    motion: of one step or a part of it.
+    when: said in place of the time, for a motion at rest.
+    """
+    found = certified(motion)
+    if not found.certificate.certified:
+        raise infeasible(found.certificate, motion, when)
+    return found
+
+
 def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:
     """Return the motion in which the hitch stays for ``seconds`` [s]; the phase's end is set."""
-    breaks = np.array([0.0, seconds])
     values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
-    drones, vertices, legs, tensions = (
-        PiecewisePolynomial.constant(breaks, value) for value in values
-    )
-    return Motion(
-        hitch.team,
-        requirements,
-        drones,
-        vertices,
-        legs,
-        tensions,
-        (replace(phase, start=0.0, end=seconds),),
-    )
+    flight = Flight(*(PiecewisePolynomial.constant([0.0, seconds], value) for value in values))
+    return flying(flight, hitch.team, requirements, [replace(phase, start=0.0, end=seconds)])
 
 
 def flying(
     flight: Flight, team: Team, requirements: Requirements, phases: Sequence[Phase]
 ) -> Motion:
     """Return the motion of a flight, its phases from t = 0."""
-    return Motion(
-        team,
-        requirements,
-        flight.drones,
-        flight.vertices,
-        flight.legs,
-        flight.tensions,
-        tuple(phases),
-    )
+    return Motion(team, requirements, **vars(flight), phases=tuple(phases))
+
+
+def at_rest(hitch: Hitch, requirements: Requirements) -> Motion:
+    """Return the motion of the hitch without any motion, as long as limits do not matter."""
+    return resting(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
 
 
 def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate:
     """Return the certificate of the hitch without any motion."""
-    return certify(resting(hitch, requirements.untimed, 1.0, Phase("hold", 0, 0.0, 1.0)))
+    return certified(at_rest(hitch, requirements)).certificate
 
 
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
-    certificate = certificate_at_rest(hitch, requirements)
-    if not certificate.certified:
-        raise infeasible(certificate, requirements.separation, when=when)
+    checked(at_rest(hitch, requirements), when)
+
+
+def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
+    """Return the error that tells what a certificate's broken checks say.
+
+    Parameters
+    ----------
+    certificate: one that does not hold.
+    motion: whose it is: its separation tells in metres by how much drones are too close, its phases
+        in which step it happens.
+    when: said instead, for a certificate of something at rest.
+    """
+    separation, phases = motion.requirements.separation, motion.phases
+    return InfeasibleError(
+        [
+            check.violation(
+                _metres(check, separation) + (when or _moment(check, phases)),
+                _remedy(check, phases),
+            )
+            for check in certificate.violated
+        ]
+    )
+
+
+def _remedy(check: Check, phases: tuple[Phase, ...]) -> str:
+    formed = [phase.formed for phase in phases if phase.start <= check.time <= phase.end]
+    rule = RULE_OF[check.name]
+    return (rule.free_remedy if formed and not any(formed) else "") or rule.remedy
+
+
+def _metres(check: Check, separation: Separation) -> str:
+    """Return how far apart drones are and should be; a hitch's drones fly at one height."""
+    if check.name != "separation":
+        return ""
+    needed = 2.0 * separation.radius * check.limit
+    apart = check.bound * 2.0 * separation.radius
+    return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
+
+
+def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
+    if check.name == "duration":
+        return ""
+    for phase in phases:
+        if phase.start <= check.time <= phase.end:
+            return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
+    return f"at t = {check.time:.4g} s"

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.registry import RULES
 from hitchopt.checks.rule import Ease
 from hitchopt.geometry import Outline
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DECIMALS = 9
 """Decimals of numbers in edits: far below any tolerance, and short enough to read."""
@@ -74,8 +72,7 @@ def lasting_for(key: str, seconds: float, raises: frozenset[str] = frozenset()) 
 
 def points_scaled(points: Array, factor: float, centre: Array) -> Array:
     """Return the points (…, 2) [m] moved away from ``centre`` by a factor."""
-    scaled: Array = np.round(centre + factor * (points - centre), DECIMALS)
-    return scaled
+    return np.round(centre + factor * (points - centre), DECIMALS)
 
 
 def outline_scaled(outline: Outline, factor: float) -> Outline:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
@@ -84,10 +84,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
     except InfeasibleError as error:
-        worst = error.violations[0]
-        reason = _words(
-            worst.constraint, worst.value, requirements.limits.leg, "min", "m", worst.where
-        )
+        reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
     else:
         reason = broken_at_rest(hitch, requirements)
         if not reason:
@@ -111,8 +108,9 @@ def broken_on_the_way(
     if np.min(legs) <= 0.0:
         k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         name = f"{'qr'[end]}{k}"
-        words = _words("legs", float(legs[k, end]), requirements.limits.leg, "min", "m", (name,))
-        return f"{words} {place}"
+        limit, value = requirements.limits.leg, float(legs[k, end])
+        short = Violation("legs", value, limit, "min", "m", (name,), place, "")
+        return f"{_words(short)} {place}"
     points = path.vertices.at(s)[:, :2]
     broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0], roll), requirements)
     return f"{broken} {place}" if broken else f"distances would all but reach their limits {place}"
@@ -120,20 +118,17 @@ def broken_on_the_way(
 
 def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
     """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
-    certificate = certificate_at_rest(hitch, requirements)
-    for check in certificate.violated:
-        return _words(check.name, check.bound, check.limit, check.sense, check.unit, check.where)
-    return ""
+    broken = certificate_at_rest(hitch, requirements).violated
+    return _words(broken[0].violation("", "")) if broken else ""
 
 
-def _words(
-    name: str, value: float, limit: float, sense: str, unit: str, where: tuple[str, ...]
-) -> str:
+def _words(broken: Violation) -> str:
     """Return such as "legs 0.11 m at q0 would be below 0.15 m"."""
-    unit = "" if unit in {"1", "ratio"} else f" {unit}"
-    relation = "below" if sense == "min" else "above"
-    place = f" at {', '.join(where)}" if where else ""
-    return f"{name} {value:.3g}{unit}{place} would be {relation} {limit:.3g}{unit}"
+    unit = "" if broken.unit in {"1", "ratio"} else f" {broken.unit}"
+    relation = "below" if broken.sense == "min" else "above"
+    place = f" at {', '.join(broken.where)}" if broken.where else ""
+    what = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
+    return f"{what} would be {relation} {broken.limit:.3g}{unit}"
 
 
 def _nearest(

@@ -13,7 +13,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
-from hitchopt.planners.actions.following import follow_vertex
+from hitchopt.planners.actions.shape_moves import follow_vertex
 from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import (
     DECIMALS,
@@ -27,7 +27,8 @@ from hitchopt.steps.edits import (
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import VERTEX, Key, LegsAtEnd
 from hitchopt.steps.situation import StepPlan, StepTask
-from hitchopt.steps.step import Array, check_index, check_within, convex_outline, numbers
+from hitchopt.steps.step import check_index, check_within, convex_outline, numbers
+from hitchopt.values import Array
 
 MIN_GAP = 1e-3
 """Shortest time between two points [s]: less is a typing error, as no drone could follow."""
@@ -70,24 +71,15 @@ class FollowVertex(ActionStep):
         if times[0] == 0.0:
             gaps = gaps[1:]
         if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
-            raise InputError(
-                "path",
-                path.tolist(),
-                f"a path whose times increase from 0 or later, by {MIN_GAP:g} s or more, and end "
-                "after it",
-                "sort its points by time",
-            )
+            increase = f"increase from 0 or later, by {MIN_GAP:g} s or more, and end after it"
+            bound, remedy = f"a path whose times {increase}", "sort its points by time"
+            raise InputError("path", path.tolist(), bound, remedy)
         object.__setattr__(self, "path", path)
 
     @property
     def duration(self) -> float:
         """Time at which the last point is met [s]."""
         return float(self.path[-1, 0])
-
-    @property
-    def given_duration(self) -> float:
-        """Time at which the last point is met [s]."""
-        return self.duration
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
@@ -105,7 +97,7 @@ class FollowVertex(ActionStep):
         """Return the plan along the points; there is no other route."""
         end = self.end(task.hitch, task.requirements)
         self.check_end(end.hitch, task.index, task.requirements)
-        return task.ended(self.own_motion(task, end), end.hitch)
+        return task.ended(self.own_route(task, end).motion(), end.hitch)
 
     def advice(self, check: str) -> str:
         """Return that more time helps, where it does."""

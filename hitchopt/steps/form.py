@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError
+from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.planners.forming.approach import ApproachTask, approaches
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.tying_stages import tied
+from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+from hitchopt.planners.forming.turns import SwapSettings
+from hitchopt.planners.forming.tying_stages import Stage, tied
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import certificate_at_rest, check_at_rest
+from hitchopt.steps.certified_motions import certificate_at_rest, check_at_rest, checked
 from hitchopt.steps.edits import SPACE, StepEdit, Tunable, outline_edit
 from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.free_cables import LEVEL, check_part, lasting, staged
+from hitchopt.steps.free_cables import LEVEL, lasting, staged
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE, Key, Seconds, Section
+from hitchopt.steps.route_choice import Route, first_certified
 from hitchopt.steps.situation import Situation, StepPlan, StepTask
 from hitchopt.steps.slack_split import RolledLegs, SlackSplit
-from hitchopt.steps.step import Array, Step
+from hitchopt.steps.step import Step
 from hitchopt.steps.tying_site import lifted, tying_site
-from hitchopt.values import coordinate
+from hitchopt.values import Array, coordinate
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -123,7 +124,7 @@ class Form(Step):
         stages = tied(site.pre, site.hitch, requirements.limits, self.swap)
         tying = staged(stages, site.hitch, i, requirements)
         if site.pre.shortfall > 0.0:
-            check_part(tying, requirements)  # no use to go there if nothing can be tied
+            checked(tying)  # no use to go there if nothing can be tied
         parts = [_approach(task, site.pre.drones, site.hitch), tying]
         if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
             parts.append(lifted(site.hitch, wanted.altitude, "lower", i, requirements))
@@ -178,23 +179,11 @@ def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
     ------
     InfeasibleError: none; says what binds on the first of them.
     """
-    before, requirements = task.before, task.requirements
-    refusals: list[HitchoptError] = []
-    for plan in approaches(ApproachTask(before.team, before.drones, goal, requirements)):
-        try:
-            motion = staged(plan(), hitch, task.index, requirements)
-            check_part(motion, requirements)
-        except HitchoptError as error:
-            refusals.append(error)
-        else:
-            return motion
-    raise _first(refusals)
+    asked = task.before.team, task.before.drones, goal, task.requirements
 
+    def motion_of(stages: list[Stage]) -> Motion:
+        return staged(stages, hitch, task.index, task.requirements)
 
-def _first(refusals: Sequence[HitchoptError]) -> HitchoptError:
-    """Return the first refusal that says what binds, with what else was tried."""
-    for error in refusals:
-        if isinstance(error, InfeasibleError):
-            note = "no other route to the pre-hitch was found" if len(refusals) > 1 else ""
-            return InfeasibleError(error.violations, error.note or note)
-    return refusals[0]
+    routes = [Route(planner(*asked), motion_of) for planner in (DirectApproach, GatheredApproach)]
+    (found,) = first_certified(routes, "no other route to the pre-hitch was found").values()
+    return found.motion

@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.checks import certify
 from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
-from hitchopt.planners.forming.stage import Stage
-from hitchopt.planners.timing.flight_curves import check_duration
+from hitchopt.planners.forming.tying_stages import Stage
+from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.requirements import Requirements
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import checked, flying
 from hitchopt.steps.situation import Situation
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -35,7 +34,7 @@ def hovering(before: Situation, seconds: float, i: int, requirements: Requiremen
 def check_start(before: Situation, requirements: Requirements) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     try:
-        check_part(hovering(before, 1.0, 0, requirements), requirements, "at the start (t = 0)")
+        checked(hovering(before, 1.0, 0, requirements), "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
@@ -64,20 +63,10 @@ def check_above_ground(motion: Motion) -> None:
     if motion.requirements.arena is not None or np.min(heights) >= -LEVEL:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
-    raise InfeasibleError(
-        [
-            Violation(
-                "arena",
-                float(np.min(heights)),
-                0.0,
-                "min",
-                "m",
-                (motion.team.drone_names[drone],),
-                f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s",
-                "keep altitudes above 0, or give an arena with a lower floor",
-            )
-        ]
-    )
+    lowest, name = float(np.min(heights)), motion.team.drone_names[drone]
+    when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
+    remedy = "keep altitudes above 0, or give an arena with a lower floor"
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
 
 
 def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
@@ -86,56 +75,27 @@ def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirem
 
 
 def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
-    where = stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch)
-    return _motion(stage, hitch.team, where, i, requirements)
+    """Return the motion of a stage."""
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
+    curves = Flight(stage.drones, stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch))
+    return _raised(flying(curves, hitch.team, requirements, [phase]))
 
 
 def free_motion(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
     """Return the motion of drones on free cables, of which no hitch is made."""
-    breaks = stage.drones.breaks
-    middle = np.mean(stage.drones.coefficients[0, ..., 0], axis=0)
-    nothing = PiecewisePolynomial.constant
-    where = (
-        nothing(breaks, np.tile(middle, (team.layout.points, 1))),
-        nothing(breaks, np.zeros((team.robots, 2))),
-        nothing(breaks, np.zeros(team.robots)),
-    )
-    return _motion(stage, team, where, i, requirements)
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
+    return _raised(Motion.single(team, requirements, stage.drones, [phase]))
 
 
-def _motion(
-    stage: Stage,
-    team: Team,
-    where: tuple[PiecewisePolynomial, ...],
-    i: int,
-    requirements: Requirements,
-) -> Motion:
-    """Return the motion of a stage with its vertices, legs and tensions.
+def _raised(motion: Motion) -> Motion:
+    """Return the motion of one phase, its cables hanging free where they are clear of the ground.
 
-    A stage that is meant to begin or end with cables on the ground has them hanging free where they
-    never come near it.
+    A stage that begins or ends on the ground is meant to have them lie there.
     """
-    phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
-    vertices, legs, tensions = where
-    motion = Motion(
-        team,
-        requirements,
-        stage.drones,
-        vertices,
-        legs,
-        tensions,
-        (phase,),
-    )
+    (phase,) = motion.phases
     if phase.state is CableState.GROUND and above_ground(motion):
         return replace(motion, phases=(replace(phase, state=CableState.FREE),))
     return motion
-
-
-def check_part(motion: Motion, requirements: Requirements, when: str = "") -> None:
-    """Raise InfeasibleError where a part of a plan breaks a limit, its duration left open."""
-    certificate = certify(motion.untimed)
-    if not certificate.certified:
-        raise infeasible(certificate, requirements.separation, motion.phases, when)
 
 
 def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Hitch
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.actions.action import Action
-from hitchopt.planners.actions.flying import Flying, fly_action
+from hitchopt.planners.actions.flying import ActionFlight, Flying
+from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import check_at_rest, flying, resting
+from hitchopt.steps.certified_motions import Certified, check_at_rest, flying, resting
 from hitchopt.steps.edits import StepEdit, points_scaled
 from hitchopt.steps.end_hitch import End, broken_on_the_way, end_of_action
 from hitchopt.steps.friction_lean import against_friction
-from hitchopt.steps.route_choice import RouteTask, best_motion
+from hitchopt.steps.route_choice import OptimisedRoute, Route, first_certified
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import SlackSplit
-from hitchopt.steps.step import Array, Step, numbers
+from hitchopt.steps.step import Step, convex_outline, numbers
+from hitchopt.values import Array
 
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""
@@ -64,27 +68,32 @@ class ShapeStep(HitchStep):
         """Return the hitch after the step."""
 
     @abstractmethod
-    def own_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the step's own motion, straight and by its own law of the legs."""
+    def own_route(self, task: StepTask, end: End) -> Route[Any]:
+        """Return the step's own route, straight and by its own law of the legs."""
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         end = self.end(task.hitch, task.requirements)
         self.check_end(end.hitch, task.index, task.requirements)
-        found = best_motion(lambda: self.own_motion(task, end), self.route_task(task, end))
-        return task.ended(found.motion, end.hitch, found.certificate)
-
-    def route_task(self, task: StepTask, end: End) -> RouteTask:
-        """Return what a route planner is asked."""
-        return RouteTask(
-            task.hitch,
-            end.hitch,
-            task.requirements,
-            Phase(self.name, task.index, 0.0, 0.0, tension=getattr(self, "tension", None)),
-            self.given_duration,
-            getattr(self, "optimize", False),
-            task.optimiser,
+        routes: list[Planner[object, Certified]] = [self.own_route(task, end)]
+        lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
+        if task.optimiser:
+            phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
+            ends, duration = (task.hitch, end.hitch), self.given_duration
+            routes.append(OptimisedRoute(*ends, task.requirements, phase, duration, lead))
+        slow = self.given_duration is not None
+        what = "route that is fast enough either" if slow else "other route"
+        found = first_certified(
+            routes, f"the optimiser found no {what}", every=lead or tension is not None
         )
+        best = min(found, key=lambda i: found[i].motion.duration)
+        motion = found[best].motion
+        if best > 0:
+            slower = "faster than the step's own route"
+            words = slower if 0 in found else "the step's own route is infeasible"
+            (phase,) = motion.phases
+            motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
+        return task.ended(motion, end.hitch, found[best].certificate)
 
 
 class ActionStep(ShapeStep):
@@ -98,12 +107,16 @@ class ActionStep(ShapeStep):
         """Return the hitch after the action."""
         return end_of_action(self.action(start, requirements), self.legs, requirements)
 
-    def own_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion of the action to the hitch that it ends with."""
+    def own_route(self, task: StepTask, end: End) -> Route[Flying]:
+        """Return the route of the action to the hitch that it ends with."""
         action = self.action(task.hitch, task.requirements)
-        found = fly_action(action, end.hitch, task.requirements, self.given_duration)
-        remark = self._remark(action, end, found, task.requirements)
-        return self.motion(task, found.flight, end.hitch, remark)
+
+        def motion_of(found: Flying) -> Motion:
+            remark = self._remark(action, end, found, task.requirements)
+            return self.motion(task, found.flight, end.hitch, remark)
+
+        asked = (action, end.hitch, task.requirements, self.given_duration)
+        return Route(ActionFlight(*asked), motion_of)
 
     def _remark(self, action: Action, end: End, found: Flying, requirements: Requirements) -> str:
         """Return which drones move that the paper does not name, and why."""
@@ -139,17 +152,23 @@ class MoveStep(ActionStep):
         """
         if (self.to is None) == (self.by is None):
             value = None if self.to is None else np.asarray(self.to).tolist()
-            raise InputError(
-                "to", value, "given where by is not, and only there", "give either to or by"
-            )
+            bound = "given where by is not, and only there"
+            raise InputError("to", value, bound, "give either to or by")
         if self.to is not None:
             object.__setattr__(self, "to", numbers("to", self.to, shape, words))
         if self.by is not None:
             object.__setattr__(self, "by", numbers("by", self.by, (2,), "an offset [dx, dy]"))
 
-    def moved(self, points: Array) -> Array:
-        """Return where points (…, 2) [m] go."""
-        return points + np.asarray(self.by) if self.to is None else self.to
+    @abstractmethod
+    def moved_points(self, team: Team, count: int) -> list[int]:
+        """Return the indices of the points of an outline of ``count`` that go elsewhere."""
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline with what is moved at its new place."""
+        points = outline.vertices.copy()
+        moved = self.moved_points(team, len(points))
+        points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
+        return convex_outline(team, points, *self.moved_key)
 
     @property
     def moved_key(self) -> tuple[str, Array | None]:

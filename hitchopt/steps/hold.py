@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.motion.motion import Phase
-from hitchopt.steps.certified_motions import resting
 from hitchopt.steps.edits import Tunable, lasting_for
 from hitchopt.steps.free_cables import hovering
 from hitchopt.steps.hitch_step import HitchStep
@@ -47,9 +45,7 @@ class Hold(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch stays."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        motion = resting(task.hitch, task.requirements, self.seconds, phase)
-        return task.ended(motion, task.hitch)
+        return task.ended(self.motion(task, None, task.hitch), task.hitch)
 
     def tunables(self) -> Iterator[Tunable]:
         """Yield the seconds."""

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.values import Array
 
 OUTLINE_TEXT = (
     "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
@@ -65,6 +63,6 @@ class Key:
 Seconds = Annotated[float | None, Key("Positive", DURATION_TEXT)]
 Blend = Annotated[bool, Key("Flag", "Go on into the next step without a stop")]
 LegsAtEnd = Annotated[SlackSplit | None, Key("Legs", f"{LEGS_TEXT}, at the step's end")]
-By = Annotated[NDArray[np.float64] | None, Key("Point2", "By how much, [dx, dy] [m]")]
+By = Annotated[Array | None, Key("Point2", "By how much, [dx, dy] [m]")]
 VERTEX = Key("Index", "Which, from 0", (0,))
 """Index of a vertex or an edge."""

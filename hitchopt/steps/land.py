@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
+from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.steps.free_cables import free_motion, lasting
 from hitchopt.steps.keys import Seconds
 from hitchopt.steps.situation import StepPlan, StepTask

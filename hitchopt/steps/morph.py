@@ -11,24 +11,21 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.motion.motion import Motion
-from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.path.straight_morph import StraightMorph
+from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import StepEdit, outline_edit
 from hitchopt.steps.end_hitch import End, end_of_morph
 from hitchopt.steps.hitch_step import ShapeStep
 from hitchopt.steps.keys import OUTLINE_TEXT, Blend, Key, LegsAtEnd, Seconds, Section
+from hitchopt.steps.route_choice import Route
 from hitchopt.steps.situation import StepTask
-from hitchopt.steps.step import Array
-from hitchopt.values import positive
+from hitchopt.values import Array, positive
 
 TENSION = Section(
     "TensionKeys",
     "A range of tensions.",
-    {
-        "min": Key("Positive", "Smallest [N]", (0.3,)),
-        "max": Key("Positive", "Largest [N]", (0.6,)),
-    },
+    {"min": Key("Positive", "Smallest [N]", (0.3,)), "max": Key("Positive", "Largest [N]", (0.6,))},
 )
 
 
@@ -71,9 +68,8 @@ class Morph(ShapeStep):
                 for name, value in zip(("min", "max"), self.tension, strict=True)
             )
             if least > most:
-                raise InputError(
-                    "tension.max", most, f"at least tension.min, {least:g} N", "exchange the two"
-                )
+                bound = f"at least tension.min, {least:g} N"
+                raise InputError("tension.max", most, bound, "exchange the two")
             object.__setattr__(self, "tension", (least, most))
 
     @classmethod
@@ -85,17 +81,12 @@ class Morph(ShapeStep):
     def fitting(self, team: Team) -> Self:
         """Return the step fitting a team, whose tensions lie within the step's own range."""
         fitted = super().fitting(team)
+        least, most = self.tension or (0.0, np.inf)
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
-        if (
-            self.tension is not None
-            and not self.tension[0] <= smallest <= largest <= self.tension[1]
-        ):
-            raise InputError(
-                "tension",
-                dict(zip(("min", "max"), self.tension, strict=True)),
-                f"such that team.tension lies within ({smallest:g} to {largest:g} N)",
-                "widen it: a step begins and ends with the team's tensions",
-            )
+        if not least <= smallest <= largest <= most:
+            bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"
+            remedy = "widen it: a step begins and ends with the team's tensions"
+            raise InputError("tension", {"min": least, "max": most}, bound, remedy)
         return fitted
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:  # noqa: ARG002
@@ -106,10 +97,10 @@ class Morph(ShapeStep):
         """Return the hitch on the polygon."""
         return end_of_morph(start, self.polygon, self.legs, requirements)
 
-    def own_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion along straight lines."""
-        flight = straight_morph(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.motion(task, flight, end.hitch)
+    def own_route(self, task: StepTask, end: End) -> Route[Flight | None]:
+        """Return the route along straight lines."""
+        planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
+        return Route(planner, lambda flight: self.motion(task, flight, end.hitch))
 
     def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
         """Return the edit that scales the polygon about its centroid, which is the centre then."""

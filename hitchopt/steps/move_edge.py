@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import move_edge
 from hitchopt.requirements import Requirements
 from hitchopt.steps.hitch_step import MoveStep
 from hitchopt.steps.keys import VERTEX, Blend, By, Key, LegsAtEnd, Seconds
-from hitchopt.steps.step import Array, check_index, check_within, convex_outline
+from hitchopt.steps.step import check_index, check_within
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,10 @@ class MoveEdge(MoveStep):
         self.check_to_or_by((2, 2), "two points [[x, y], [x, y]]")
         super().__post_init__()
 
-    def polygon_after(self, team: Team, outline: Outline) -> Outline:
-        """Return the outline with the edge's ends at their new places."""
+    def moved_points(self, team: Team, count: int) -> list[int]:
+        """Return the edge's ends."""
         check_within("edge", self.edge, team.robots)
-        points = outline.vertices.copy()
-        ends = [self.edge, (self.edge + 1) % len(points)]
-        points[ends] = self.moved(points[ends])
-        return convex_outline(team, points, *self.moved_key)
+        return [self.edge, (self.edge + 1) % count]
 
     def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
         """Return the action."""

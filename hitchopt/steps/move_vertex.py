@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import move_vertex
 from hitchopt.requirements import Requirements
 from hitchopt.steps.hitch_step import MoveStep
 from hitchopt.steps.keys import VERTEX, Blend, By, Key, LegsAtEnd, Seconds
-from hitchopt.steps.step import Array, check_index, check_within, convex_outline
+from hitchopt.steps.step import check_index, check_within
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +43,10 @@ class MoveVertex(MoveStep):
         self.check_to_or_by((2,), "a point [x, y]")
         super().__post_init__()
 
-    def polygon_after(self, team: Team, outline: Outline) -> Outline:
-        """Return the outline with the vertex at its new place."""
-        points = outline.vertices.copy()
-        check_within("vertex", self.vertex, len(points))
-        points[self.vertex] = self.moved(points[self.vertex])
-        return convex_outline(team, points, *self.moved_key)
+    def moved_points(self, team: Team, count: int) -> list[int]:  # noqa: ARG002
+        """Return the vertex."""
+        check_within("vertex", self.vertex, count)
+        return [self.vertex]
 
     def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
         """Return the action."""

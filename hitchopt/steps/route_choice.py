@@ -1,28 +1,57 @@
-"""The best certified motion of a step: its own where that satisfies all limits, else optimised."""
+"""Routes of a step, each a planner's solution with its certificate, and which of them is taken."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
-from hitchopt.checks import Certificate
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.optimise.candidates import candidates
+from hitchopt.planners.optimise.candidates import Candidate, OptimisedMorph
 from hitchopt.planners.path.leading_legs import leading
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.planner import Planner
+from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import Certified, certified, flying
-from hitchopt.steps.diagnosis import infeasible
+from hitchopt.steps.certified_motions import Certified, certified, checked, flying
+
+Solution = TypeVar("Solution")
 
 
 @dataclass(frozen=True, eq=False)
-class RouteTask:
-    """What a route planner is asked: one hitch to another, in one step of a mission.
+class Route(Generic[Solution]):
+    """A planner whose solution becomes the motion of a step.
+
+    Attributes
+    ----------
+    planner: what is asked.
+    motion_of: gives the motion of its solution.
+    """
+
+    planner: Planner[object, Solution]
+    motion_of: Callable[[Solution], Motion]
+
+    @property
+    def problem(self) -> object:
+        """The planner's problem."""
+        return self.planner.problem
+
+    def motion(self) -> Motion:
+        """Return the motion, whatever it breaks."""
+        return self.motion_of(self.planner.solve())
+
+    def solve(self) -> Certified:
+        """Return the motion with its certificate; raises InfeasibleError for what it breaks."""
+        return checked(self.motion())
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisedRoute:
+    """The fastest route that the optimiser finds from one hitch to another.
 
     Attributes
     ----------
@@ -30,8 +59,7 @@ class RouteTask:
     requirements: what the motion must satisfy.
     phase: the step's name and index, and within what tensions may change meanwhile.
     duration: exactly that long [s], or None.
-    optimize: look for a faster route even where the step's own one satisfies all limits.
-    optimiser: whether the optimiser may be used.
+    lead: also try legs that lead and lag.
     """
 
     start: Hitch
@@ -39,125 +67,84 @@ class RouteTask:
     requirements: Requirements
     phase: Phase
     duration: float | None = None
-    optimize: bool = False
-    optimiser: bool = True
+    lead: bool = False
+
+    @property
+    def planner(self) -> OptimisedMorph:
+        """The search for paths."""
+        ends = (self.start, self.end)
+        return OptimisedMorph(*ends, self.requirements, self._judged, self.phase.tension)
+
+    @property
+    def problem(self) -> object:
+        """The paths that the search starts from."""
+        return self.planner.problem
+
+    def solve(self) -> Certified:
+        """Return the fastest motion that was found, flown in the step's duration."""
+        found = self.planner.solve()
+        if not found:
+            raise HitchoptError("no route was found")
+        flight = found[0].flight
+        if self.lead and flight.duration > (self.duration or 0.0):
+            flight = self._led(found[0])
+        if self.duration is not None:
+            check_duration(self.duration, flight.duration)
+            flight = flight.lasting(self.duration)
+        return checked(self._motion(flight, f"on an optimised route, first guess {found[0].name}"))
+
+    def _motion(self, flight: Flight, remark: str = "") -> Motion:
+        phase = replace(self.phase, end=flight.duration, remark=remark)
+        return flying(flight, self.start.team, self.requirements, [phase])
+
+    def _judged(self, path: ShapePath) -> Flight | None:
+        """Return the flight along a path if its certificate holds."""
+        flight = fly(path, self.requirements.limits)
+        return flight if certified(self._motion(flight)).certificate.certified else None
+
+    def _led(self, found: Candidate) -> Flight:
+        """Return the flight that was found, or a faster one on which legs lead and lag."""
+        for path in leading(found.path, self.requirements.limits):
+            try:
+                flight = self._judged(path) if legs_clear(path, self.requirements) else None
+            except HitchoptError:
+                continue
+            if flight is not None:
+                return min(found.flight, flight, key=lambda each: each.duration)
+        return found.flight
 
 
-def best_motion(own: Callable[[], Motion], task: RouteTask) -> Certified:
-    """Return the motion of a step: its own one, or an optimised one where that is better.
+def first_certified(
+    routes: Sequence[Planner[object, Certified]], note: str, *, every: bool = False
+) -> dict[int, Certified]:
+    """Return the first route's motion that satisfies all limits, by its index in ``routes``.
 
     Parameters
     ----------
-    own: gives the step's own motion, straight and by its own law of the legs.
-    task: what is to be flown.
+    routes: in the order in which they are tried.
+    note: added to the refusal where more than one was tried.
+    every: return all of them.
 
     Raises
     ------
-    InfeasibleError: what the step's own route breaks, no other route having been found either.
-    HitchoptError: that one could not be timed, and no other route was found.
+    InfeasibleError: none does; says what binds on the first of them.
+    HitchoptError: as the first of them, where none tells what binds.
     """
-    motion: Motion | None = None
-    refusal: HitchoptError | None = None
-    try:
-        motion = own()
-        if not (task.optimize or task.phase.tension is not None):
-            return _sound(motion, task)
-    except HitchoptError as error:
-        motion, refusal = None, error
-    found = _optimised(task) if task.optimiser else None
-    if motion is not None and (found is None or motion.duration <= found.motion.duration):
-        try:  # only now, as it is not needed where another route is faster
-            return _sound(motion, task)
-        except InfeasibleError as error:
-            motion, refusal = None, error
-    if found is None:
-        raise _refused(refusal, task)
-    remark = found.motion.phases[0].remark + _why(shut=motion is None)
-    phases = (replace(found.motion.phases[0], remark=remark),)
-    return Certified(replace(found.motion, phases=phases), found.certificate)
-
-
-def _sound(motion: Motion, task: RouteTask) -> Certified:
-    """Return the motion with its certificate, or raise InfeasibleError for what it breaks."""
-    found = certified(motion)
-    if not found.certificate.certified:
-        raise infeasible(found.certificate, task.requirements.separation, motion.phases)
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class _Passed:
-    """A path that a flight has been certified along."""
-
-    path: ShapePath
-    flight: Flight
-    certificate: Certificate
-
-
-class _Judge:
-    """Flies paths and accepts those whose certificates hold, which it collects."""
-
-    def __init__(self, task: RouteTask) -> None:
-        self.task = task
-        self.passed: list[_Passed] = []
-
-    def __call__(self, path: ShapePath) -> Flight | None:
-        task = self.task
-        flight = fly(path, task.requirements.limits)
-        phase = replace(task.phase, end=flight.duration)
-        found = certified(flying(flight, task.start.team, task.requirements, [phase]))
-        if not found.certificate.certified:
-            return None
-        self.passed.append(_Passed(path, flight, found.certificate))
-        return flight
-
-
-def _optimised(task: RouteTask) -> Certified | None:
-    """Return the fastest optimised motion in the step's duration; None where there is none."""
-    judge = _Judge(task)
-    found = candidates(task.start, task.end, task.requirements, judge, task.phase.tension)
-    if not found:
-        return None
-    passed = next(passed for passed in judge.passed if passed.flight is found[0].flight)
-    if task.optimize and passed.flight.duration > (task.duration or 0.0):
-        passed = _led(passed, judge)
-    flight, remark = passed.flight, f"on an optimised route, first guess {found[0].name}: "
-    if task.duration is None:
-        phase = replace(task.phase, end=flight.duration, remark=remark)
-        return Certified(
-            flying(flight, task.start.team, task.requirements, [phase]), passed.certificate
-        )
-    if task.duration < flight.duration:
-        return None
-    flight = flight.lasting(task.duration)
-    phase = replace(task.phase, end=flight.duration, remark=remark)
-    return certified(flying(flight, task.start.team, task.requirements, [phase]))
-
-
-def _led(passed: _Passed, judge: _Judge) -> _Passed:
-    """Return what has passed, or a faster flight on which legs lead and lag."""
-    requirements = judge.task.requirements
-    for path in leading(passed.path, requirements.limits):
+    found: dict[int, Certified] = {}
+    refusals: list[HitchoptError] = []
+    for i, route in enumerate(routes):
         try:
-            flight = judge(path) if legs_clear(path, requirements) else None
-        except HitchoptError:
-            continue
-        if flight is not None:
-            return min(passed, judge.passed[-1], key=lambda p: p.flight.duration)
-    return passed
-
-
-def _why(*, shut: bool) -> str:
-    return "the step's own route is infeasible" if shut else "faster than the step's own route"
-
-
-def _refused(refusal: HitchoptError | None, task: RouteTask) -> HitchoptError:
-    if isinstance(refusal, InfeasibleError) and task.optimiser:
-        return InfeasibleError(refusal.violations, _found_nothing(refusal))
-    return refusal or HitchoptError("no route was found")
-
-
-def _found_nothing(refusal: InfeasibleError) -> str:
-    if any(violation.constraint == "duration" for violation in refusal.violations):
-        return "the optimiser found no route that is fast enough either"
-    return "the optimiser found no other route"
+            found[i] = route.solve()
+        except TimeLimitError:
+            raise
+        except HitchoptError as error:
+            refusals.append(error)
+        if found and not every:
+            break
+    if found:
+        return found
+    for refusal in refusals:
+        if isinstance(refusal, InfeasibleError):
+            added = note if len(refusals) > 1 else ""
+            raise InfeasibleError(refusal.violations, refusal.note or added)
+    raise refusals[0]

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hitchopt.checks import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Requirements
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)

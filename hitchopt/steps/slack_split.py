@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import checked_roll
-from hitchopt.values import finite, not_negative, per_robot, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, finite, not_negative, per_robot, positive
 
 AUTO = "auto"
 """Word for a roll that is none unless legs without it break a limit."""
@@ -80,16 +78,15 @@ def slack_split(
 def _sharing(
     legs: str | Sequence[float] | ArrayLike, team: Team
 ) -> Literal["balanced", "spread"] | Array:
+    bound = "balanced, spread or a list of d_k"
     if isinstance(legs, str):
         if legs == "balanced":
             return "balanced"
         if legs == "spread":
             return "spread"
-        raise InputError("legs", legs, "balanced, spread or a list of d_k", "write legs: spread")
+        raise InputError("legs", legs, bound, "write legs: spread")
     if isinstance(legs, int | float):
-        raise InputError(
-            "legs", legs, "balanced, spread or a list of d_k", "give one length per robot"
-        )
+        raise InputError("legs", legs, bound, "give one length per robot")
     q_legs = per_robot("legs", legs, team.robots, not_negative)
     zero = np.flatnonzero(team.layout.has_leg[:, 0] & (q_legs == 0.0))
     if len(zero) > 0:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
@@ -17,9 +16,7 @@ from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
-from hitchopt.values import positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, as_array, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,7 @@ class Step(ABC):
     @property
     def given_duration(self) -> float | None:
         """How long it takes [s], where it was given that, or None."""
-        found: float | None = vars(self).get("duration")
+        found: float | None = getattr(self, "duration", None)
         return found
 
     @property
@@ -88,9 +85,8 @@ class Step(ABC):
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
         if self.needs_hitch is False and outline is not None:
-            raise InputError(
-                "", "a hitch", "given drones on free cables at that point", "release it before"
-            )
+            bound = "given drones on free cables at that point"
+            raise InputError("", "a hitch", bound, "release it before")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:  # noqa: ARG002
@@ -138,14 +134,11 @@ def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> 
     try:
         return fitting_polygon(team, points)
     except InputError as error:
-        given = np.asarray(value).tolist()
-        raise InputError(
-            key,
-            given,
+        bound = (
             f"such that the outline stays convex and clockwise ({error.key} = {error.value} would "
-            f"have to be {error.bound})",
-            "go less far",
-        ) from None
+            f"have to be {error.bound})"
+        )
+        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
 
 
 def check_index(key: str, index: object) -> None:
@@ -167,10 +160,7 @@ def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) 
     ------
     InputError: another shape, described by ``words``, or numbers that are not finite.
     """
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
+    array = as_array(value)
     fits = array.ndim == len(shape) and all(
         size == wanted if wanted is not None else size > 0
         for size, wanted in zip(array.shape, shape, strict=True)

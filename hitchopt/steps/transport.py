@@ -17,8 +17,8 @@ from hitchopt.planners.timing.fly_path import fly
 from hitchopt.steps.hitch_step import HitchStep
 from hitchopt.steps.keys import Key, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
-from hitchopt.steps.step import Array, convex_outline, numbers
-from hitchopt.values import MAX_COORDINATE, finite
+from hitchopt.steps.step import convex_outline, numbers
+from hitchopt.values import MAX_COORDINATE, Array, finite
 
 MAX_TURNS = 5
 """Most turns of one transport: a bounded number of polynomials would not follow more closely."""
@@ -53,9 +53,8 @@ class Transport(HitchStep):
         object.__setattr__(self, "to", numbers("to", self.to, (3,), "a point [x, y, z]"))
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))
         if abs(self.yaw) > MAX_TURNS * 2.0 * math.pi:
-            raise InputError(
-                "yaw", self.yaw, f"at most {MAX_TURNS} turns either way", "turn in several steps"
-            )
+            bound = f"at most {MAX_TURNS} turns either way"
+            raise InputError("yaw", self.yaw, bound, "turn in several steps")
         super().__post_init__()
 
     @classmethod
@@ -66,9 +65,8 @@ class Transport(HitchStep):
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
         if abs(self.to[2]) > MAX_COORDINATE:
-            raise InputError(
-                "to", self.to.tolist(), f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
-            )
+            bound = f"within ±{MAX_COORDINATE:g} m"
+            raise InputError("to", self.to.tolist(), bound, "check its coordinates")
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
         return convex_outline(team, turned + self.to[:2], "to", self.to)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.swap_settings import SwapSettings
+from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.path.rigid_path import RigidPath
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import flying
 from hitchopt.steps.free_cables import LEVEL
+from hitchopt.values import Array
 
 TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the move from the pre-hitch to the hitch at which the cables' heights are sampled."""
@@ -37,10 +37,7 @@ class TyingSite:
 
 
 def tying_site(
-    hitch: Hitch,
-    swap: SwapSettings,
-    senses: NDArray[np.float64] | None,
-    requirements: Requirements,
+    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
 ) -> TyingSite:
     """Return where to tie or untie: at the hitch's own altitude, or as much higher as it takes.
 

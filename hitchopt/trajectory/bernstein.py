@@ -7,13 +7,13 @@ basis: a centennial retrospective", CAGD 29 (2012).
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def degree(coefficients: Array) -> int:
@@ -61,27 +61,27 @@ def elevate(coefficients: Array, order: int) -> Array:
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
-    m, n = degree(a), degree(b)
-    if m > n:
-        a, b, m, n = b, a, n, m
-    weighted = b * binomials(n)
-    shape = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
-    product = np.zeros((*shape, m + n + 1))
-    for i, weight in enumerate(binomials(m)):
-        product[..., i : i + n + 1] += (weight * a[..., i, None]) * weighted
-    return product / binomials(m + n)
+    return _product(a, b, lambda row, other: row[..., None] * other, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
+    return _product(a, b, partial(np.einsum, "...d,...dj->...j"), 2)
+
+
+def _product(a: Array, b: Array, pair: Callable[[Array, Array], Array], axes: int) -> Array:
+    """Return the product in which ``pair`` multiplies a coefficient of one with all of the other.
+
+    Both have so many ``axes`` that do not broadcast, the last one that of the coefficients.
+    """
     m, n = degree(a), degree(b)
     if m > n:
         a, b, m, n = b, a, n, m
     weighted = b * binomials(n)
-    shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
     product = np.zeros((*shape, m + n + 1))
     for i, weight in enumerate(binomials(m)):
-        product[..., i : i + n + 1] += weight * np.einsum("...d,...dj->...j", a[..., i], weighted)
+        product[..., i : i + n + 1] += pair(weight * a[..., i], weighted)
     return product / binomials(m + n)
 
 

@@ -9,12 +9,10 @@ both ends of a cell, the bound comes closer with the square of the cell's length
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry import shortest_offset
 from hitchopt.trajectory.extremum import Estimate
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def distance_bound(blocks: tuple[Array, ...]) -> Estimate:

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DIRECTION_ORDER = 4
 """Degree of w: on the cells that matter |y| varies by per cents, and w then errs by 1e-9."""

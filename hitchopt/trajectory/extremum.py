@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 RELATIVE = 1e-4

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +41,9 @@ class PiecewisePolynomial:
         if breaks.ndim != 1 or len(breaks) < 2 or coefficients.ndim < 2:
             raise InputError("breaks", breaks.shape, "(pieces + 1,)", "give at least one piece")
         if len(coefficients) != len(breaks) - 1 or coefficients.shape[-1] == 0:
-            raise InputError(
-                "coefficients",
-                coefficients.shape,
-                f"({len(breaks) - 1}, …, degree + 1)",
-                "give one row of coefficients per piece",
-            )
+            bound = f"({len(breaks) - 1}, …, degree + 1)"
+            remedy = "give one row of coefficients per piece"
+            raise InputError("coefficients", coefficients.shape, bound, remedy)
         if not (np.all(np.isfinite(breaks)) and np.all(np.diff(breaks) > 0.0)):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
         if not np.all(np.isfinite(coefficients)):

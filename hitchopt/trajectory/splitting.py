@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.piecewise import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SAME_BREAK = 1e-7
 """[s] Breaks closer than this count as one. Beyond its break by so little, a piece that joins

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States, states_at
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 POINTS = 150_000
 """Number of drone positions that a picture is drawn from; they take about a second."""

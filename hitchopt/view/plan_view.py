@@ -12,17 +12,15 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States
 from hitchopt.requirements import Arena, Requirements
+from hitchopt.values import Array
 from hitchopt.view.curves import Curves
 from hitchopt.view.style import COLOURS, INK, legend_below, marker
-
-Array = NDArray[np.float64]
 
 START_COLOUR = "0.62"
 PATH_COLOUR = "0.72"

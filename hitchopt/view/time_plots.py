@@ -11,16 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
-from numpy.typing import NDArray
 
 from hitchopt.checks import separation, speed, thrust
 from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.rule import CheckRule
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.values import Array
 from hitchopt.view.curves import Curves
 from hitchopt.view.style import DASHES, INK, LIMIT_COLOUR, legend_below, marker
-
-Array = NDArray[np.float64]
 
 FORBIDDEN = "0.8"
 HATCH = "////"
@@ -126,16 +124,11 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
             if i > 0:
                 each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
         if (phase.end - phase.start) / duration > CHARACTER * (len(phase.name) + 1):
+            middle = (0.5 * (phase.start + phase.end), 1.0)
             axes[0].annotate(
-                phase.name,
-                (0.5 * (phase.start + phase.end), 1.0),
-                (0, 4),
-                xycoords=axes[0].get_xaxis_transform(),
-                textcoords="offset points",
-                ha="center",
-                fontsize="small",
-                parse_math=False,
-            )
+                phase.name, middle, (0, 4), xycoords=axes[0].get_xaxis_transform(),
+                textcoords="offset points", ha="center", fontsize="small", parse_math=False,
+            )  # fmt: skip
 
 
 def draw_legend(axes: Axes) -> None:
@@ -174,17 +167,11 @@ def _worst_marker() -> Line2D:
 
 def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0) -> None:
     """Write a text on the right of the axes, where no curve can be."""
+    transform = blended_transform_factory(axes.transAxes, axes.transData)
     axes.annotate(
-        text,
-        (1.0, value),
-        (5.0, shift),
-        xycoords=blended_transform_factory(axes.transAxes, axes.transData),
-        textcoords="offset points",
-        va="center",
-        fontsize="small",
-        color=colour,
-        annotation_clip=False,
-    )
+        text, (1.0, value), (5.0, shift), xycoords=transform, textcoords="offset points",
+        va="center", fontsize="small", color=colour, annotation_clip=False,
+    )  # fmt: skip
 
 
 def _shift(panel: Panel, value: float, top: float) -> float:

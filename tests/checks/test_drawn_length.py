@@ -5,8 +5,8 @@ import pytest
 from test_interlacing import FEW, motion_of, stages_of
 
 from hitchopt.checks import certify
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
+from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.requirements import Limits
 
 

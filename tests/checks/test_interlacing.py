@@ -18,11 +18,9 @@ from hitchopt.checks.bounds.strands import entered
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.swap_clock import swap
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.tying_stages import tied, undone
+from hitchopt.planners.forming.turns import SwapSettings, swap
+from hitchopt.planners.forming.tying_stages import Stage, tied, undone
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.steps.free_cables import staged
 from hitchopt.trajectory import PiecewisePolynomial

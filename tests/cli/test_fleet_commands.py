@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 
 from hitchopt.cli import main
 from hitchopt.exports.formats.known_formats import HOMES
-from hitchopt.exports.refit import rounding_repair
+from hitchopt.exports.refit import point_rounding
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
@@ -63,7 +63,7 @@ def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rounding_repair, "MOST", -1)  # rounding is left as it is
+    monkeypatch.setattr(point_rounding, "MOST", -1)  # rounding is left as it is
     done = run("export", plan, "--format", "compressed", "-o", "files")
     assert done.exit_code == 3
     assert done.stdout == ""

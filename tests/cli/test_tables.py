@@ -35,7 +35,7 @@ def test_phases_are_shown_with_their_times() -> None:
 
 
 def test_brackets_are_text_in_every_part_of_a_table() -> None:
-    table = new_table("Errors [cm]", [("vertex [p]", "left")], ["error [cm]", "pull [N]"])
+    table = new_table("Errors [cm]", ["vertex [p]"], ["error [cm]", "pull [N]"])
     table.add_row("all [m]", "1.5 [/b]", ":cat: [red]2[/red]")
     shown = rendered(table)
     for text in ("Errors [cm]", "vertex [p]", "error [cm]", "pull [N]", "all [m]", "1.5 [/b]"):

@@ -27,15 +27,15 @@ from ruamel.yaml import YAML
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.fleet import fleet_from_dict, placeholder_fleet, read_fleet
-from hitchopt.exports.formats.crazyswarm2 import KIND
-from hitchopt.exports.formats.known_formats import format_of
-from hitchopt.exports.formats.poly_csv import (
+from hitchopt.exports.formats.crazyswarm2 import (
+    KIND,
     PIECE_BYTES,
     from_powers,
     read_poly_csv,
     to_powers,
     write_poly_csv,
 )
+from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.manifest import read_manifest
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at

@@ -17,9 +17,9 @@ from exported_plans import exported, hitch_plan, long_plan, swarm_plan
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
+from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
 from hitchopt.exports.formats.known_formats import HOMES, format_of
 from hitchopt.exports.formats.mavsdk_lead_in import SPEED
-from hitchopt.exports.formats.poly_csv import write_poly_csv
 from hitchopt.exports.lint.findings import ERROR, NOTE, WARNING, Report
 from hitchopt.exports.lint.joint_flight import Rules
 from hitchopt.exports.lint.linting import lint

@@ -10,9 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.exports.recording import lasted
-from hitchopt.exports.refit.breaks import best_breaks, greedy_breaks
-from hitchopt.exports.refit.joint_rounding import rounded
-from hitchopt.exports.refit.pieces import NODES, Kind, Scale, SpanErrors, fitted
+from hitchopt.exports.refit.piece_fitting import (
+    NODES,
+    Kind,
+    Scale,
+    SpanErrors,
+    best_breaks,
+    fitted,
+    greedy_breaks,
+)
+from hitchopt.exports.refit.point_rounding import rounded
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 SEPTIC = Kind(degree=7, match=3, quantum=1.0 / 1024.0, longest=60.0)

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_plan
-from hitchopt.exports.formats.attitude import attitudes_of
 from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.formats.ros2_messages import Messages, bag_recording
+from hitchopt.exports.formats.ros2bag import attitudes_of
 from hitchopt.exports.plan_export import export_motion
 from hitchopt.exports.verification import verify
 from hitchopt.hitch import GRAVITY

@@ -12,8 +12,8 @@ from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, header, hitch_s
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon
-from hitchopt.mission.faults import MAX_LISTED
-from hitchopt.mission.loading import JointInputError, load_problem, problem_from_dict
+from hitchopt.mission.faults import MAX_LISTED, JointInputError
+from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.steps import (
     Adjust,

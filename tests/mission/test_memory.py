@@ -108,18 +108,18 @@ def test_a_step_that_follows_remembered_ones_is_planned_as_after_new_ones() -> N
     assert bits(ho.solve(mission(0.4))) == bits(edited)
 
 
-@given(st.data())
-def test_nothing_done_to_a_plan_changes_the_next_one(data: st.DataObject) -> None:
+def test_nothing_done_to_a_plan_changes_the_next_one() -> None:
     start = ho.Hitch.spread(TEAM, TRIANGLE)
     plan = ho.hold(start, 1.0)
     before = bits(plan)
     found = [array for array in arrays_in(plan) if array.size]
-    array = data.draw(st.sampled_from(found))
-    place = tuple(data.draw(st.integers(0, size - 1)) for size in array.shape)
-    with pytest.raises(ValueError, match="read-only"):
-        array[place] = 7.0
-    with pytest.raises(ValueError, match="WRITEABLE"):
-        array.setflags(write=True)
+    assert len(found) > 5
+    for array in found:
+        for place in ((0,) * array.ndim, (-1,) * array.ndim):
+            with pytest.raises(ValueError, match="read-only"):
+                array[place] = 7.0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.setflags(write=True)
     object.__setattr__(plan.motion.phases[0], "name", "another")
     object.__setattr__(plan.motion, "drones", None)
     assert bits(ho.hold(start, 1.0)) == before
@@ -280,11 +280,11 @@ def problem_from_swarm() -> ho.SwarmProblem:
 def test_what_was_used_last_is_dropped_last() -> None:
     memory = Memory(max_outcomes=2)
     for key in (b"a", b"b"):
-        memory.store(key, (key,))
-    assert memory.recall(b"a") == (b"a",)
-    memory.store(b"c", (b"c",))
+        memory.store(key, key)
+    assert memory.recall(b"a") == b"a"
+    memory.store(b"c", b"c")
     assert memory.recall(b"b") is None
-    assert memory.recall(b"a") == (b"a",)
+    assert memory.recall(b"a") == b"a"
 
 
 def test_a_result_after_a_listener_has_raised_is_not_remembered() -> None:
@@ -370,12 +370,12 @@ def test_memory_is_bounded_and_forgets_the_least_recently_used(
         if ask:
             expected = model.get(name)
             assert memory.recall(key) == (
-                None if expected is None else (bytes([expected[0]]) * expected[1],)
+                None if expected is None else bytes([expected[0]]) * expected[1]
             )
             if expected is not None:
                 model.move_to_end(name)
             continue
-        memory.store(key, (bytes([i]) * size,))
+        memory.store(key, bytes([i]) * size)
         if size > most_bytes:
             continue
         model.pop(name, None)

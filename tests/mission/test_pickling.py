@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
@@ -18,7 +19,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from problem_cases import GOOD
 
 import hitchopt as ho
-from hitchopt.mission.memory import VARIABLE, pickled, request_key, unpickled
+from hitchopt.mission.memory import VARIABLE, pickled, request_key
 from hitchopt.requirements import Requirements
 from hitchopt.steps import STEPS as KINDS
 from hitchopt.steps.situation import Situation
@@ -114,9 +115,9 @@ def variants(value: Any) -> Iterator[Any]:
 
 def copied(value: Any) -> Any:
     """What is recalled of a value that was stored."""
-    parts = pickled(value)
-    assert parts is not None
-    return unpickled(parts)
+    found = pickled(value)
+    assert found is not None
+    return pickle.loads(found)
 
 
 @pytest.mark.parametrize("name", ROOTS)
@@ -219,9 +220,7 @@ def test_stored_arrays_are_the_same_and_never_change(array: np.ndarray, random: 
     random.shuffle(axes)
     given_array = array.transpose(axes)
     before = given_array.tobytes()
-    parts = pickled((given_array,))
-    assert parts is not None
-    (found,) = unpickled(parts)
+    (found,) = copied((given_array,))
     assert found.dtype == array.dtype
     assert found.shape == given_array.shape
     if given_array.flags.forc:  # the order in which it lies in memory decides how sums round
@@ -241,9 +240,9 @@ def test_what_was_one_stays_one_and_is_counted_once() -> None:
     assert once is not None
     assert twice is not None
     assert both is not None
-    values = unpickled(twice)
+    values = pickle.loads(twice)
     assert values[0] is values[1]
-    size, again, two = (sum(map(len, parts)) for parts in (once, twice, both))
+    size, again, two = map(len, (once, twice, both))
     assert large.nbytes < size <= again < 1.1 * large.nbytes
     assert two > 2 * large.nbytes
     situation = copied(ROOTS["Situation"])

@@ -12,11 +12,11 @@ import pytest
 from problem_cases import INFEASIBLE, hitch_start, triangle
 
 import hitchopt as ho
+from benchmarks.problem_edits import edited
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import Edit
 from hitchopt.mission.repair.change import tidy
-from hitchopt.mission.repair.editing import with_outlines_scaled, with_thrust
-from hitchopt.mission.repair.mapping import edited
+from hitchopt.mission.repair.editing import team_values, with_outlines_scaled, with_team_values
 from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
@@ -173,7 +173,8 @@ def outlines(problem: ho.Problem) -> list[Any]:
 
 def test_edits_say_what_the_changed_problem_is() -> None:
     data = triangle()
-    changed = with_thrust(problem_from_dict(data), 1.25)
+    problem = problem_from_dict(data)
+    changed = with_team_values(problem, "max_thrust", 1.25 * team_values(problem, "max_thrust"))
     written = problem_from_dict(edited(data, changed.edits))
     assert written.team.max_thrust == pytest.approx(
         1.25 * np.repeat([2.6, 2.6, 2.8], 2)  # the file's, and the default where it has none

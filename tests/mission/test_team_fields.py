@@ -119,9 +119,14 @@ def test_a_renumbered_team_has_every_field() -> None:
             "cable_length",
         ),
         (lambda p: editing.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
-        (lambda p: editing.with_thrust(p, 1.1), "quadrotor"),
-        (lambda p: editing.with_limit(p, "tilt_deg", 50.0), ""),
-        (lambda p: editing.with_separation(p, "cable", 0.05), ""),
+        (
+            lambda p: editing.with_team_values(
+                p, "max_thrust", 1.1 * editing.team_values(p, "max_thrust")
+            ),
+            "quadrotor",
+        ),
+        (lambda p: editing.with_bound(p, "limits.tilt_deg", 50.0), ""),
+        (lambda p: editing.with_bound(p, "separation.cable", 0.05), ""),
         (lambda p: editing.with_outlines_scaled(p, 0.9), ""),
         (lambda p: editing.with_step_edit(p, 0, next(p.mission[0].tunables()).put(3.0)), ""),
     ],

@@ -14,15 +14,12 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.assigning import assigned
-from hitchopt.planners.forming.clock import fastest_clock
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.swap_clock import swap
-from hitchopt.planners.forming.swap_settings import SwapSettings
-from hitchopt.planners.forming.turns import APART, Turns, rise_that_clears
-from hitchopt.planners.forming.tying_stages import tied, undone
+from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears, swap
+from hitchopt.planners.forming.tying_stages import Stage, tied, undone
 from hitchopt.planners.forming.wheels import Wheels, turned
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
 
 Array = NDArray[np.float64]

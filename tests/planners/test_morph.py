@@ -5,9 +5,9 @@ import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.planners.path.leg_law import sharing_task, with_legs_clear
+from hitchopt.planners.path.leg_law import leg_task_along, with_legs_clear
 from hitchopt.planners.path.shape_path import ShapePath, shapes_along
-from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.requirements import Requirements
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -16,7 +16,7 @@ KEPT = Requirements(Limits(), Separation(), None)
 
 def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return reference_margin(sharing_task(path, KEPT, s, 1.0))
+    return reference_margin(leg_task_along(path, KEPT, s, 1.0))
 
 
 def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
@@ -30,7 +30,7 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     assert distances_on_the_way(clear) >= 1.0
     legs = shapes_along(clear, np.array([0.0, 1.0])).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
-    flight = straight_morph(start, end, Requirements())
+    flight = StraightMorph(start, end, Requirements()).solve()
     assert flight is not None
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
 
@@ -46,7 +46,7 @@ def test_a_linear_law_is_kept_where_it_will_do() -> None:
 
 def test_nothing_to_do_is_no_flight() -> None:
     hitch = Hitch.spread(Team(3, 2.4), TRIANGLE)
-    assert straight_morph(hitch, hitch, Requirements()) is None
+    assert StraightMorph(hitch, hitch, Requirements()).solve() is None
 
 
 def test_a_straight_way_that_loses_convexity_says_where() -> None:
@@ -56,7 +56,7 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
     second = [[1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
     start, end = (Hitch.balanced(team, p) for p in (first, second))
     with pytest.raises(InfeasibleError, match="convexity") as caught:
-        straight_morph(start, end, Requirements())
+        StraightMorph(start, end, Requirements()).solve()
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
     assert violation.where[0].startswith("p")
@@ -73,19 +73,19 @@ def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:
     assert lengths[1] < max(lengths[0], lengths[2])
     start, end = (Hitch.balanced(short, p) for p in (first, second))
     with pytest.raises(InfeasibleError, match="cable 1 leaves"):
-        straight_morph(start, end, Requirements())
+        StraightMorph(start, end, Requirements()).solve()
 
 
 def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
     weak = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.35))  # hovering needs 1.356 N
     start, end = (Hitch.spread(weak, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
     with pytest.raises(InfeasibleError, match="thrust") as caught:
-        straight_morph(start, end, Requirements())
+        StraightMorph(start, end, Requirements()).solve()
     violation = caught.value.violations[0]
     assert violation.value == pytest.approx(np.hypot(0.132 * 9.81, 0.4), rel=1e-9)
     strong = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.37))
     start, end = (Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
-    flight = straight_morph(start, end, Requirements())
+    flight = StraightMorph(start, end, Requirements()).solve()
     assert flight is not None
 
 
@@ -95,7 +95,7 @@ def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
     team = Team(4 if topology == "closed" else 3, 2.2, topology=topology)
     start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
     with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
-        straight_morph(start, end, Requirements())
+        StraightMorph(start, end, Requirements()).solve()
 
 
 def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:

@@ -11,13 +11,13 @@ from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise import ipopt_steps
-from hitchopt.planners.optimise.candidates import Candidate, candidates
+from hitchopt.planners.optimise.candidates import Candidate, OptimisedMorph
 from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.path.straight_morph import straight_morph
+from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
@@ -97,7 +97,7 @@ def found_flights(
         flight = fly(path, requirements.limits)
         return flight if certified(flight, start.team, requirements, tension).certified else None
 
-    return candidates(start, end, requirements, judge, tension)
+    return OptimisedMorph(start, end, requirements, judge, tension).solve()
 
 
 def best(
@@ -121,11 +121,11 @@ def test_what_the_judge_turns_down_is_refined_and_never_returned() -> None:
             passed.append(fly(path, FREE.limits))
         return passed[-1] if passed else None
 
-    found = candidates(start, end, FREE, strict)
+    found = OptimisedMorph(start, end, FREE, strict).solve()
     assert [candidate.flight for candidate in found] == sorted(passed, key=lambda f: f.duration)
     assert found
     assert max(seen) > seen[0]
-    assert candidates(start, end, FREE, lambda _: None) == []
+    assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
 
 
 def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,10 +142,10 @@ def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch
     def fly_all(path: ShapePath) -> Flight:
         return fly(path, FREE.limits)
 
-    candidates(*ends(FOUR, SQUARE, SQUARE.rotated(0.3)), FREE, fly_all)
+    OptimisedMorph(*ends(FOUR, SQUARE, SQUARE.rotated(0.3)), FREE, fly_all).solve()
     near = set(solved)
     solved.clear()
-    candidates(*ends(FOUR, SQUARE, SQUARE.rotated(1.2)), FREE, fly_all)
+    OptimisedMorph(*ends(FOUR, SQUARE, SQUARE.rotated(1.2)), FREE, fly_all).solve()
     assert len(near) == 1
     assert len(set(solved)) > 1
 
@@ -177,7 +177,7 @@ def test_the_optimised_way_is_no_slower_than_the_straight_one(seed: int) -> None
     rng = np.random.default_rng(seed)
     first = random_convex_polygon(5, 1.2, rng, 0.18)
     start, end = ends(Team(5, 2.1), first, first.rotated(0.5).translated([0.3, 0.2]))
-    straight = straight_morph(start, end, Requirements())
+    straight = StraightMorph(start, end, Requirements()).solve()
     assert straight is not None
     flight = best(start, end, FREE)
     assert flight.duration <= 1.01 * straight.duration

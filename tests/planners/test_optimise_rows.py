@@ -18,9 +18,8 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
+from hitchopt.planners.optimise.model_rows import Draft
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
-from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
-from hitchopt.planners.optimise.nlp_draft import Draft
 from hitchopt.planners.optimise.search_task import (
     STATIC_SHARE,
     Search,
@@ -30,7 +29,9 @@ from hitchopt.planners.optimise.search_task import (
 from hitchopt.planners.optimise.separating_rows import (
     LEG_INSET,
     LEG_REACH,
+    NearPairs,
     instants,
+    near_pairs,
     rows_at_knots,
     rows_between,
 )

@@ -177,8 +177,15 @@ def through_a_door() -> SeparationTask:
 
 @pytest.mark.parametrize(
     "task",
-    [scattered(8, 6), circle(6, 2.0), circle(16, 2.0), stack(5), through_a_door()],
-    ids=["scattered", "circle", "large circle", "stack", "door"],
+    [
+        scattered(8, 6),
+        circle(6, 2.0),
+        circle(16, 2.0),
+        circle(36, 2.4),
+        stack(5),
+        through_a_door(),
+    ],
+    ids=["scattered", "circle", "large circle", "crowd", "stack", "door"],
 )
 def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
     expected, rng = separate(task).drones, np.random.default_rng(8)

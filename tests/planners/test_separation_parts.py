@@ -17,8 +17,7 @@ from scipy.optimize import LinearConstraint, minimize
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.planners.separation import SeparationTask, Tether
-from hitchopt.planners.separation.delays import departures, progress_along
-from hitchopt.planners.separation.fastest import fastest_ramps
+from hitchopt.planners.separation.departures import departures, progress_along
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import (
     ClosePieces,
@@ -27,11 +26,12 @@ from hitchopt.planners.separation.planes import (
     planes_between,
 )
 from hitchopt.planners.separation.qp import Solver
+from hitchopt.planners.separation.roundabout import roundabout
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.separation_program import Around, Built, build_program
-from hitchopt.planners.separation.setting import Setting, setting_of
-from hitchopt.planners.separation.spline import DEGREE, HELD, Grid
+from hitchopt.planners.separation.setting import DEGREE, HELD, Grid, Setting, setting_of
 from hitchopt.planners.separation.walls import walls_before
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import bernstein
 
@@ -437,11 +437,11 @@ def test_osqp_agrees_with_another_solver_also_after_an_update(seed: int) -> None
         A = sp.csc_array((rng.normal(size=A.nnz), A.indices, A.indptr), shape=A.shape)
         program = QuadraticProgram(sp.csc_array(P), q, A, lower, -lower)
         found = solver.solve(program, np.zeros(4), 0)
-        np.testing.assert_allclose(found.x, by_slsqp(P, q, A.toarray(), lower), atol=3e-3)
-        assert found.residual < 3e-3
-        values = A.toarray() @ found.x
+        np.testing.assert_allclose(found, by_slsqp(P, q, A.toarray(), lower), atol=3e-3)
+        assert program.residual(found) < 3e-3
+        values = A.toarray() @ found
         broken = max(0.0, float(np.max(lower - values)), float(np.max(values + lower)))
-        assert found.residual == pytest.approx(broken, abs=1e-12)
+        assert program.residual(found) == pytest.approx(broken, abs=1e-12)
 
 
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
@@ -547,6 +547,43 @@ def test_guesses_push_samples_apart_and_keep_the_ends() -> None:
 
     assert smallest(setting.nominal) < 0.5
     assert smallest(guess) > 1.0
+
+
+def crowd_task(n: int, turned: float = 0.0) -> SeparationTask:
+    """Antipodal drones on a circle about a point off the origin."""
+    angle = turned + 2.0 * np.pi * np.arange(n) / n
+    arm = 0.06 * n * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
+    centre = np.array([0.7, -1.2, 2.0])
+    return SeparationTask(centre + arm, centre - arm, Requirements())
+
+
+def test_a_crowd_goes_around_its_centre() -> None:
+    n, turned = 40, 0.3
+    setting = setting_of(crowd_task(n))
+    guess = roundabout(setting)
+    assert guess is not None
+    np.testing.assert_array_equal(guess[:, :HELD], setting.nominal[:, :HELD])
+    np.testing.assert_array_equal(guess[:, -HELD:], setting.nominal[:, -HELD:])
+    points = setting.grid.curves(guess, 1.0).at(np.linspace(0.0, 1.0, 200))
+    i, j = np.triu_indices(n, 1)
+    assert np.min(np.linalg.norm((points[:, i] - points[:, j]) * setting.scale, axis=-1)) > 1.0
+    # To the right: clockwise about the centre.
+    arm = points[100] - setting.task.start
+    ahead = setting.task.goal - setting.task.start
+    assert np.all(arm[:, 0] * ahead[:, 1] - arm[:, 1] * ahead[:, 0] > 0.0)
+    other = roundabout(setting_of(crowd_task(n, turned)))
+    assert other is not None
+    c, s = np.cos(turned), np.sin(turned)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    centre = 0.5 * (setting.task.start + setting.task.goal)[0]
+    np.testing.assert_allclose(other - centre, (guess - centre) @ turn.T, atol=1e-9)
+
+
+def test_few_drones_need_no_roundabout() -> None:
+    assert roundabout(setting_of(crowd_task(24))) is None
+    assert roundabout(setting_of(crossing_task())) is None
+    alone = SeparationTask(np.zeros((1, 3)), np.ones((1, 3)), Requirements())
+    assert roundabout(setting_of(alone)) is None
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -11,7 +11,7 @@ from hitchopt.simulation.simulation_settings import USUAL, Settings
 
 
 def flown(n: int, turns: list[float] | list[tuple[float, float]], settings: Settings) -> Simulation:
-    return simulate(forming(regular_hitch(n), turns, swap=3.0), settings)
+    return simulate(forming(regular_hitch(n), turns, swap=2.0), settings)
 
 
 def test_two_half_turns_form_a_triangle_that_holds() -> None:
@@ -52,7 +52,7 @@ def test_what_must_fail_does_and_is_named(
 @pytest.mark.parametrize("n", [3, 4])
 def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
     """Half a turn, drawn tight as it is: every cable runs straight across its neighbours."""
-    task = forming(regular_hitch(n), [(0.5, 0.0)] * n, swap=3.0, swapped=True)
+    task = forming(regular_hitch(n), [(0.5, 0.0)] * n, swap=2.0, swapped=True)
     done = simulate(task, Settings(body="point", perturbations=USUAL, seed=7))
     clasps = done.outcome.clasps
     assert any(abs(clasp.linking) == 1 for clasp in clasps)  # Gauss's integral alone would hold

@@ -8,7 +8,6 @@ to ``r_k``. Part ``3 k + type`` is cable k's, with types in that order; bodies a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
@@ -18,8 +17,7 @@ from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Extremum
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 PART_NAMES = ("q-leg", "edge", "r-leg")
 
@@ -83,8 +81,7 @@ def clasped_pairs(layout: Layout) -> Indices:
 
 def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
     """Return pairs of cables as ``i * n + j`` with i <= j."""
-    pairs: Indices = np.minimum(first, second) * layout.robots + np.maximum(first, second)
-    return pairs
+    return np.minimum(first, second) * layout.robots + np.maximum(first, second)
 
 
 def closest(

@@ -1,4 +1,4 @@
-"""Contradictions between a phase's polynomials and the state of the cables that the phase states.
+"""The phases of a motion, and contradictions between their polynomials and the states they state.
 
 Each state brings rules of its own, so a plan must not choose them: where the rules of another state
 would be due, the polynomials contradict the one that is stated.
@@ -10,19 +10,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import clasped_pairs, edge_vectors, leg_vectors
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.checks.bounds.hanging_clearance import above_ground
-from hitchopt.checks.bounds.phase_parts import PhasePart
 from hitchopt.checks.cable_length import LIMIT
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STILL = 1e-6
 """[m] Drones above the ground move sideways by no more while their cables lie on it."""
@@ -36,6 +33,35 @@ tightening comes to rest there, which takes a few hundredths of its time."""
 
 PROBES = np.linspace(0.0, 1.0, 9)
 """Places on a piece, one of which shows that cables are slack there."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhasePart:
+    """A phase, its pieces in the whole motion, and the motion on them."""
+
+    phase: Phase
+    pieces: slice
+    motion: Motion
+
+    @property
+    def start(self) -> float:
+        """Start time [s]."""
+        return float(self.motion.drones.breaks[0])
+
+    @property
+    def end(self) -> float:
+        """End time [s]."""
+        return float(self.motion.drones.breaks[-1])
+
+
+def phase_parts(motion: Motion) -> Iterator[PhasePart]:
+    """Yield the phases of a motion, each piece in the phase of its middle."""
+    index = motion.phase_of_piece
+    for i, phase in enumerate(motion.phases):
+        pieces = np.flatnonzero(index == i)
+        if len(pieces):
+            run = slice(int(pieces[0]), int(pieces[-1]) + 1)
+            yield PhasePart(phase, run, motion.taken(run, (phase,)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
+from hitchopt.geometry.vectors import unit
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, joined_cells
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 APART = 1e-6
 """[m] Chords that are certainly at least this far apart do not touch."""
@@ -94,25 +94,20 @@ def _apart(e: Array) -> NDArray[np.bool_]:
     """Return on which cells the chords certainly do not touch."""
     differences = np.stack([e[:, i] - e[:, j] for i in (0, 1) for j in (2, 3)], axis=1)
     bound = distance_bound((differences.reshape(len(e), 12, e.shape[-1]),)).bound
-    sure: NDArray[np.bool_] = bound > APART
-    return sure
+    return bound > APART
 
 
 def _across(ends: Array) -> NDArray[np.bool_]:
     """Return on which cells, seen along one direction, each chord crosses the other for certain."""
     middle = ends @ bernstein.basis(np.array(0.5), bernstein.degree(ends))
-    normal = np.cross(middle[:, 1] - middle[:, 0], middle[:, 3] - middle[:, 2])
-    size = np.linalg.norm(normal, axis=-1, keepdims=True)
-    normal = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0.0)
+    normal = unit(np.cross(middle[:, 1] - middle[:, 0], middle[:, 3] - middle[:, 2]))
     qi, ri, qj, rj = (ends[:, k] for k in range(4))
     sides = []
     for a, b, c, d in ((qi, ri, qj, rj), (qj, rj, qi, ri)):
         along = b - a
-        sides.append(
-            _strictly(_side(normal, along, c - a)) * _strictly(_side(normal, along, d - a))
-        )
-    crossing: NDArray[np.bool_] = (sides[0] < 0) & (sides[1] < 0)
-    return crossing
+        one, other = (_strictly(_side(normal, along, to - a)) for to in (c, d))
+        sides.append(one * other)
+    return (sides[0] < 0) & (sides[1] < 0)
 
 
 def _touching(ends: Array) -> NDArray[np.bool_]:
@@ -127,15 +122,7 @@ def _touching(ends: Array) -> NDArray[np.bool_]:
 
 def _side(normal: Array, along: Array, to: Array) -> Array:
     """Return the coefficients (cells, m) of ``normal · (along × to)``."""
-    turned = np.stack(  # normal × along
-        [
-            normal[:, 1, None] * along[:, 2] - normal[:, 2, None] * along[:, 1],
-            normal[:, 2, None] * along[:, 0] - normal[:, 0, None] * along[:, 2],
-            normal[:, 0, None] * along[:, 1] - normal[:, 1, None] * along[:, 0],
-        ],
-        axis=1,
-    )
-    return bernstein.dot(turned, to)
+    return bernstein.dot(np.cross(normal[..., None], along, axis=1), to)
 
 
 def _strictly(coefficients: Array) -> Indices:
@@ -173,5 +160,4 @@ def _sign(ends: Array) -> Indices:
     normal = np.cross(along, other)
     height = np.sum((ends[:, 2] - ends[:, 0]) * normal, axis=-1)
     sure = np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1)
-    sign: Indices = np.where(sure, np.sign(height), 0.0).astype(np.intp)
-    return sign
+    return np.where(sure, np.sign(height), 0.0).astype(np.intp)

@@ -8,7 +8,6 @@ clasp k+1 with half of its edge and r-leg. With all of its length used up (check
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import leg_vectors
 from hitchopt.geometry.vectors import unit
@@ -17,8 +16,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Estimate
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 CONTACT_SIGNS = np.array([1.0, 1.0, -1.0, 1.0])
 """Signs that make the contact force's products with q̂_k, u_k, r̂_{k-1}, u_{k-1} negative where the

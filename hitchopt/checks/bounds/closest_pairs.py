@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
 from hitchopt.checks.bounds.rounding_margins import position_margin
@@ -16,8 +15,6 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
-
-Array = NDArray[np.float64]
 
 SPANS = 48
 """Spans of time that a plan is looked at in."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def beyond_friction(motion: Motion) -> Extremum:

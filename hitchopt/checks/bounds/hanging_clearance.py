@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.checks.bounds.hanging_links import LINKS, chains, cut, drone_cable_cells
@@ -16,8 +15,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, Search
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 TOLERANCE = 1e-3
 """[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Bodies
 from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells
 from hitchopt.trajectory.splitting import on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BY_LENGTH, BY_PLACE = 20, 16
 """A chain's points: so many links of equal length, which follow a cable down its steep ends, and
@@ -102,9 +102,7 @@ def steepness_range(offset: Array, length: Array) -> tuple[Array, Array]:
     """
     half = bernstein.basis(np.array(0.5), bernstein.degree(offset))
     level = offset[:, :2]
-    middle = level @ half
-    size = np.linalg.norm(middle, axis=-1, keepdims=True)
-    along = np.divide(middle, size, out=np.zeros_like(middle), where=size > 0.0)
+    along = unit(level @ half)
     nearest = np.min(np.einsum("ci,cin->cn", along, level), axis=-1)
     farthest = np.max(np.linalg.norm(level, axis=1), axis=-1)
     heights = np.abs(offset[:, 2])

@@ -28,8 +28,8 @@ from hitchopt.geometry.broadphase import (
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, Extremum, Search
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Allowed = Callable[[Indices, Indices], NDArray[np.bool_]]
 """Which pairs (first, second) count."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.checks.certificate import within
@@ -12,8 +11,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def rate_rule(

@@ -10,12 +10,10 @@ from __future__ import annotations
 from math import perm
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ROUNDING = 2.0**-40
 """Relative to the magnitude of the numbers that enter a quantity."""

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.hanging_links import chains, cut, drone_cable_cells
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.broadphase import Indices
+from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, joined_cells
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 OFF = 1e-6
 """[m] Drones certainly this far from a sheet are not in it."""
@@ -102,8 +102,7 @@ def _off(blocks: tuple[Array, ...]) -> NDArray[np.bool_]:
     sideways *= np.sign(np.sum(sideways * here[:, 0], axis=1))[:, None]
     sure = np.zeros(len(rows), dtype=np.bool_)
     for towards in (edgewise, sideways):
-        size = np.linalg.norm(towards, axis=1, keepdims=True)
-        along = np.divide(towards, size, out=np.zeros_like(towards), where=size > 0.0)
+        along = unit(towards)
         least = np.min(np.einsum("ci,clin->cln", along, apart), axis=(1, 2))
         # The cable is off its links upward or downward only.
         sure |= least > OFF + np.abs(along[:, 2]) * np.max(hung.off, axis=1)

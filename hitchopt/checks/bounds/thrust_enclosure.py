@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import pull_vectors
 from hitchopt.checks.bounds.hanging_links import steepness_range
@@ -26,8 +25,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""

@@ -26,10 +26,8 @@ from hitchopt.exports.formats.compressed_bytes import (
 from hitchopt.exports.formats.crazyflie_memory import BYTES, CrazyflieFormat
 from hitchopt.exports.formats.format import Candidate, Task, writer_of
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.breaks import breaks_within, refitted
-from hitchopt.exports.refit.joint_rounding import rounded
-from hitchopt.exports.refit.pieces import Kind, Scale
-from hitchopt.exports.refit.rounding_repair import Keeping, settled, settling_times
+from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, refitted
+from hitchopt.exports.refit.point_rounding import Keeping, rounded, settled, settling_times
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import states_at
 from hitchopt.storage.atomic import Writer

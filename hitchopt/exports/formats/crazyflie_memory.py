@@ -9,8 +9,7 @@ from math import inf
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.exports.formats.format import Arrangement, Format, Task
-from hitchopt.exports.refit.breaks import breaks_within
-from hitchopt.exports.refit.pieces import Kind
+from hitchopt.exports.refit.piece_fitting import Kind, breaks_within
 from hitchopt.motion.cutting import cut, rests
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -66,66 +67,6 @@ def settings_text(task: Task, first: Array) -> str:
     return "\n".join(lines)
 
 
-SCRIPT = '''#!/usr/bin/env python3
-"""Flies the trajectories in this file's folder in step: {title}.
-{place}
-Arms, takes off, goes to the first points, uploads, starts all drones by one broadcast, and hovers
-at the end. There, Enter lands the drones; "stay" leaves them hovering for the next part, whose
-fly.py is started with --from-here. Every drone has one trajectory, uploaded at offset 0.
-
-A drone that hovers at the end of a trajectory still evaluates it from memory. An upload overwrites
-that memory, and the setpoint would jump. goTo flies a piece of its own, so it comes first.
-"""
-
-import sys
-from pathlib import Path
-
-import numpy as np
-from crazyflie_py import Crazyswarm
-from crazyflie_py.uav_trajectory import Trajectory
-
-FRAME = {frame!r}
-DURATION = {duration!r}  # [s]
-HEADING = {heading!r}  # [rad]
-FIRST = {first}  # [m], where every drone's trajectory begins
-ARM, TAKEOFF, SETTLE, GO = 1.0, 3.0, 2.0, 4.0  # [s]
-
-
-def main():
-    swarm = Crazyswarm()
-    clock, everyone = swarm.timeHelper, swarm.allcfs
-    drones = {{name: everyone.crazyfliesByName[name] for name in FIRST}}
-    trajectories = {{name: Trajectory() for name in FIRST}}
-    for name, trajectory in trajectories.items():
-        trajectory.loadcsv(Path(__file__).parent / f"{{name}}.csv")
-    if "--from-here" not in sys.argv:
-        for drone in drones.values():
-            if hasattr(drone, "arm"):  # the Brushless needs it; others arm themselves
-                drone.arm(True)
-        clock.sleep(ARM)
-        everyone.takeoff(targetHeight={height!r}, duration=TAKEOFF)
-        clock.sleep(TAKEOFF + SETTLE)
-    for name, drone in drones.items():
-        drone.goTo(np.array(FIRST[name]), HEADING, GO)
-    clock.sleep(GO + SETTLE)
-    for name, drone in drones.items():  # not before goTo: see above
-        drone.uploadTrajectory(0, 0, trajectories[name])  # trajectory 0 at offset 0
-    clock.sleep(1.0)
-    # One broadcast for all; relative=False: the polynomials are in the frame's coordinates.
-    everyone.startTrajectory(0, timescale=1.0, reverse=False, relative=False)
-    clock.sleep(DURATION + 1.0)
-    answer = input("hovering; Enter lands all drones where they are, stay leaves them hovering: ")
-    if answer.strip() == "stay":
-        return
-    everyone.land(targetHeight={land!r}, duration=4.0)
-    clock.sleep(5.0)
-
-
-if __name__ == "__main__":
-    main()
-'''
-
-
 def fly_script(task: Task, first: Array, last: Array, duration: float) -> str:
     """Return fly.py.
 
@@ -136,7 +77,7 @@ def fly_script(task: Task, first: Array, last: Array, duration: float) -> str:
     duration: of the trajectories [s].
     """
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
-    return SCRIPT.format(
+    return _template("fly_script.txt").format(
         title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
         place=f"This is {task.part}.\n" if task.part else "",
         frame=task.frame.name,
@@ -154,34 +95,19 @@ Launch with part1/crazyflies.yaml and fly part1/fly.py, then every next part's f
 Answer "stay" after all parts but the last.
 """
 
-NOTE = """{title}
-{place}
-One polynomial trajectory per drone (NAME.csv: duration [s], then powers of x, y, z [m] and
-yaw [rad]), frame {frame}, {duration:.3f} s. crazyflies.yaml says who flies; put it where your
-crazyswarm2 launch looks for it{placeholders}. fly.py flies them.
-
-To start in step by other means:
- 1. arm the drones that need it (Crazyflie 2.1 Brushless), and take off;
- 2. goTo (absolute) to the first point of each trajectory, and wait, also where drones hover there;
- 3. only then upload one trajectory per drone, id 0, at piece offset 0. A drone that hovers at the
-    end of a trajectory still evaluates it from the memory that an upload overwrites: its setpoint
-    would jump, by metres. goTo flies a piece of its own;
- 4. startTrajectory(0, relative=False), as one broadcast to all drones. With relative=True, which
-    is the default, every drone would add its own position, and the team would fly apart.
-
-The cables' pull is not in the polynomials: the on-board controller has to find it by its integral.
-Drones stand below their first points before take-off: mind the cables there.
-Before every flight: hitchopt lint on this folder.
-"""
-
 
 def note_text(task: Task, duration: float) -> str:
     """Return README.txt."""
     hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
-    return NOTE.format(
+    return _template("start_note.txt").format(
         title=task.title or "A plan of hitchopt",
         place=PLACE.format(place=task.part) if task.part else "",
         frame=task.frame.name,
         duration=duration,
         placeholders="" if task.fleet.given else hint,
     )
+
+
+def _template(name: str) -> str:
+    """Return the text of a file beside this module, with fields in braces."""
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import column_places, read_numbers, reading
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.long_table import (
     COLUMNS,
@@ -20,7 +21,6 @@ from hitchopt.exports.formats.long_table import (
     read_rows,
     spread_out,
 )
-from hitchopt.exports.formats.number_columns import column_places, read_numbers
 from hitchopt.exports.recording import Recording
 from hitchopt.exports.setpoints import lines_of
 
@@ -63,27 +63,23 @@ def read_csv(path: Path, frame: str = "") -> Recording:
 
 
 def _rows(path: Path) -> Iterator[Rows]:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            header = file.readline().rstrip("\r\n")
-            told = columns_told(header.split(","))
-            wanted = ("t", "drone", *(FLOWN[i] for i in told))
-            t, drone, *numbers = column_places(header, wanted, HEADER, str(path))
-            line = 2
-            while lines := list(islice(file, READ)):
-                place = f"{path}: lines {line} to {line + len(lines) - 1}"
-                if not all(map(str.strip, lines)):
-                    raise FileError(f"{place}: a line is empty; it is truncated or damaged")
-                values = read_numbers(lines, (t, *numbers), place)
-                names = [text.split(",", drone + 1)[drone] for text in lines]
-                yield Rows(values[:, 0], names, spread_out(values[:, 1:], told))
-                line += len(lines)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise FileError(f"{path}: is no text in UTF-8: {error.reason}") from error
-    except IndexError as error:
-        raise FileError(f"{path}: a row names no drone; it is truncated or damaged") from error
+    with reading(path, "readable text in UTF-8"), path.open(encoding="utf-8", newline="") as file:
+        header = file.readline().rstrip("\r\n")
+        told = columns_told(header.split(","))
+        wanted = ("t", "drone", *(FLOWN[i] for i in told))
+        t, drone, *numbers = column_places(header, wanted, HEADER, str(path))
+        line = 2
+        while lines := list(islice(file, READ)):
+            place = f"{path}: lines {line} to {line + len(lines) - 1}"
+            cells = [text.split(",", drone + 1) for text in lines]
+            if not all(map(str.strip, lines)):
+                raise FileError(f"{place}: a line is empty; it is truncated or damaged")
+            values = read_numbers(lines, (t, *numbers), place)
+            if min(map(len, cells)) <= drone:
+                raise FileError(f"{place}: a row names no drone; it is truncated or damaged")
+            names = [row[drone] for row in cells]
+            yield Rows(values[:, 0], names, spread_out(values[:, 1:], told))
+            line += len(lines)
 
 
 class CsvTable(Table):

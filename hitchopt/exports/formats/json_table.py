@@ -15,13 +15,14 @@ from typing import IO, Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import reading
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.long_table import COLUMNS, FLOWN, SMOOTH, Table, blocks_of
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
-from hitchopt.storage.archive import BROKEN
 from hitchopt.storage.strict_json import parsed_json
 
 FORMAT = "hitchopt-setpoints/1"
+WHAT = "document that hitchopt wrote"
 
 START, END = '"samples": [', "]}"
 """Lines around the samples."""
@@ -66,46 +67,34 @@ def read_json(path: Path) -> Recording:
     ------
     FileError: it is not such a document, or a damaged one; from the windows too.
     """
-    try:
-        with path.open(encoding="utf-8") as file:
-            head = _head(path, file)
-    except FileError:
-        raise
-    except BROKEN as error:
-        raise FileError(f"{path}: is no document that hitchopt wrote: {error}") from error
+    with reading(path, WHAT), path.open(encoding="utf-8") as file:
+        head = _head(file)
     names = tuple(str(name) for name in head["drones"])
     frame = str(head.get("frame"))
     return recording_of_samples(names, lambda: _samples(path, len(names)), frame, SMOOTH)
 
 
-def _head(path: Path, file: IO[str]) -> dict[str, Any]:
+def _head(file: IO[str]) -> dict[str, Any]:
     head = parsed_json(file.readline(MAX_LINE).rstrip().removesuffix(",") + "}")
     known = head["format"] == FORMAT and head["columns"] == list(COLUMNS)
     if not (known and isinstance(head["drones"], list) and head["drones"]):
-        raise FileError(f"{path}: its format is not {FORMAT} with the columns that hitchopt writes")
+        raise FileError(f"its format is not {FORMAT} with the columns that hitchopt writes")
     return dict(head)
 
 
 def _samples(path: Path, drones: int) -> Iterator[Samples]:
-    try:
-        with path.open(encoding="utf-8") as file:
-            _head(path, file)
-            if file.readline(MAX_LINE).strip() != START:
-                raise FileError(f"{path}: its second line is not {START}")
-            lines = iter(lambda: file.readline(MAX_LINE).strip(), END)
-            while some := list(islice(lines, max(1, 20 * ROWS // drones))):
-                samples = [parsed_json(line.removesuffix(",")) for line in some]
-                t = np.array([float(sample["t"]) for sample in samples])
-                rows = np.array([sample["rows"] for sample in samples], dtype=np.float64)
-                if rows.shape[1:] != (drones, len(COLUMNS)):
-                    raise FileError(
-                        f"{path}: from t = {t[0]:g} s on its rows are not one per drone"
-                    )
-                yield Samples.of_rows(t, rows[..., : len(FLOWN)])
-    except FileError:
-        raise
-    except BROKEN as error:
-        raise FileError(f"{path}: is damaged or truncated: {error}") from error
+    with reading(path, WHAT), path.open(encoding="utf-8") as file:
+        _head(file)
+        if file.readline(MAX_LINE).strip() != START:
+            raise FileError(f"its second line is not {START}")
+        lines = iter(lambda: file.readline(MAX_LINE).strip(), END)
+        while some := list(islice(lines, max(1, 20 * ROWS // drones))):
+            samples = [parsed_json(line.removesuffix(",")) for line in some]
+            t = np.array([float(sample["t"]) for sample in samples])
+            rows = np.array([sample["rows"] for sample in samples], dtype=np.float64)
+            if rows.shape[1:] != (drones, len(COLUMNS)):
+                raise FileError(f"from t = {t[0]:g} s on its rows are not one per drone")
+            yield Samples.of_rows(t, rows[..., : len(FLOWN)])
 
 
 class JsonTable(Table):

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import column_places, read_numbers, read_text
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.mavsdk_lead_in import LeadIn, lead_in, receiver_for, rising_check
 from hitchopt.exports.formats.mavsdk_receiver import LATE
-from hitchopt.exports.formats.number_columns import column_places, read_numbers
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array
@@ -152,11 +152,7 @@ def read_table(path: Path) -> Array:
     ------
     FileError: another header, rows of other lengths, fewer than two rows.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read: {error}") from error
-    header, *lines = [line for line in text.splitlines() if line.strip()] or [""]
+    header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
     found = set(header.split(","))
     vectors = [READ[:4], *(vector for vector in (READ[4:7], READ[7:]) if found & set(vector))]
     told = [name for vector in vectors for name in vector]

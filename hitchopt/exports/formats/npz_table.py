@@ -11,20 +11,22 @@ import math
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import reading
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.long_table import COLUMNS, GROUPS, ROWS, SMOOTH, Table, blocks_of
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
 from hitchopt.motion.states import sample_times
-from hitchopt.storage.archive import BROKEN, read_arrays, read_header, refuse_bomb
+from hitchopt.storage.archive import read_arrays, read_header, refuse_bomb
 from hitchopt.values import Array
 
+WHAT = "archive that hitchopt wrote"
 FLOWN = ("positions", "velocities", "accelerations")
 """Arrays that say where the drones go; readers need no others."""
 
@@ -70,10 +72,8 @@ def read_npz(path: Path) -> Recording:
     ------
     FileError: it is not such an archive, or a damaged one; from the windows too.
     """
-    try:
+    with reading(path, WHAT):
         head = read_arrays(path, ("frame", "drones", "t"))
-    except BROKEN as error:
-        raise FileError(f"{path}: not an archive that hitchopt wrote: {error}") from error
     if head["t"].dtype.kind not in "iuf":
         raise FileError(f"{path}: its times are of type {head['t'].dtype}, not numbers")
     names = tuple(str(name) for name in np.atleast_1d(head["drones"]))
@@ -84,26 +84,20 @@ def read_npz(path: Path) -> Recording:
 
 def _samples(path: Path, t: Array, drones: int) -> Iterator[Samples]:
     size = max(1, ROWS // max(1, drones))
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [archive.getinfo(f"{name}.npy") for name in FLOWN]
-            refuse_bomb(members, path.stat().st_size)
-            files = [archive.open(member) for member in members]
-            for name, file in zip(FLOWN, files, strict=True):
-                _check_header(name, file, (len(t), drones, 3))
-            for first in range(0, len(t), size):
-                here = t[first : first + size]
-                shape = (len(here), drones, 3)  # a file that is truncated has less, and is refused
-                data = [file.read(8 * math.prod(shape)) for file in files]
-                yield Samples(here, np.stack([np.frombuffer(d).reshape(shape) for d in data]))
-    except BROKEN as error:
-        raise FileError(f"{path}: not an archive that hitchopt wrote: {error}") from error
-
-
-def _check_header(name: str, file: IO[bytes], shape: tuple[int, ...]) -> None:
-    found, fortran, dtype, _ = read_header(name, file.read)
-    if found != shape or fortran or dtype != np.float64:
-        raise FileError(f"array {name!r} is {found} of {dtype}, not {shape} of float64")
+    with reading(path, WHAT), zipfile.ZipFile(path) as archive:
+        members = [archive.getinfo(f"{name}.npy") for name in FLOWN]
+        refuse_bomb(members, path.stat().st_size)
+        files = [archive.open(member) for member in members]
+        whole = (len(t), drones, 3)
+        for name, file in zip(FLOWN, files, strict=True):
+            found, fortran, dtype, _ = read_header(name, file.read)
+            if found != whole or fortran or dtype != np.float64:
+                raise FileError(f"array {name!r} is {found} of {dtype}, not {whole} of float64")
+        for first in range(0, len(t), size):
+            here = t[first : first + size]
+            shape = (len(here), drones, 3)  # a file that is truncated has less, and is refused
+            data = [file.read(8 * math.prod(shape)) for file in files]
+            yield Samples(here, np.stack([np.frombuffer(d).reshape(shape) for d in data]))
 
 
 class NpzTable(Table):

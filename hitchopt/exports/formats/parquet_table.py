@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.extras import needed
+from hitchopt.exports.formats.file_reading import needed, reading
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.long_table import (
     COLUMNS,
@@ -24,8 +24,9 @@ from hitchopt.exports.formats.long_table import (
     spread_out,
 )
 from hitchopt.exports.recording import Recording
-from hitchopt.storage.archive import BROKEN, refuse_expansion
+from hitchopt.storage.archive import refuse_expansion
 
+WHAT = "parquet file"
 FRAME, PLACE = b"hitchopt.frame", b"hitchopt.room"
 """Keys of the schema's metadata: the frame's name, and where the plan lies in it, as JSON."""
 
@@ -88,35 +89,25 @@ def read_parquet(path: Path) -> Recording:
 
 def _opened(path: Path) -> Any:
     arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
-    try:
+    with reading(path, WHAT, arrow.ArrowException):
         file = parquet.ParquetFile(path)
-        missing = [name for name in PLACED if name not in file.schema_arrow.names]
         refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
-    except (arrow.ArrowException, *BROKEN) as error:
-        raise FileError(f"{path}: is no parquet file, or a damaged one: {error}") from error
-    if missing:
-        raise FileError(
-            f"{path}: has no column {missing[0]!r}; hitchopt writes t, drone and others"
-        )
-    return file
+        for name in PLACED:
+            if name not in file.schema_arrow.names:
+                raise FileError(f"has no column {name!r}; hitchopt writes t, drone and others")
+        return file
 
 
 def _rows(path: Path) -> Iterator[Rows]:
-    arrow = needed("pyarrow")
-    try:
-        with _opened(path) as file:
-            told = columns_told(file.schema_arrow.names)
-            wanted = ["t", "drone", *(FLOWN[i] for i in told)]
-            for batch in file.iter_batches(columns=wanted):
-                values = np.column_stack([batch[name].to_numpy(False) for name in wanted[2:]])
-                t = batch["t"].to_numpy(False).astype(np.float64)
-                if len(t):
-                    names = [str(name) for name in batch["drone"].to_pylist()]
-                    yield Rows(t, names, spread_out(values.astype(np.float64), told))
-    except FileError:
-        raise
-    except (arrow.ArrowException, *BROKEN) as error:
-        raise FileError(f"{path}: is damaged: {error}") from error
+    with reading(path, WHAT, needed("pyarrow").ArrowException), _opened(path) as file:
+        told = columns_told(file.schema_arrow.names)
+        wanted = ["t", "drone", *(FLOWN[i] for i in told)]
+        for batch in file.iter_batches(columns=wanted):
+            values = np.column_stack([batch[name].to_numpy(False) for name in wanted[2:]])
+            t = batch["t"].to_numpy(False).astype(np.float64)
+            if len(t):
+                names = [str(name) for name in batch["drone"].to_pylist()]
+                yield Rows(t, names, spread_out(values.astype(np.float64), told))
 
 
 class ParquetTable(Table):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.extras import needed
+from hitchopt.exports.formats.file_reading import needed, reading
 from hitchopt.exports.recording import Recording, Samples, recording_of_samples
 from hitchopt.values import Array
 
@@ -125,24 +125,23 @@ def bag_recording(path: Path) -> Recording:
     highlevel = needed("rosbags.highlevel")
     found: dict[str, Array] = {}
     frame = ""
-    try:
-        with highlevel.AnyReader([path], default_typestore=Messages().store) as bag:
-            kinds = sorted({connection.msgtype for connection in bag.connections})
-            wanted = [c for c in bag.connections if c.msgtype == Messages.TRAJECTORY]
-            if not wanted:  # of no connection the library gives all messages
-                held = ", ".join(kinds) or "nothing"
-                raise FileError(f"{path}: holds no {Messages.TRAJECTORY}, but {held}")
-            for connection, _, data in bag.messages(wanted):
-                message = bag.deserialize(data, connection.msgtype)
-                frame = FRAMES.get(message.header.frame_id, "")
-                for i, name in enumerate(message.joint_names):
-                    if name in found:
-                        raise FileError(f"{path}: holds two trajectories of {name!r}")
-                    found[name] = _table(message, i)
-    except FileError:
-        raise
-    except Exception as error:  # the library has many of its own, without a common root
-        raise FileError(f"{path}: is no bag, or a damaged one: {error}") from error
+    store = Messages().store
+    # The library raises many exceptions of its own, without a common root.
+    with (
+        reading(path, "bag", Exception),
+        highlevel.AnyReader([path], default_typestore=store) as bag,
+    ):
+        kinds = sorted({connection.msgtype for connection in bag.connections})
+        wanted = [c for c in bag.connections if c.msgtype == Messages.TRAJECTORY]
+        if not wanted:  # of no connection the library gives all messages
+            raise FileError(f"holds no {Messages.TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
+        for connection, _, data in bag.messages(wanted):
+            message = bag.deserialize(data, connection.msgtype)
+            frame = FRAMES.get(message.header.frame_id, "")
+            for i, name in enumerate(message.joint_names):
+                if name in found:
+                    raise FileError(f"holds two trajectories of {name!r}")
+                found[name] = _table(message, i)
     if not found:
         raise FileError(f"{path}: its trajectories name no joint")
     names, tables = tuple(found), list(found.values())

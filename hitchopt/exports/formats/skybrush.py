@@ -25,10 +25,8 @@ from hitchopt.exports.formats.compressed import keeping_of
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.formats.skybrush_show import MILLI, drones_of_show, storage_scale, stored
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.breaks import breaks_within, refitted
-from hitchopt.exports.refit.joint_rounding import rounded
-from hitchopt.exports.refit.pieces import Kind, Scale
-from hitchopt.exports.refit.rounding_repair import settled
+from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, refitted
+from hitchopt.exports.refit.point_rounding import rounded, settled
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

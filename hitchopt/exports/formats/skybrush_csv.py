@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.formats.file_reading import opened_zip, read_members, read_numbers
 from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.formats.number_columns import read_numbers
-from hitchopt.exports.formats.zip_archive import opened_zip, read_members
 from hitchopt.exports.recording import Recording, check_times, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.zip_archive import opened_zip, read_members
+from hitchopt.exports.formats.file_reading import opened_zip, read_members
 from hitchopt.exports.recording import check_times
 from hitchopt.storage.strict_json import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein

@@ -8,22 +8,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.formats.compressed import read_bytes
 from hitchopt.exports.formats.compressed_bytes import LARGEST, LONGEST, MILLI, Compressed, decoded
 from hitchopt.exports.formats.crazyflie_memory import BYTES
-from hitchopt.exports.formats.poly_csv import PIECE_BYTES, PolyTable, read_poly_csv
-from hitchopt.exports.lint.findings import DroneFacts, Finding, Loaded, error, note, warning
-from hitchopt.exports.lint.start_places import is_place
+from hitchopt.exports.formats.crazyswarm2 import PIECE_BYTES, PolyTable, read_poly_csv
+from hitchopt.exports.lint.findings import (
+    DroneFacts,
+    Finding,
+    Loaded,
+    error,
+    is_place,
+    note,
+    warning,
+)
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.requirements import Separation
 from hitchopt.storage.yaml_file import read_yaml
-
-Array = NDArray[np.float64]
 
 LEAST_ROWS = 2
 """Rows of a polynomial file that the usual reader needs."""

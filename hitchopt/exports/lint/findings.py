@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import SupportsInt
+from typing import SupportsInt, TypeGuard
 
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.lint.show_limits import ShowLimits
 from hitchopt.exports.recording import Recording
 
-LEVELS = ERROR, WARNING, NOTE = "error", "warning", "note"
+ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
 FARTHEST = 1e6
@@ -41,13 +41,22 @@ class Finding:
         return f"{self.level}: {self.rule}:{place} {self.message}"
 
 
-error, warning, note = (partial(Finding, level) for level in LEVELS)
+error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NOTE))
 """Constructors of findings of each level from rule, place and message."""
 
 
 def and_more(name: str, count: SupportsInt) -> str:
     """Return the name, and how many more of the ``count`` drones are concerned."""
     return name if int(count) == 1 else f"{name} and {int(count) - 1} more"
+
+
+def is_place(value: object, lengths: Collection[int]) -> TypeGuard[list[float]]:
+    """Return whether a value from a file is a list of so many coordinates within FARTHEST [m]."""
+    return (
+        isinstance(value, list)
+        and len(value) in lengths
+        and all(type(x) in {int, float} and abs(x) <= FARTHEST for x in value)
+    )
 
 
 @dataclass(frozen=True)

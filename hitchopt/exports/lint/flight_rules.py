@@ -1,21 +1,23 @@
-"""Rules for the drones' joint flight: limits, jumps, ends in mid-flight, ranges, rates."""
+"""Rules for the drones' joint flight: limits, jumps, ends in mid-flight, ranges, rates, places.
+
+Places where drones stand before the flight are compared with trajectories, or added to them.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.exports.lint.findings import Finding, Flight, Loaded, and_more, error, note, warning
 from hitchopt.exports.lint.joint_flight import Rules, Seen, at_one_point, seen_together
 from hitchopt.exports.lint.show_limits import DISTANCE
-from hitchopt.exports.lint.start_places import away_from_places
+from hitchopt.exports.recording import Recording
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 RADIOED = 32.767
 """[m] Largest coordinate in formats of whole millimetres in 16 bits."""
@@ -25,6 +27,9 @@ WATCHDOG = 0.5
 
 SLOWEST = 30.0
 """[Hz] Lowest rate at which full states are usefully streamed."""
+
+AT_START = 0.1
+"""[m] Largest distance across from a drone's place to where its trajectory begins."""
 
 REMEDIES = {
     "separation": "move them apart",
@@ -60,7 +65,7 @@ def flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding,
     found = (
         *_broken(worst),
         *_relative(seen.first, loaded),
-        *away_from_places(loaded, seen.first),
+        *_away_from_places(loaded, seen.first),
         *_jumping(seen, rules),
         *_stopping(seen.last, recording.names, rules),
         *_placed(seen, loaded),
@@ -143,3 +148,61 @@ def _placed(seen: Seen, loaded: Loaded) -> Iterator[Finding]:
             f"{1.0 / seen.longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to "
             "100 Hz; sample more often",
         )
+
+
+def _away_from_places(loaded: Loaded, first: Array) -> Iterator[Finding]:
+    """Yield a warning for every drone whose trajectory begins elsewhere than where it stands.
+
+    Parameters
+    ----------
+    loaded: with the places.
+    first: (D, 3) where the trajectories begin [m].
+    """
+    apart = np.linalg.norm(_places(loaded)[:, :2] - first[:, :2], axis=1)
+    for i in np.flatnonzero(apart > AT_START).tolist():
+        yield warning(
+            "start",
+            loaded.recording.names[i],
+            f"its {loaded.place_key} is {apart[i]:.3g} m away from where its trajectory begins; "
+            "place it there, see that its path there is free, or use --relative if trajectories "
+            "are flown from the drones' places",
+        )
+
+
+def flown_from_places(loaded: Loaded) -> Loaded:
+    """Return the trajectories as they are flown relative to where each drone stands.
+
+    All are taken to rise by the same height first. Where a place is missing, distances between
+    drones are unknown: they are not checked then, and a finding states it.
+    """
+    places, recording = _places(loaded), loaded.recording
+    missing = [n for n in recording.names if n not in loaded.places]
+    findings = loaded.findings
+    if missing and len(recording.names) > 1:
+        unknown = warning(
+            "separation",
+            and_more(missing[0], len(missing)),
+            "no place is known to fly relative to, so how close drones come is not checked; "
+            "give initial_position in crazyflies.yaml beside the files, or homes in the show",
+        )
+        findings = (*findings, unknown)
+
+    def windows() -> Iterator[PiecewisePolynomial]:
+        offsets: Array | None = None
+        for window in recording.windows():
+            if offsets is None:
+                first = window.coefficients[0, ..., 0]
+                offsets = np.where(np.isnan(places), 0.0, places - first)
+            yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
+
+    moved = Recording(recording.names, recording.frame, recording.smooth, windows)
+    return replace(loaded, recording=moved, findings=findings, together=not missing)
+
+
+def _places(loaded: Loaded) -> Array:
+    """Return the drones' places (D, 3) [m], nan where they are not known."""
+    places = np.full((len(loaded.recording.names), 3), np.nan)
+    for i, name in enumerate(loaded.recording.names):
+        place = loaded.places.get(name, ())
+        places[i, : len(place)] = place
+    return places

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks import acceleration, separation, speed
 from hitchopt.checks.certificate import Check
@@ -17,9 +16,8 @@ from hitchopt.exports.lint.show_limits import DISTANCE, ShowLimits
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Limits, Requirements, Separation
-from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.values import Array
 
 SAME_START = 1e-3
 """[m] Drones that begin this close to one another are given relative trajectories."""
@@ -118,7 +116,7 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
             seen.checks.setdefault(name, []).append(_renamed(check, names))
     for name, check in loaded.own.checks(window, loaded.recording.smooth, names).items():
         seen.checks.setdefault(name, []).append(check)
-    whole = window if seen.last is None else _after(seen.last, window)
+    whole = window if seen.last is None else joined([seen.last, window])
     for order in range(len(seen.jumps)):
         seen.jumps[order] = max(seen.jumps[order], _jump(whole, order, names))
     seen.reach = max(seen.reach, (float(np.max(reach)), names[int(np.argmax(reach))]))
@@ -141,12 +139,6 @@ def _in_metres(check: Check | None, least: float) -> Check | None:
 def _renamed(check: Check, names: Sequence[str]) -> Check:
     """Return the check with the files' names for drones d0, d1, …."""
     return replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
-
-
-def _after(last: PiecewisePolynomial, window: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return the window with the last piece of the one before in front."""
-    breaks = np.concatenate([last.breaks[:1], window.breaks])
-    return PiecewisePolynomial(breaks, np.concatenate([last.coefficients, window.coefficients]))
 
 
 def _jump(

@@ -12,8 +12,7 @@ from hitchopt.errors import FileError
 from hitchopt.exports.formats.mavsdk_receiver import LATE, NAMES, Receiver
 from hitchopt.exports.lint.findings import Finding, and_more, error, note, warning
 from hitchopt.exports.manifest import read_manifest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 REMAINING = 0.1
 """[m] Rows that move a drone no farther, seen from above, may be replaced by a climb or a landing;

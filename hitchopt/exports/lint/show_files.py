@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hitchopt.errors import FileError
-from hitchopt.exports.formats.csv_table import read_csv
-from hitchopt.exports.formats.json_table import read_json
+from hitchopt.exports.formats.file_reading import read_text
+from hitchopt.exports.formats.known_formats import format_of
+from hitchopt.exports.formats.long_table import Table
 from hitchopt.exports.formats.mavsdk import read_table, recording_of_tables
-from hitchopt.exports.formats.npz_table import read_npz
-from hitchopt.exports.formats.parquet_table import read_parquet
 from hitchopt.exports.formats.ros2_messages import bag_recording
 from hitchopt.exports.formats.skybrush_csv import lines_of, read_zip
 from hitchopt.exports.formats.skybrush_show import read_show
-from hitchopt.exports.lint.findings import DroneFacts, Loaded, error, warning
+from hitchopt.exports.lint.findings import DroneFacts, Loaded, error, is_place, warning
 from hitchopt.exports.lint.receiver_rules import receiver_findings
 from hitchopt.exports.lint.show_limits import limits_of
-from hitchopt.exports.lint.start_places import is_place
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.reference_frame import AXES
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 MILLISECOND = 1e-3
 """[s] Skybrush rounds durations to it."""
@@ -81,13 +76,7 @@ def show_csv(files: Sequence[Path]) -> Loaded:
     ------
     FileError: a damaged one.
     """
-    curves = {}
-    for path in files:
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, ValueError) as error:
-            raise FileError(f"{path}: cannot be read: {error}") from error
-        curves[path.stem] = lines_of(text, str(path))
+    curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
     return _of_curves("skybrush_csv", curves, 0)
 
 
@@ -146,21 +135,7 @@ def table_file(path: Path) -> Loaded:
     FileError: a damaged one.
     """
     kind = path.suffix.lower().removeprefix(".")
-    return _sampled(kind, TABLES[kind](path))
-
-
-def _read_csv(path: Path) -> Recording:
-    frame = path.stem.rpartition("_")[2]
-    return read_csv(path, frame if frame in AXES else "")
-
-
-TABLES: dict[str, Callable[[Path], Recording]] = {
-    "csv": _read_csv,
-    "parquet": read_parquet,
-    "npz": read_npz,
-    "json": read_json,
-}
-"""Readers of tables for scripts, by the ending of a file's name."""
+    return _sampled(kind, cast(Table, format_of(kind)).read_file(path))
 
 
 def _sampled(kind: str, recording: Recording, *, streamed: bool = False) -> Loaded:

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.checks.certificate import Check
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ACROSS, UP, DOWN = 0, 1, -1
 """Directions in which vectors count; z is up, as in every show."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
+from hitchopt.errors import InputError
 from hitchopt.mission.problem import Problem
 
 DIGITS = 3
@@ -96,29 +96,6 @@ class Suggestion:
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
-    """Changes of one quantity in one direction, by their size.
-
-    Attributes
-    ----------
-    covers: constraints that it can repair; where others are broken too it is not tried.
-    of_size: the change of a relative size, rounded up to DIGITS; raises InputError where there
-        is none.
-    least: sizes below are known not to do.
-    most: sizes above make no sense.
-    relaxes: it takes nothing away, so that no size can do where ``most`` does not.
-    family: the first one that does stands for all kinds of this name, such as those of one cable.
-    """
-
-    covers: frozenset[str]
-    of_size: Callable[[float], Change]
-    least: float = 0.0
-    most: float = math.inf
-    relaxes: bool = False
-    family: str = ""
-
-
-@dataclass(frozen=True, eq=False)
 class Edited:
     """A problem with another value, and how a file says so."""
 
@@ -132,7 +109,7 @@ class Quantity:
 
     Attributes
     ----------
-    key, words, old, unit: as of Change.
+    key, old, unit, words: as of Change.
     put: gives the problem with another value.
     extent: what sizes are relative to [unit]; the old value unless given.
     """
@@ -144,40 +121,54 @@ class Quantity:
     words: str = ""
     extent: float | None = None
 
-    def moved(self, size: float, sign: int) -> Change:
-        """Return the change up (sign 1) or down (sign -1) by ``size``, rounded away from old."""
-        extent = self.extent or self.old
-        value = self.old + sign * size * extent
-        new = tidy(value, sign, self.extent or abs(value))
-        edited = self.put(new)
-        relative = (new - self.old) / extent
-        return Change(
-            self.key,
-            self.words,
-            self.old,
-            new,
-            self.unit,
-            relative,
-            edited.problem,
-            edited.edits,
-        )
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Changes of one quantity in one direction, by their size.
+
+    Attributes
+    ----------
+    quantity: what is changed.
+    sign: 1 where it is raised, -1 where it is lowered.
+    covers: constraints that it can repair; where others are broken too it is not tried.
+    least: sizes below are known not to do.
+    most: sizes above make no sense.
+    relaxes: it takes nothing away, so that no size can do where ``most`` does not.
+    family: the first one that does stands for all kinds of this name, such as those of one cable.
+    """
+
+    quantity: Quantity
+    sign: int
+    covers: frozenset[str]
+    least: float = 0.0
+    most: float = math.inf
+    relaxes: bool = False
+    family: str = ""
+
+    def change(self, size: float) -> Change | None:
+        """Return the change of a relative size, rounded away from the old value to DIGITS.
+
+        There is none where a record refuses the value, such as an outline that a wall or a step no
+        longer fits.
+        """
+        quantity = self.quantity
+        extent = quantity.extent or quantity.old
+        value = quantity.old + self.sign * size * extent
+        new = tidy(value, self.sign, quantity.extent or abs(value))
+        try:
+            edited = quantity.put(new)
+        except InputError:
+            return None
+        relative = (new - quantity.old) / extent
+        names = quantity.key, quantity.words, quantity.old
+        return Change(*names, new, quantity.unit, relative, edited.problem, edited.edits)
 
 
-def raised(
-    quantity: Quantity,
-    covers: frozenset[str],
-    least: float = 0.0,
-    most: float = math.inf,
-    relaxes: bool = False,
+def lowered(
+    quantity: Quantity, covers: frozenset[str], relaxes: bool = False, family: str = ""
 ) -> Kind:
-    """Return the kind of changes that raise a quantity; the rest as of Kind."""
-    return Kind(covers, partial(quantity.moved, sign=1), least, most, relaxes)
-
-
-def lowered(quantity: Quantity, covers: frozenset[str], relaxes: bool = False) -> Kind:
     """Return the kind of changes that lower a quantity, but never to nothing."""
-    most = 1.0 - LEAST_LEFT
-    return Kind(covers, partial(quantity.moved, sign=-1), 0.0, most, relaxes)
+    return Kind(quantity, -1, covers, 0.0, 1.0 - LEAST_LEFT, relaxes, family)
 
 
 def tidy(value: float, sign: int, scale: float) -> float:

@@ -3,74 +3,54 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited
 from hitchopt.requirements import Arena
 from hitchopt.steps import Step
 from hitchopt.steps.edits import DECIMALS, StepEdit, outline_scaled, points_scaled
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
+
+def team_values(problem: Problem, name: str) -> Array:
+    """Return the cable lengths [m], tensions [N] or largest thrusts [N] of the robots (n,)."""
+    if name == "max_thrust":
+        return np.array([kind.max_thrust for kind in problem.team.quadrotor])
+    values: Array = getattr(problem.team, name)
+    return values
 
 
 def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
-    """Return the problem with other cable lengths [m] or tensions [N] of the robots (n,)."""
-    rounded = [_rounded(value) for value in values]
-    changes: dict[str, Any] = {name: np.array(rounded)}
-    team = replace(problem.team, **changes)
-    return Edited(replace(problem, team=team), (Edit(f"team.{name}", _one_or_all(rounded)),))
+    """Return the problem with other ``team_values``."""
+    rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
+    changed: dict[str, Any] = {name: np.array(rounded)}
+    if name == "max_thrust":
+        pairs = zip(problem.team.quadrotor, rounded, strict=True)
+        kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
+        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, [vars(kind) for kind in kinds]
+    team = replace(problem.team, **changed)
+    same = all(value == rounded[0] for value in rounded)
+    edit = Edit(f"team.{name}", rounded[0] if same else rounded)
+    return Edited(replace(problem, team=team), (edit,))
 
 
-def with_thrust(problem: Problem, factor: float) -> Edited:
-    """Return the problem with every largest thrust times ``factor``."""
-    kinds = [
-        Quadrotor(kind.mass, _rounded(kind.max_thrust * factor)) for kind in problem.team.quadrotor
-    ]
-    team = replace(problem.team, quadrotor=tuple(kinds))
-    values = [{"mass": kind.mass, "max_thrust": kind.max_thrust} for kind in kinds]
-    return Edited(replace(problem, team=team), (Edit("team.quadrotor", _one_or_all(values)),))
+def with_bound(problem: Problem, key: str, value: float) -> Edited:
+    """Return the problem with another limit or distance to keep; key and unit are the file's."""
+    section, name = key.split(".")
+    changed = {"tilt": math.radians(value)} if name == "tilt_deg" else {name: value}
+    part: Any = replace(getattr(problem, section), **changed)
+    return Edited(replace(problem, **{section: part}), (Edit(key, value),))
 
 
-def with_limit(problem: Problem, name: str, value: float) -> Edited:
-    """Return the problem with another of its limits, named as in the file, in its unit."""
-    if name == "tilt_deg":
-        limits = replace(problem.limits, tilt=math.radians(value))
-    else:
-        limits = replace(problem.limits, **{name: value})
-    return Edited(replace(problem, limits=limits), (Edit(f"limits.{name}", value),))
-
-
-def with_separation(problem: Problem, name: str, value: float) -> Edited:
-    """Return the problem with another distance to keep [m]."""
-    separation = replace(problem.separation, **{name: value})
-    return Edited(replace(problem, separation=separation), (Edit(f"separation.{name}", value),))
-
-
-def with_arena(problem: Problem, lower: Array, upper: Array) -> Edited:
-    """Return the problem in another box, its corners (3,) [m]."""
-    arena = Arena(lower, upper)
+def with_arena(problem: Problem, arena: Arena) -> Edited:
+    """Return the problem in another box."""
     value = {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()}
     return Edited(replace(problem, arena=arena), (Edit("arena", value),))
-
-
-def with_spread_start(problem: Problem, start: HitchStart) -> Edited:
-    """Return the problem whose start, a hitch, has its legs spread."""
-    return Edited(
-        replace(problem, start=replace(start, legs="spread")), (Edit("start.hitch.legs", "spread"),)
-    )
-
-
-def with_spread_legs(problem: Problem, i: int) -> Edited:
-    """Return the problem whose step i, one that has legs, ends with its legs spread."""
-    return with_step_edit(problem, i, StepEdit("legs", "spread", {"legs": "spread"}))
 
 
 def with_step_edit(problem: Problem, i: int, edit: StepEdit) -> Edited:
@@ -132,13 +112,3 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
         steps.append(scaled)
         edits += written
     return Edited(replace(problem, start=start, mission=tuple(steps)), tuple(edits))
-
-
-def _one_or_all(values: Sequence[object]) -> object:
-    """Return the value that all have, as files may write it, or the list of them."""
-    return values[0] if all(value == values[0] for value in values) else list(values)
-
-
-def _rounded(value: float) -> float:
-    """Return ``value`` as a file is to show it: a product's last digits tell nothing."""
-    return round(float(value), DECIMALS)

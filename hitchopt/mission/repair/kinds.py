@@ -8,26 +8,38 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.problem import DronesStart, Problem
-from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
+from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered
 from hitchopt.mission.repair.constraints import TIMES, broken_constraints
 from hitchopt.mission.repair.editing import (
+    team_values,
     with_outlines_scaled,
     with_robots_apart,
     with_robots_drawn,
-    with_separation,
     with_team_values,
 )
-from hitchopt.mission.repair.least_changes import all_walls, limit_kinds, step_kinds, wall_kinds
+from hitchopt.mission.repair.least_changes import (
+    all_walls,
+    bound_quantity,
+    limit_kinds,
+    step_kinds,
+    wall_kinds,
+)
 from hitchopt.steps.edits import FORCES, RATES, SPACE
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
 """Constraints that more distance repairs."""
+
+SAFETY = (
+    ("radius", frozenset({"separation"})),
+    ("height", frozenset({"separation"})),
+    ("cable", frozenset({"cable_clearance"})),
+    ("crossing", frozenset({"crossing"})),
+)
+"""Distances that are there for safety, and the constraints that smaller ones repair."""
 
 MOST_NAMED = 3
 """Most single cables tried, those that the broken limits name first."""
@@ -38,7 +50,7 @@ def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
     kinds = (
         *_starts(problem),
         *_lengths(problem, error.violations),
-        *_tensions(problem, error.violations),
+        *_forces(problem, error.violations),
         *limit_kinds(problem, error.violations),
         *step_kinds(problem, error.violations),
         *wall_kinds(problem, error.violations),
@@ -52,17 +64,9 @@ def last_resorts(problem: Problem, error: InfeasibleError) -> list[Kind]:
     All walls at once, and those that give up some of the distances that are there for safety.
     """
     kinds = list(all_walls(problem, error.violations))
-    for name, covers in (
-        ("radius", frozenset({"separation"})),
-        ("height", frozenset({"separation"})),
-        ("cable", frozenset({"cable_clearance"})),
-        ("crossing", frozenset({"crossing"})),
-    ):
-        old = float(getattr(problem.separation, name))
-        if old > 0.0:
-            quantity = Quantity(
-                f"separation.{name}", old, "m", partial(with_separation, problem, name)
-            )
+    for name, covers in SAFETY:
+        quantity = bound_quantity(problem, f"separation.{name}", "m")
+        if quantity.old > 0.0:
             kinds.append(lowered(quantity, covers, relaxes=True))
     return _covering(kinds, error)
 
@@ -75,31 +79,35 @@ def _covering(kinds: Sequence[Kind], error: InfeasibleError) -> list[Kind]:
 def _lengths(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
     """Yield changes of all cables, of single ones that are named, and of the outlines' size."""
     for one in _single(problem, "cable_length", "m", "one cable", violations):
-        yield replace(raised(one, SPACE), family="one cable")
+        yield Kind(one, 1, SPACE, family="one cable")
     every = _every(problem, "cable_length", "m", "all cables")
-    yield raised(every, SPACE)
+    yield Kind(every, 1, SPACE)
     yield lowered(every, TOO_CLOSE | {"arena"})
-    outlines = Quantity(
-        "polygon", 1.0, "times", partial(with_outlines_scaled, problem), "scale of all polygons"
-    )
+    put = partial(with_outlines_scaled, problem)
+    outlines = Quantity("polygon", 1.0, "times", put, "scale of all polygons")
     yield lowered(outlines, SPACE | RATES | TIMES | {"arena"})
-    yield raised(outlines, TOO_CLOSE)
+    yield Kind(outlines, 1, TOO_CLOSE)
 
 
-def _tensions(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield lower tensions: of single cables that are named, where they differ, and of all."""
-    same = bool(np.all(problem.team.tension == problem.team.tension[0]))
+def _forces(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
+    """Yield lower tensions, of single cables that are named and of all, and more thrust."""
+    same = _same(problem.team.tension)
     if not same:
         for one in _single(problem, "tension", "N", "one tension", violations):
             # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-            yield replace(lowered(one, FORCES | SPACE | {"crossing"}), family="one tension")
+            yield lowered(one, FORCES | SPACE | {"crossing"}, family="one tension")
     yield lowered(_every(problem, "tension", "N", "" if same else "all tensions"), FORCES)
+    thrust = _every(problem, "max_thrust", "N", "every max_thrust")
+    same = thrust.unit == "N"
+    key = "team.quadrotor.max_thrust" if same else "team.quadrotor"
+    thrust = replace(thrust, key=key, words="" if same else thrust.words)
+    yield Kind(thrust, 1, TIMES | {"thrust"}, relaxes=True)
 
 
 def _every(problem: Problem, name: str, unit: str, words: str) -> Quantity:
     """Return the team's values (n,) as one quantity: the value that all have, or a factor."""
-    values: Array = getattr(problem.team, name)
-    same = bool(np.all(values == values[0]))
+    values = team_values(problem, name)
+    same = _same(values)
     ratios = np.ones(len(values)) if same else values
 
     def put(new: float) -> Edited:
@@ -109,11 +117,15 @@ def _every(problem: Problem, name: str, unit: str, words: str) -> Quantity:
     return Quantity(f"team.{name}", old, unit if same else "times", put, words)
 
 
+def _same(values: Array) -> bool:
+    return bool(np.all(values == values[0]))
+
+
 def _single(
     problem: Problem, name: str, unit: str, words: str, violations: Sequence[Violation]
 ) -> Iterator[Quantity]:
     """Yield the values of single robots that are named."""
-    values: Array = getattr(problem.team, name)
+    values = team_values(problem, name)
     for k in _named(violations, len(values)):
 
         def put(new: float, k: int = k) -> Edited:
@@ -128,13 +140,11 @@ def _starts(problem: Problem) -> Iterator[Kind]:
     start = problem.start
     if not isinstance(start, DronesStart):
         return
-    for put, words, kind, covers in (
-        (with_robots_apart, "robots from their middle", raised, TOO_CLOSE),
-        (with_robots_drawn, "two drones of a robot", lowered, frozenset({"span"})),
-    ):
-        yield kind(
-            Quantity("start.drones", 1.0, "times", partial(put, problem, start), words), covers
-        )
+    apart, drawn = (partial(put, problem, start) for put in (with_robots_apart, with_robots_drawn))
+    key, unit = "start.drones", "times"
+    yield Kind(Quantity(key, 1.0, unit, apart, "robots from their middle"), 1, TOO_CLOSE)
+    pairs = Quantity(key, 1.0, unit, drawn, "two drones of a robot")
+    yield lowered(pairs, frozenset({"span"}))
 
 
 def _named(violations: Sequence[Violation], robots: int) -> list[int]:

@@ -4,65 +4,58 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from hitchopt.errors import Violation
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered, raised
+from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered
 from hitchopt.mission.repair.constraints import TIMES, beyond, needed, short
-from hitchopt.mission.repair.editing import with_arena, with_limit, with_step_edit, with_thrust
+from hitchopt.mission.repair.editing import with_arena, with_bound, with_step_edit
 from hitchopt.steps.edits import PLAN_DURATION, Tunable
 
 STEEPEST = 80.0
 """Largest tilt suggested [deg]."""
 
 WALLS = tuple((side, axis) for axis in range(3) for side in ("lower", "upper"))
+"""Sides and axes of an arena."""
+
+RAISED_LIMITS = (
+    ("speed", "m/s", TIMES | {"speed"}),
+    ("acceleration", "m/s²", TIMES | {"acceleration"}),
+    ("jerk", "m/s³", TIMES | {"jerk"}),
+    ("vertex_speed", "m/s", TIMES | {"vertex_speed"}),
+    ("duration", "s", frozenset({PLAN_DURATION})),
+)
+"""Limits that may be raised, with their units and the constraints that this repairs."""
+
+
+def bound_quantity(problem: Problem, key: str, unit: str) -> Quantity:
+    """Return a limit or a distance to keep, by its key in the file."""
+    section, name = key.split(".")
+    old = float(getattr(getattr(problem, section), name))
+    return Quantity(key, old, unit, partial(with_bound, problem, key))
 
 
 def limit_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield limits of motion and thrust raised, and the shortest leg lowered."""
-    limits = problem.limits
-    for name, unit in (
-        ("speed", "m/s"),
-        ("acceleration", "m/s²"),
-        ("jerk", "m/s³"),
-        ("vertex_speed", "m/s"),
-    ):
-        quantity = Quantity(
-            f"limits.{name}", getattr(limits, name), unit, partial(with_limit, problem, name)
-        )
-        yield raised(quantity, TIMES | {name}, needed(violations, name), relaxes=True)
-    degrees = round(math.degrees(limits.tilt), 9)
-    tilt = Quantity("limits.tilt_deg", degrees, "deg", partial(with_limit, problem, "tilt_deg"))
+    """Yield limits of motion raised, and the shortest leg lowered."""
+    for name, unit, covers in RAISED_LIMITS:
+        if getattr(problem.limits, name) is not None:
+            least = needed(violations, PLAN_DURATION if name == "duration" else name)
+            quantity = bound_quantity(problem, f"limits.{name}", unit)
+            yield Kind(quantity, 1, covers, least, relaxes=True)
+    degrees = round(math.degrees(problem.limits.tilt), 9)
     if degrees < STEEPEST:
-        steepest = STEEPEST / degrees - 1.0
-        yield raised(tilt, TIMES | {"tilt"}, needed(violations, "tilt"), steepest, relaxes=True)
-    thrusts = np.array([kind.max_thrust for kind in problem.team.quadrotor])
-    same = bool(np.all(thrusts == thrusts[0]))
-    old = float(thrusts[0]) if same else 1.0
-    thrust = Quantity(
-        "team.quadrotor.max_thrust" if same else "team.quadrotor",
-        old,
-        "N" if same else "times",
-        lambda new: with_thrust(problem, new / old),
-        "" if same else "every max_thrust",
-    )
-    yield raised(thrust, TIMES | {"thrust"}, relaxes=True)
-    leg = Quantity("limits.leg", limits.leg, "m", partial(with_limit, problem, "leg"))
-    yield lowered(leg, frozenset({"legs"}), relaxes=True)
+        key, most = "limits.tilt_deg", STEEPEST / degrees - 1.0
+        tilt = Quantity(key, degrees, "deg", partial(with_bound, problem, key))
+        yield Kind(tilt, 1, TIMES | {"tilt"}, needed(violations, "tilt"), most, relaxes=True)
+    yield lowered(bound_quantity(problem, "limits.leg", "m"), frozenset({"legs"}), relaxes=True)
 
 
 def step_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
-    """Yield the plan's longest duration raised, and the numbers of steps that can be changed."""
-    longest = problem.limits.duration
-    if longest is not None:
-        quantity = Quantity(
-            "limits.duration", longest, "s", partial(with_limit, problem, "duration")
-        )
-        least = needed(violations, PLAN_DURATION)
-        yield raised(quantity, frozenset({PLAN_DURATION}), least, relaxes=True)
+    """Yield the numbers of steps that can be changed."""
     for i, step in enumerate(problem.mission):
         own = short([v for v in violations if f"step {i} " in v.when])
         for tunable in step.tunables():
@@ -71,7 +64,7 @@ def step_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Ki
             quantity = Quantity(key, tunable.old, tunable.unit, put, tunable.words)
             lasts = "duration" in tunable.raises  # a longer step takes nothing away
             if tunable.raises:
-                yield raised(quantity, tunable.raises, own if lasts else 0.0, relaxes=lasts)
+                yield Kind(quantity, 1, tunable.raises, own if lasts else 0.0, relaxes=lasts)
             yield lowered(quantity, tunable.lowers)
 
 
@@ -84,20 +77,18 @@ def wall_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[Ki
     arena = problem.arena
     if arena is None:
         return
-    covers = frozenset({"arena"})
-    short = beyond(violations)
-    extents = arena.upper - arena.lower
     for side, axis in WALLS:
-        sign = -1 if side == "lower" else 1
-        old, extent = float(getattr(arena, side)[axis]), float(extents[axis])
+        corner = getattr(arena, side)
 
         def put(new: float, side: str = side, axis: int = axis) -> Edited:
-            corners = {"lower": arena.lower.copy(), "upper": arena.upper.copy()}
-            corners[side][axis] = new
-            return with_arena(problem, **corners)
+            moved = getattr(arena, side).copy()
+            moved[axis] = new
+            return with_arena(problem, replace(arena, **{side: moved}))
 
-        wall = Quantity(f"arena.{side}[{axis}]", old, "m", put, "one wall", extent)
-        yield Kind(covers, partial(wall.moved, sign=sign), short / extent, relaxes=True)
+        extent = float(arena.upper[axis] - arena.lower[axis])
+        key, sign = f"arena.{side}[{axis}]", -1 if side == "lower" else 1
+        wall = Quantity(key, float(corner[axis]), "m", put, "one wall", extent)
+        yield Kind(wall, sign, frozenset({"arena"}), beyond(violations) / extent, relaxes=True)
 
 
 def all_walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
@@ -107,9 +98,9 @@ def all_walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kin
         return
 
     def put(by: float) -> Edited:
-        return with_arena(problem, np.round(arena.lower - by, 9), np.round(arena.upper + by, 9))
+        lower, upper = np.round(arena.lower - by, 9), np.round(arena.upper + by, 9)
+        return with_arena(problem, replace(arena, lower=lower, upper=upper))
 
     extent = float(np.min(arena.upper - arena.lower))
     walls = Quantity("arena", 0.0, "m", put, "every wall moved out", extent)
-    least = beyond(violations) / extent
-    yield Kind(frozenset({"arena"}), partial(walls.moved, sign=1), least, relaxes=True)
+    yield Kind(walls, 1, frozenset({"arena"}), beyond(violations) / extent, relaxes=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch.cable_slack import balanced_legs
 from hitchopt.mission.problem import HitchStart, Problem
-from hitchopt.mission.repair.change import Change, Edited
+from hitchopt.mission.repair.change import Change, Edit, Edited
 from hitchopt.mission.repair.constraints import broken_constraints
-from hitchopt.mission.repair.editing import with_spread_legs, with_spread_start
-from hitchopt.steps.edits import SPACE
+from hitchopt.mission.repair.editing import with_step_edit
+from hitchopt.steps.edits import SPACE, StepEdit
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 
@@ -30,14 +31,14 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
     outline, start = problem.start_outline, problem.start
     places: list[tuple[str, SlackSplit, Outline, Edited]] = []
     if isinstance(start, HitchStart) and outline is not None:
-        edited = with_spread_start(problem, start)
-        places.append(("start.hitch.legs", start.legs, outline, edited))
+        key, changed = "start.hitch.legs", replace(problem, start=replace(start, legs="spread"))
+        places.append((key, start.legs, outline, Edited(changed, (Edit(key, "spread"),))))
     for i, step in enumerate(problem.mission):
         outline = step.polygon_left(problem.team, outline)
         legs = getattr(step, "legs", None)
         if legs is not None and outline is not None:
-            key = f"mission[{i}].{step.name}.legs"
-            places.append((key, legs, outline, with_spread_legs(problem, i)))
+            edited = with_step_edit(problem, i, StepEdit("legs", "spread", {"legs": "spread"}))
+            places.append((edited.edits[0].key, legs, outline, edited))
     for key, legs, shape, edited in places:
         sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
         if isinstance(sharing, str) and sharing == "spread":
@@ -53,8 +54,7 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
 def _farthest(problem: Problem, outline: Outline, legs: SlackSplit) -> float:
     """Return how far a leg is from the spread ones at most, over its cable's length."""
     team = problem.team
-    requirements = problem.requirements
     lengths = legs.sharing if isinstance(legs, RolledLegs) else legs
     given = balanced_legs(team, outline) if isinstance(lengths, str) else lengths
-    spread = split_hitch(team, outline, 0.0, "spread", requirements)
+    spread = split_hitch(team, outline, 0.0, "spread", problem.requirements)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError
+from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair.change import Change, Kind, Suggestion
 from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.kinds import last_resorts, likely_kinds
 from hitchopt.mission.repair.spreading import spread_changes
-from hitchopt.mission.solving import Progress, solve_problem
-from hitchopt.time_limit import TimeIsUp, time_left
+from hitchopt.mission.solving import solve_problem
+from hitchopt.time_limit import Progress, TimeIsUp, time_left
 
 BUDGET = 15.0
 """Time [s] after which no further plan is begun: a user waits for it."""
@@ -36,20 +35,8 @@ NO_CHANGE = "no single change was found that makes it feasible"
 """Message where there is no suggestion."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Verdict:
-    """What the planner says of a change: its plan's duration [s], or the constraints that bind."""
-
-    duration: float | None
-    broken: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True, eq=False)
-class _Attempt:
-    """A kind of change that may do at sizes above ``failed``, the last one that did not."""
-
-    kind: Kind
-    failed: float = 0.0
+Verdict = Suggestion | frozenset[str]
+"""A suggestion if a change is planned and certified, else the constraints that bind, if known."""
 
 
 class _Judge:
@@ -63,25 +50,26 @@ class _Judge:
     @property
     def over(self) -> bool:
         """Whether no further plan is to be begun."""
-        return time.monotonic() >= self._end or time_left() <= 0.0
+        return self.left <= 0.0 or time_left() <= 0.0
 
     @property
     def left(self) -> float:
         """Time that is left [s]."""
         return max(0.0, self._end - time.monotonic())
 
-    def __call__(self, change: Change) -> _Verdict:
+    def __call__(self, change: Change | None) -> Verdict | None:
+        """Return the verdict; None where there is no change, or no time for it."""
+        if change is None or self.over:
+            return None
         if self._progress is not None:
             self._progress(f"trying {change}")
         try:
             found = solve_problem(change.problem, optimiser=self._optimiser)
         except InfeasibleError as error:
-            return _Verdict(None, broken_constraints(error))
-        except HitchoptError:
-            return _Verdict(None)  # no timing found: larger changes may do
-        except TimeIsUp:
-            return _Verdict(None)  # the search is over; what it has found stays
-        return _Verdict(found.motion.duration)
+            return broken_constraints(error)
+        except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
+            return frozenset()
+        return Suggestion(change, found.motion.duration)
 
 
 def find_suggestions(
@@ -105,7 +93,7 @@ def find_suggestions(
     """
     judge = _Judge(budget, progress, optimiser=False)
     found = [
-        *_judged(spread_changes(problem, error), judge),
+        *_suggestions(map(judge, spread_changes(problem, error))),
         *_smallest(likely_kinds(problem, error), judge),
     ]
     if not found:
@@ -116,37 +104,36 @@ def find_suggestions(
     return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
 
 
-def _judged(changes: Iterable[Change], judge: _Judge) -> list[Suggestion]:
-    """Return those changes of one size only that do."""
-    found = []
-    for change in changes:
-        duration = None if judge.over else judge(change).duration
-        if duration is not None:
-            found.append(Suggestion(change, duration))
-    return found
+def _suggestions(verdicts: Iterable[Verdict | None]) -> list[Suggestion]:
+    return [verdict for verdict in verdicts if isinstance(verdict, Suggestion)]
 
 
 def _smallest(kinds: Sequence[Kind], judge: _Judge) -> list[Suggestion]:
     """Return the smallest changes of the kinds of which the smallest sizes do."""
-    found, others = _hinted(kinds, judge)
-    attempts = [_Attempt(kind, kind.least) for kind in others if _can_do(kind, judge)]
+    # Sizes that are known to be needed may be enough.
+    hinted = [judge(kind.change(kind.least)) if kind.least > 0.0 else None for kind in kinds]
+    found = _suggestions(hinted)
+    others = [k for k, v in zip(kinds, hinted, strict=True) if not isinstance(v, Suggestion)]
+    attempts = [(kind, kind.least) for kind in others if _can_do(kind, judge)]
     families: set[str] = set()
     for size in SIZES:
         later = []
-        for attempt in attempts:
+        for kind, failed in attempts:
             if judge.over:
                 return found
-            if attempt.kind.family in families:
+            if kind.family in families:
                 continue
-            if size < attempt.kind.least and size != SIZES[-1]:
-                later.append(attempt)
+            if size < kind.least and size != SIZES[-1]:
+                later.append((kind, failed))
                 continue
-            outcome = _try(attempt, size, judge)
-            if isinstance(outcome, Suggestion):
-                found.append(outcome)
-                families |= {attempt.kind.family} - {""}
-            elif outcome is not None:
-                later.append(outcome)
+            current = _size(kind, size)
+            verdict = judge(kind.change(current))
+            if isinstance(verdict, Suggestion):
+                found.append(_narrowed(kind, failed, current, verdict, judge))
+                families |= {kind.family} - {""}
+            # Where other things are broken larger changes would break them the more.
+            elif verdict is not None and verdict <= kind.covers and current < kind.most:
+                later.append((kind, current))
         attempts = later
         smallest = min((abs(s.change.relative) for s in found), default=math.inf)
         if len(found) >= ENOUGH or size >= FAR * smallest:
@@ -154,41 +141,10 @@ def _smallest(kinds: Sequence[Kind], judge: _Judge) -> list[Suggestion]:
     return found
 
 
-def _hinted(kinds: Sequence[Kind], judge: _Judge) -> tuple[list[Suggestion], list[Kind]]:
-    """Return the changes of sizes known to be needed that are enough, and the kinds left to try."""
-    found: list[Suggestion] = []
-    others = []
-    for kind in kinds:
-        change = _change(kind, kind.least) if kind.least > 0.0 and not judge.over else None
-        duration = None if change is None else judge(change).duration
-        if change is None or duration is None:
-            others.append(kind)
-        else:
-            found.append(Suggestion(change, duration))
-    return found, others
-
-
 def _can_do(kind: Kind, judge: _Judge) -> bool:
     """Return whether a kind that takes nothing away does at its largest size."""
-    if not kind.relaxes:
-        return True
-    change = _change(kind, _size(kind, SIZES[-1]))
-    return change is not None and not judge.over and judge(change).duration is not None
-
-
-def _try(attempt: _Attempt, size: float, judge: _Judge) -> Suggestion | _Attempt | None:
-    """Return what a size gives: a suggestion, the attempt to go on with, or None to give up."""
-    kind, failed = attempt.kind, attempt.failed
-    current = _size(kind, size)
-    change = _change(kind, current)
-    if change is None:
-        return None
-    verdict = judge(change)
-    if verdict.duration is not None:
-        return _narrowed(kind, failed, current, Suggestion(change, verdict.duration), judge)
-    if not verdict.broken <= kind.covers:
-        return None  # it breaks other things, and larger ones would break them the more
-    return None if current >= kind.most else _Attempt(kind, current)
+    largest = kind.change(_size(kind, SIZES[-1])) if kind.relaxes else None
+    return not kind.relaxes or isinstance(judge(largest), Suggestion)
 
 
 def _size(kind: Kind, size: float) -> float:
@@ -202,23 +158,12 @@ def _narrowed(
     """Return the smallest change between a size that failed and one that did, by bisection."""
     while size - failed > RESOLUTION * (1.0 + size) and not judge.over:
         middle = 0.5 * (failed + size)
-        change = _change(kind, middle)
+        change = kind.change(middle)
         if change is None:
             break
-        if change.new == found.change.new:  # rounded to the same
-            size = middle
-            continue
-        duration = judge(change).duration
-        if duration is None:
-            failed = middle
+        verdict = found if change.new == found.change.new else judge(change)  # rounded to the same
+        if isinstance(verdict, Suggestion):
+            size, found = middle, verdict
         else:
-            size, found = middle, Suggestion(change, duration)
+            failed = middle
     return found
-
-
-def _change(kind: Kind, size: float) -> Change | None:
-    """Return the change of that size, or None where there is none."""
-    try:
-        return kind.of_size(size)
-    except InputError:  # such as an outline that a wall or a step no longer fits
-        return None

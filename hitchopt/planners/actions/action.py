@@ -6,15 +6,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, roll_between
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
+WHOLE = np.array([0.0, 1.0])
+"""Breaks of s, of a path in one piece."""
 
 LINEAR = (0.0, 1.0)
 """Bernstein coefficients of s: how a deviation from the kept legs grows along a path."""
@@ -31,18 +32,18 @@ class Action:
     ----------
     start: the hitch before.
     polygon: the outline after.
-    vertices: of shape (n, 3) over s from 0 to 1 [m], the path between.
     length, share: (n,) [m] and without unit; the legs kept are ``d = length + share · slack``.
     named: the drones that move by this law where tensions are equal.
+    track: of shape (n, 3) over s from 0 to 1 [m], the vertices in between; None for straight lines.
     seconds: [s] how long, where s is time already; else None.
     """
 
     start: Hitch
     polygon: Outline
-    vertices: PiecewisePolynomial
     length: Array
     share: Array
     named: tuple[str, ...]
+    track: PiecewisePolynomial | None = None
     seconds: float | None = None
 
     @property
@@ -51,6 +52,15 @@ class Action:
         slack = cable_slack(self.start.team, self.polygon)
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
+    @property
+    def vertices(self) -> PiecewisePolynomial:
+        """The vertices' path, of shape (n, 3) over s from 0 to 1 [m]."""
+        if self.track is not None:
+            return self.track
+        start, points = self.start, self.polygon.vertices
+        end = np.column_stack([points, np.full(len(points), start.altitude)])
+        return PiecewisePolynomial(WHOLE, np.stack([start.vertices, end], axis=-1)[None])
+
     def path(self, end: Hitch | None = None) -> ShapePath:
         """Return the path that ends with a hitch's legs and roll, those kept if None.
 
@@ -58,19 +68,11 @@ class Action:
         """
         deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.kept_legs
         grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
-        whole = np.array([0.0, 1.0])
+        length = (self.length[:, None] + deviation[:, None] * grown)[None]
+        share = PiecewisePolynomial.constant(WHOLE, self.share)
+        law = LegLaw(PiecewisePolynomial(WHOLE, length), share)
         roll = roll_between(self.start, self.start if end is None else end, tuple(grown))
-        length = PiecewisePolynomial(
-            whole, (self.length[:, None] + deviation[:, None] * grown)[None]
-        )
-        law = LegLaw(length, PiecewisePolynomial.constant(whole, self.share))
         return ShapePath(self.start.team, self.vertices, law, roll=roll)
-
-
-def straight_vertices(start: Hitch, polygon: Outline) -> PiecewisePolynomial:
-    """Return the vertices' straight path to an outline at the same height, over s."""
-    end = np.column_stack([polygon.vertices, np.full(len(polygon), start.altitude)])
-    return PiecewisePolynomial(np.array([0.0, 1.0]), np.stack([start.vertices, end], axis=-1)[None])
 
 
 def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:

@@ -1,16 +1,25 @@
-"""Actions that move vertices straight, or none: ``move_vertex``, ``move_edge``, ``adjust``."""
+"""The paper's actions ``move_vertex``, ``move_edge`` and ``adjust``, and ``follow_vertex``."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from itertools import pairwise
 
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
-from hitchopt.planners.actions.action import Action, drone_names, straight_vertices
+from hitchopt.planners.actions.action import Action, drone_names
 from hitchopt.planners.timing.flight_curves import MOVES
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
+SAME_PLACE = 1e-6
+"""[m] Largest distance of a point at t = 0 from the vertex."""
+
+STILL = 1e-9
+"""[m] Distance of consecutive points below which the vertex stands still."""
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
@@ -19,35 +28,24 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     ``e_k`` and ``d_{k-1}`` are kept, so ``q_k``, ``r_{k-1}`` go with the vertex and ``q_{k+1}``,
     ``r_{k-2}`` turn with its edges; where tensions differ, so may others at ``p_{k-1}, p_{k+1}``.
     """
-    length, share = legs_kept_by_vertex(start, vertex)
-    return Action(
-        start,
-        polygon,
-        straight_vertices(start, polygon),
-        length,
-        share,
-        vertex_movers(start, vertex),
-    )
+    return Action(start, polygon, *vertex_law(start, vertex))
 
 
-def legs_kept_by_vertex(start: Hitch, vertex: int) -> tuple[Array, Array]:
-    """Return length and share of the law under which a vertex moves: ``e_k`` kept, else ``d``."""
-    length, share = start.q_legs.copy(), np.zeros(start.team.robots)
-    if start.team.layout.closed or vertex < start.team.robots:
-        length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
-    return length, share
+def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return length and share of the law by which a vertex moves, and the drones that it names.
 
-
-def vertex_movers(start: Hitch, vertex: int) -> tuple[str, ...]:
-    """Return the four drones that the paper names, fewer near a chain's ends.
-
-    At its very ends the edge's cable has one leg only, whose drone moves as the edge's length does.
+    ``e_k`` is kept, else ``d``. The paper names four drones, fewer near a chain's ends. At its very
+    ends the edge's cable has one leg only, whose drone moves as the edge's length does.
     """
+    closed, n = start.team.layout.closed, start.team.robots
+    length, share = start.q_legs.copy(), np.zeros(n)
+    if closed or vertex < n:
+        length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
     q, r = [vertex, vertex + 1], [vertex - 1, vertex - 2]
-    if not start.team.layout.closed:
+    if not closed:
         r += [0] if vertex == 0 else []
-        q += [vertex - 1] if vertex == start.team.robots else []
-    return drone_names(start.team, q, r)
+        q += [vertex - 1] if vertex == n else []
+    return length, share, drone_names(start.team, q, r)
 
 
 def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
@@ -68,8 +66,7 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
         r.append(edge - 2)
     if _turned(start, polygon, edge + 1):
         q.append(edge + 2)
-    named = drone_names(start.team, q, r)
-    return Action(start, polygon, straight_vertices(start, polygon), length, share, named)
+    return Action(start, polygon, length, share, drone_names(start.team, q, r))
 
 
 def adjust(start: Hitch, q_legs: Array) -> Action:
@@ -77,15 +74,9 @@ def adjust(start: Hitch, q_legs: Array) -> Action:
 
     Drones move of those cables only whose legs change.
     """
-    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES)
-    return Action(
-        start,
-        start.polygon,
-        straight_vertices(start, start.polygon),
-        start.q_legs.copy(),
-        np.zeros(start.team.robots),
-        drone_names(start.team, sliding.tolist(), sliding.tolist()),
-    )
+    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES).tolist()
+    named = drone_names(start.team, sliding, sliding)
+    return Action(start, start.polygon, start.q_legs, np.zeros(start.team.robots), named)
 
 
 def _turned(start: Hitch, polygon: Outline, edge: int) -> bool:
@@ -95,3 +86,72 @@ def _turned(start: Hitch, polygon: Outline, edge: int) -> bool:
         return False
     before, after = (p.edge_directions[edge % count] for p in (start.polygon, polygon))
     return bool(np.linalg.norm(after - before) * polygon.edge_lengths[edge % count] > MOVES)
+
+
+def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) -> Action:
+    """Return the action that leads ``vertex`` along timed points, legs kept as by move_vertex.
+
+    Parameters
+    ----------
+    start: the hitch before.
+    polygon: the outline after.
+    vertex: which.
+    points: (J, 3), rows ``t, x, y`` [s, m, m]; t increases from 0 or later.
+
+    Raises
+    ------
+    InfeasibleError: a point at t = 0 that is not where the vertex is.
+    """
+    here = start.vertices[vertex, :2]
+    if points[0, 0] == 0.0:
+        _check_begin(here, points[0, 1:], vertex)
+        points = points[1:]
+    times = np.append(0.0, points[:, 0])
+    track = vertex_track(times, np.vstack([here, points[:, 1:]]))
+    still = np.repeat(start.vertices[None, ..., None], track.pieces, axis=0)
+    coefficients = np.repeat(still, track.degree + 1, axis=-1)
+    coefficients[:, vertex, :2] = track.coefficients
+    seconds = float(times[-1])
+    path = PiecewisePolynomial(times / seconds, coefficients)
+    return Action(start, polygon, *vertex_law(start, vertex), path, seconds)
+
+
+def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
+    """Return the path through ``places`` (J, d) [m] at ``times`` (J,) [s], one piece each.
+
+    Each moving stretch is a quintic spline with four continuous derivatives, which is the smoothest
+    one in the sense of least jerk; it is at rest at both ends.
+    """
+    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    resting = gaps < STILL
+    # A stretch ends where the vertex stops or starts.
+    changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
+    bounds = [0, *changes.tolist(), len(gaps)]
+    coefficients = np.empty((len(gaps), places.shape[1], 6))
+    still = np.zeros(places.shape[1])
+    rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
+    for first, last in pairwise(bounds):
+        span = slice(first, last)
+        if resting[first]:
+            coefficients[span] = places[span, :, None]
+            continue
+        knots = times[first : last + 1]
+        met = places[first : last + 1]
+        spline = make_interp_spline(knots - knots[0], met, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
+        coefficients[span] = PiecewisePolynomial.from_spline(spline).coefficients
+        coefficients[span, :, 0] = places[first:last]
+        coefficients[span, :, -1] = places[first + 1 : last + 1]
+    return PiecewisePolynomial(times, coefficients)
+
+
+def _check_begin(here: Array, first: Array, vertex: int) -> None:
+    away = float(np.linalg.norm(first - here))
+    if away > SAME_PLACE:
+        where = (f"p{vertex}",)
+        remedy = (
+            f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
+            f"{here.round(9).tolist()}: begin there, or later"
+        )
+        raise InfeasibleError(
+            [Violation("continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy)]
+        )

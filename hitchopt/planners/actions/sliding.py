@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.planners.path.leg_law import (
@@ -13,15 +12,13 @@ from hitchopt.planners.path.leg_law import (
     MARGIN,
     PROBES,
     laws_nearby,
+    leg_task_along,
     legs_clear,
-    sharing_task,
 )
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
-
-Array = NDArray[np.float64]
 
 SLIDES = 1e-6
 """[m] A cable whose legs would change by less keeps them exactly."""
@@ -90,7 +87,7 @@ def _worst_place(path: ShapePath, requirements: Requirements) -> float:
     legs = shapes_along(path, s).legs[:, path.team.layout.has_leg]
     shortest = np.min(legs, axis=1) / requirements.limits.leg
     apart = [
-        reference_margin(sharing_task(path, requirements, s[j : j + 1], CLEAR))
+        reference_margin(leg_task_along(path, requirements, s[j : j + 1], CLEAR))
         for j in range(len(s))
     ]
     return float(s[int(np.argmin(np.minimum(shortest, apart)))])

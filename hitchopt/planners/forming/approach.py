@@ -9,25 +9,23 @@ tangle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.planners.forming.clock import SHARE, accelerations
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.reserve import SHARE, accelerations
-from hitchopt.planners.forming.stage import Stage
 from hitchopt.planners.forming.straight import STILL, straight
+from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.separation import SeparationTask, Tether, separate
-from hitchopt.requirements import Limits, Requirements
+from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DRAWN = 1.6
 """Separation [1] of a gathered robot's two drones."""
@@ -43,7 +41,7 @@ ROOM = 1.15
 
 
 @dataclass(frozen=True, eq=False)
-class ApproachTask:
+class Approach:
     """A flight of drones that carry free cables.
 
     Attributes
@@ -58,16 +56,142 @@ class ApproachTask:
     goal: Array
     requirements: Requirements
 
+    def line(self, name: str, start: Array, end: Array) -> Stage:
+        """Return the stage of all drones on straight lines."""
+        return Stage(name, straight(self.team, self.requirements.limits, start, end))
+
+    def needed(self, name: str, start: Array, end: Array) -> list[Stage]:
+        """Return the stage of all drones on straight lines; none where they are there."""
+        return [] if np.max(np.abs(end - start)) < STILL else [self.line(name, start, end)]
+
+    def risen(self, *others: Array) -> Array:
+        """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
+
+        Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
+        """
+        clearance = CLEARANCE * self.requirements.separation.cable
+        needed = max(
+            hover_altitude(self.team, places, self.requirements.floor, clearance)
+            for places in (self.start, *others)
+        )
+        here = self.start.copy()
+        if np.min(here[:, 2]) < needed:
+            here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
+        return here
+
+    def separated(
+        self,
+        ends: tuple[Array, Array],
+        places: Array,
+        separation: Separation,
+        names: tuple[str, ...],
+        tethers: tuple[Tether, ...] = (),
+    ) -> SeparationTask:
+        """Return the task of bodies that fly apart, with a reserve for the certificate's bounds.
+
+        Parameters
+        ----------
+        ends: where they start, and their goals (bodies, 3) [m].
+        places: (J, 2n, 3) [m], of the drones, which tell how much bodies may accelerate.
+        separation, names, tethers: of the bodies.
+        """
+        limits = self.requirements.limits
+        rates = {name: SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")}
+        reserved = replace(limits, **rates)
+        least = accelerations(self.team, limits, places).reshape(len(names), -1).min(axis=1)
+        requirements = replace(self.requirements, limits=reserved, separation=separation)
+        return SeparationTask(*ends, requirements, tethers=tethers, acceleration=least, names=names)
+
+
+@dataclass(frozen=True, eq=False)
+class DirectApproach(Approach):
+    """The planner of an approach in which all drones fly at once, those of a cable tethered."""
+
     @property
-    def limits(self) -> Limits:
-        """Limits of motion."""
-        return self.requirements.limits
+    def problem(self) -> SeparationTask:
+        """The flight after the take-off."""
+        here = self.risen()
+        tethers = tuple(
+            Tether(2 * k, 2 * k + 1, float(SPAN * length))
+            for k, length in enumerate(self.team.cable_length)
+        )
+        both, separation = (here, self.goal), self.requirements.separation
+        return self.separated(both, np.stack(both), separation, self.team.drone_names, tethers)
+
+    def solve(self) -> list[Stage]:
+        """Return the stages of the flight, all of it raised where cables come near the ground.
+
+        Drones that come closer together let their cable hang lower than at both ends.
+        """
+        here, goal = self.risen(), self.goal
+        rise = self.needed("take-off", self.start, here)
+        if np.max(np.abs(goal - here)) < STILL:
+            return [
+                *rise,
+                Stage("approach", straight(self.team, self.requirements.limits, here, goal)),
+            ]
+        drones = separate(self.problem).drones
+        clearance = self.requirements.separation.cable
+        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
+        missing = self.requirements.floor + CLEARANCE * clearance - lowest
+        if missing <= 0.0:
+            return [*rise, Stage("approach", drones)]
+        up = np.array([0.0, 0.0, missing + 0.1 * clearance])
+        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+        return [
+            *rise,
+            self.line("climb", here, here + up),
+            Stage("approach", higher),
+            self.line("descend", goal + up, goal),
+        ]
 
 
-def approaches(task: ApproachTask) -> Iterator[Callable[[], list[Stage]]]:
-    """Yield approaches as functions that plan them, which may raise HitchoptError."""
-    yield lambda: _direct(task)
-    yield lambda: _gathered(task)
+@dataclass(frozen=True, eq=False)
+class GatheredApproach(Approach):
+    """The planner of an approach in which every robot draws its drones together to fly as one."""
+
+    @cached_property
+    def pairs(self) -> Wheels:
+        """The robots with their drones gathered."""
+        return Wheels.between(self.start, self.goal, DRAWN * self.requirements.separation.radius)
+
+    @cached_property
+    def gathered(self) -> Array:
+        """(2n, 3) [m]: the drones after gathering, level, so high that cables hang free."""
+        gathered = self.pairs.drones(self.pairs.centres, np.zeros(self.team.robots))
+        gathered[:, 2] = np.max(self.risen(gathered, self.goal)[:, 2])
+        return gathered
+
+    @property
+    def problem(self) -> SeparationTask:
+        """The flight of the robots as discs: no one may pass over another's hanging cable."""
+        own, height = self.requirements.separation, float(np.max(self.team.cable_length))
+        discs = replace(own, radius=self.pairs.radius + own.radius, height=height)
+        start, goal = (
+            self.pairs.centres.copy(),
+            _spaced(self.pairs.goals, 2.0 * ROOM * discs.radius),
+        )
+        start[:, 2] = goal[:, 2] = self.gathered[0, 2]
+        places = np.stack([self.risen(self.gathered, self.goal), self.gathered])
+        names = tuple(f"cable {k}" for k in range(self.team.robots))
+        return self.separated((start, goal), places, discs, names)
+
+    def solve(self) -> list[Stage]:
+        """Return the stages: gathering, turning, flying and opening."""
+        task, limits = self.problem, self.requirements.limits
+        here = self.risen(self.gathered, self.goal)
+        wheels = replace(self.pairs, centres=task.start)
+        opened = self.goal.copy()
+        opened[:, 2] = np.maximum(opened[:, 2], task.goal[:1, 2])
+        return [
+            *self.needed("take-off", self.start, here),
+            self.line("gather", here, self.gathered),
+            Stage("turn", turned(self.team, wheels, limits)),
+            Stage("approach", wheels.carried(separate(task).drones)),
+            self.line("open", wheels.drones(task.goal, wheels.angles), opened),
+            *self.needed("descend", opened, self.goal),
+        ]
 
 
 def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:
@@ -80,130 +204,6 @@ def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -
     """
     level = places * np.array([1.0, 1.0, 0.0])
     return ground + clearance - float(np.min(_lowest(team, level)))
-
-
-def take_off(task: ApproachTask, altitude: float) -> Stage:
-    """Return the stage in which all go straight up to ``altitude`` [m]."""
-    up = task.start.copy()
-    up[:, 2] = np.maximum(altitude, up[:, 2])
-    return Stage("take-off", straight(task.team, task.limits, task.start, up))
-
-
-def _direct(task: ApproachTask) -> list[Stage]:
-    stages, here = _risen(task, task.start)
-    if np.max(np.abs(task.goal - here)) < STILL:
-        return [*stages, Stage("approach", straight(task.team, task.limits, here, task.goal))]
-    tethers = tuple(
-        Tether(2 * k, 2 * k + 1, float(SPAN * length))
-        for k, length in enumerate(task.team.cable_length)
-    )
-    both = np.stack([here, task.goal])
-    found = separate(
-        SeparationTask(
-            here,
-            task.goal,
-            _reserved(task.requirements),
-            tethers=tethers,
-            acceleration=accelerations(task.team, task.limits, both),
-            names=task.team.drone_names,
-        )
-    )
-    return [*stages, *_lifted(task, here, found.drones)]
-
-
-def _lifted(task: ApproachTask, here: Array, drones: PiecewisePolynomial) -> list[Stage]:
-    """Return the stages of a flight, all of it raised where cables come too near the ground.
-
-    Drones that come closer together let their cable hang lower than at both ends.
-    """
-    ends = task.requirements.floor + CLEARANCE * task.requirements.separation.cable
-    at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
-    missing = ends - min(float(np.min(_lowest(task.team, places))) for places in drones.at(at))
-    if missing <= 0.0:
-        return [Stage("approach", drones)]
-    up = np.array([0.0, 0.0, missing + 0.1 * task.requirements.separation.cable])
-    higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-    return [
-        Stage("climb", straight(task.team, task.limits, here, here + up)),
-        Stage("approach", higher),
-        Stage("descend", straight(task.team, task.limits, task.goal + up, task.goal)),
-    ]
-
-
-def _reserved(requirements: Requirements) -> Requirements:
-    """Return requirements that leave a reserve for the certificate's bounds."""
-    limits = requirements.limits
-    reserved = replace(
-        limits,
-        speed=SHARE * limits.speed,
-        acceleration=SHARE * limits.acceleration,
-        jerk=SHARE * limits.jerk,
-    )
-    return replace(requirements, limits=reserved)
-
-
-def _gathered(task: ApproachTask) -> list[Stage]:
-    team, n = task.team, task.team.robots
-    span = DRAWN * 2.0 * task.requirements.separation.radius
-    pairs = Wheels.between(task.start, task.goal, 0.5 * span)
-    disc = 0.5 * span + task.requirements.separation.radius
-    start, goal = pairs.centres, _spaced(pairs.goals, 2.0 * ROOM * disc)
-    gathered = pairs.drones(start, np.zeros(n))
-    stages, here = _risen(task, task.start, gathered, task.goal)
-    altitude = float(np.max(here[:, 2]))
-    start[:, 2] = goal[:, 2] = altitude
-    gathered[:, 2] = altitude
-    # No robot may pass over another one: their cables hang below them.
-    discs = replace(
-        task.requirements.separation, radius=disc, height=float(np.max(team.cable_length))
-    )
-    found = separate(
-        SeparationTask(
-            start,
-            goal,
-            replace(_reserved(task.requirements), separation=discs),
-            acceleration=np.min(
-                accelerations(team, task.limits, np.stack([here, gathered])).reshape(n, 2), axis=1
-            ),
-            names=tuple(f"cable {k}" for k in range(n)),
-        )
-    )
-    wheels = replace(pairs, centres=start)
-    rolled = wheels.drones(goal, wheels.angles)
-    opened = task.goal.copy()
-    opened[:, 2] = np.maximum(opened[:, 2], altitude)
-    return [
-        *stages,
-        Stage("gather", straight(team, task.limits, here, gathered)),
-        Stage("turn", turned(team, wheels, task.limits)),
-        Stage("approach", wheels.carried(found.drones)),
-        Stage("open", straight(team, task.limits, rolled, opened)),
-        *_descended(task, opened),
-    ]
-
-
-def _descended(task: ApproachTask, here: Array) -> list[Stage]:
-    """Return the stage straight down to the goal, or none for drones that are there."""
-    if np.max(np.abs(task.goal - here)) < STILL:
-        return []
-    return [Stage("descend", straight(task.team, task.limits, here, task.goal))]
-
-
-def _risen(task: ApproachTask, *others: Array) -> tuple[list[Stage], Array]:
-    """Return the take-off, if one is needed, and where the drones are after it.
-
-    Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
-    """
-    clearance = CLEARANCE * task.requirements.separation.cable
-    needed = [
-        hover_altitude(task.team, p, task.requirements.floor, clearance)
-        for p in (task.start, *others)
-    ]
-    if np.min(task.start[:, 2]) >= max(needed):
-        return [], task.start
-    altitude = max(*needed, float(np.max(task.goal[:, 2])))
-    stage = take_off(task, altitude)
-    return [stage], stage.drones.coefficients[-1, ..., -1]
 
 
 def _spaced(points: Array, least: float) -> Array:
@@ -220,5 +220,4 @@ def _spaced(points: Array, least: float) -> Array:
 def _lowest(team: Team, drones: Array) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m]."""
     q, r = drones[0::2], drones[1::2]
-    lowest: Array = q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
-    return lowest
+    return q[:, 2] + Catenary.between(q, r, team.cable_length).lowest

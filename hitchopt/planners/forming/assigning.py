@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:

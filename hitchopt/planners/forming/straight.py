@@ -7,17 +7,14 @@ hitch, and may come too close at the same pace.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
-from hitchopt.planners.forming.clock import fastest_clock
-from hitchopt.planners.forming.reserve import SHARE, accelerations
+from hitchopt.planners.forming.clock import SHARE, accelerations
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 STILL = 1e-9
 """[m] Shortest distance that is flown."""

@@ -1,4 +1,4 @@
-"""The ellipses at the clasps on which pairs of drones turn about each other.
+"""The ellipses at the clasps on which pairs of drones turn about each other, all on one clock.
 
 At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their chord, on
 
@@ -11,18 +11,33 @@ into the loop of its neighbour's hanging cable else, where edges are nearly in l
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.requirements import Separation
-
-Array = NDArray[np.float64]
+from hitchopt.planners.forming.clock import accelerations, flown
+from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.requirements import Limits, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array, acute, not_negative, positive
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""
+
+PIECE = 0.3
+"""[rad] Largest angle on one polynomial of degree 7, which is within 1e-9 of the ellipse."""
+
+SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
+"""Shares of the acceleration that turning takes at full speed; the rest is for speeding up."""
+
+JERK_SHARE = 0.7
+"""Share of the jerk that the angle's own rate takes."""
+
+ANGLES = 25
+"""Number of angles at which the drones' reserves are computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,3 +117,66 @@ def rise_that_clears(separation: Separation, tilt: float, least: float) -> float
 def half_that_clears(separation: Separation, least: float) -> float:
     """Return the smallest half chord [m] that clears the pair's ellipsoids side by side."""
     return max(least, APART * separation.radius)
+
+
+def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:
+    """Return the drones (2n, 3) [m] on half a turn, from rest to rest.
+
+    As fast as the limits of every drone's speed, acceleration and jerk allow, whatever their
+    number: pairs move at the same time.
+
+    Parameters
+    ----------
+    turns: the ellipses.
+    limits: of every drone.
+    first: 0 for the turn from θ = 0, 1 for the one from θ = π.
+    seconds: no faster than this [s], or None.
+    """
+    start = first * math.pi
+    angles = np.linspace(start, start + math.pi, ANGLES)
+    reserve = float(np.min(accelerations(turns.team, limits, turns.drones(angles))))
+    candidates = (_half_turn(turns, limits, start, share, reserve) for share in SHARES)
+    best = min(candidates, key=lambda drones: drones.duration)
+    if seconds is not None and seconds > best.duration:
+        best = best.stretched(seconds / best.duration)
+    return best
+
+
+def _half_turn(
+    turns: Turns, limits: Limits, start: float, share: float, reserve: float
+) -> PiecewisePolynomial:
+    """Return a half turn whose angle is limited by the share, slowed to the drones' limits."""
+    size = turns.size
+    speed = min(limits.speed / size, math.sqrt(share * reserve / size))
+    spare = math.sqrt(max(reserve * reserve - (speed * speed * size) ** 2, 1e-12)) / size
+    clock = fastest_clock(math.pi, speed, spare, JERK_SHARE * limits.jerk / size)
+    return flown(
+        lambda angle, order: turns.drones(start + angle, order), clock, PIECE, limits, reserve
+    )
+
+
+@dataclass(frozen=True)
+class SwapSettings:
+    """Settings of pairs of drones that turn about each other.
+
+    Parameters
+    ----------
+    radius: no semi-axis of the ellipses is smaller than this [m].
+    tilt: of the axis of turning, upward from level [rad]; None: chosen.
+    seconds: no half turn is faster than this [s]; None: as fast as the limits allow.
+    sense: 1: every q goes up first; -1: down first; 0: chosen for every vertex.
+    """
+
+    radius: float = 0.15
+    tilt: float | None = None
+    seconds: float | None = None
+    sense: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", positive("radius", self.radius))
+        if self.seconds is not None:
+            object.__setattr__(self, "seconds", positive("seconds", self.seconds))
+        if self.tilt is not None:
+            object.__setattr__(self, "tilt", acute("tilt", not_negative("tilt", self.tilt)))
+        if self.sense not in {-1, 0, 1}:
+            raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")

@@ -6,17 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.planners.forming.clock import fastest_clock
-from hitchopt.planners.forming.curve_fitting import flown
-from hitchopt.planners.forming.reserve import accelerations
+from hitchopt.planners.forming.clock import accelerations, flown
 from hitchopt.planners.forming.straight import PAUSE
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LEAST_TURN = 1e-6
 """[rad] Smallest angle that is turned."""
@@ -61,15 +58,13 @@ class Wheels:
 
     def drones(self, centres: Array, turned_by: Array) -> Array:
         """Return the drones (2n, 3) [m] about ``centres`` (n, 3), turned by (n,) [rad]."""
-        arms = self.arms(turned_by)
-        return np.stack([centres - arms, centres + arms], axis=1).reshape(-1, 3)
+        return _pairs(centres, self.arms(turned_by))
 
     def carried(self, centres: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return the drones (2n, 3) [m] about moving centres (n, 3), turned to the end."""
-        arms = self.arms(self.angles)
-        c = centres.coefficients
-        pairs = np.stack([c - arms[..., None], c + arms[..., None]], axis=2)
-        return PiecewisePolynomial(centres.breaks, pairs.reshape(len(c), -1, 3, c.shape[-1]))
+        c = np.moveaxis(centres.coefficients, -1, 1)
+        pairs = np.moveaxis(_pairs(c, self.arms(self.angles)), 1, -1)
+        return PiecewisePolynomial(centres.breaks, pairs)
 
 
 def turned(team: Team, wheels: Wheels, limits: Limits) -> PiecewisePolynomial:
@@ -85,9 +80,14 @@ def turned(team: Team, wheels: Wheels, limits: Limits) -> PiecewisePolynomial:
     def curve(angle: Array, order: int) -> Array:
         arms = wheels.arms(angle[:, None] * share, order) * (share**order)[:, None]
         middle = wheels.centres if order == 0 else np.zeros_like(wheels.centres)
-        pairs = np.stack([middle - arms, middle + arms], axis=2)
-        return pairs.reshape(len(angle), -1, 3)
+        return _pairs(middle, arms)
 
     speed = min(limits.speed / size, math.sqrt(0.5 * reserve / size))
     clock = fastest_clock(largest, speed, 0.8 * reserve / size, 0.7 * limits.jerk / size)
     return flown(curve, clock, PIECE, limits, reserve)
+
+
+def _pairs(centres: Array, arms: Array) -> Array:
+    """Return the drones (…, 2n, 3) on both sides of centres (…, n, 3), r along the arms."""
+    pairs = np.stack([centres - arms, centres + arms], axis=-2)
+    return pairs.reshape(*pairs.shape[:-3], -1, 3)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
-from hitchopt.planners.optimise.guesses import guesses, widened
+from hitchopt.planners.optimise.guesses import Guess, guesses, widened
 from hitchopt.planners.optimise.ipopt_steps import iterates
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.screening import (
@@ -23,8 +24,10 @@ from hitchopt.planners.optimise.screening import (
     sound,
 )
 from hitchopt.planners.optimise.search_task import Judge, Search, SolverStep
+from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True)
@@ -81,45 +84,63 @@ class Candidate:
     Attributes
     ----------
     name: of the guess that it came from.
+    path: as it was found.
     flight: along it.
     """
 
     name: str
+    path: ShapePath
     flight: Flight
 
 
-def candidates(
-    start: Hitch,
-    end: Hitch,
-    requirements: Requirements,
-    judge: Judge,
-    tension: tuple[float, float] | None = None,
-) -> list[Candidate]:
-    """Return the paths found from all guesses, the fastest first; none for chains.
+@dataclass(frozen=True, eq=False)
+class OptimisedMorph:
+    """The planner of a morph along paths that the optimiser finds; none for chains.
 
-    Parameters
+    Attributes
     ----------
     start, end: hitches at one altitude that satisfy all limits.
     requirements: limits, separation and arena.
     judge: decides about every path; those that it rejects are refined.
     tension: smallest and largest [N] where tensions may change on the path.
     """
-    if not isinstance(start.polygon, ConvexPolygon) or not isinstance(end.polygon, ConvexPolygon):
-        return []  # chains are not optimised
-    margins = (end_margin(start, requirements), end_margin(end, requirements))
-    search = Search(requirements, judge, tension, margins)
-    found = guesses(start.polygon, end.polygon, FEWEST_KNOTS + 1)
-    paths = [KnotPath.through(guess.name, start, end, guess.polygons) for guess in found]
-    whole = [path for path in paths if sound(path)]
-    first = searched([path for path in whole if loose(path, requirements)] or whole, search)
-    if first:
-        return first
-    # With wider polygons half way, legs have more room to pass one another.
-    wide = [
-        KnotPath.through(guess.name, start, end, widened(guess.polygons, WIDER))
-        for guess in found[1:]
-    ]
-    return searched([path for path in wide if sound(path)], search)
+
+    start: Hitch
+    end: Hitch
+    requirements: Requirements
+    judge: Judge
+    tension: tuple[float, float] | None = None
+
+    @cached_property
+    def guesses(self) -> list[Guess]:
+        """First guesses, the straight one first."""
+        first, last = self.start.polygon, self.end.polygon
+        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
+            return []
+        return guesses(first, last, FEWEST_KNOTS + 1)
+
+    @property
+    def problem(self) -> list[KnotPath]:
+        """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
+        whole = self._paths((guess.name, guess.polygons) for guess in self.guesses)
+        return [path for path in whole if loose(path, self.requirements)] or whole
+
+    def solve(self) -> list[Candidate]:
+        """Return the paths found, the fastest first."""
+        if not self.guesses:
+            return []
+        margins = (
+            end_margin(self.start, self.requirements),
+            end_margin(self.end, self.requirements),
+        )
+        search = Search(self.requirements, self.judge, self.tension, margins)
+        # With wider polygons half way, legs have more room to pass one another.
+        wide = ((guess.name, widened(guess.polygons, WIDER)) for guess in self.guesses[1:])
+        return searched(self.problem, search) or searched(self._paths(wide), search)
+
+    def _paths(self, polygons: Iterable[tuple[str, Array]]) -> list[KnotPath]:
+        paths = (KnotPath.through(name, self.start, self.end, each) for name, each in polygons)
+        return [path for path in paths if sound(path)]
 
 
 def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
@@ -145,10 +166,10 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
         tried.append(knots)
         if found and estimate(settled, search.requirements) > WORSE * fastest:
             continue
-        flight = _refined(settled, search)
-        if flight is not None:
-            found.append(Candidate(settled.name, flight))
-            fastest = min(fastest, flight.duration)
+        refined = _refined(settled, search)
+        if refined is not None:
+            found.append(refined)
+            fastest = min(fastest, refined.flight.duration)
     return sorted(found, key=lambda candidate: candidate.flight.duration)
 
 
@@ -164,8 +185,8 @@ def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath 
     return found
 
 
-def _refined(path: KnotPath, search: Search) -> Flight | None:
-    """Return the flight along a path of least energy refined, or along a faster one near it.
+def _refined(path: KnotPath, search: Search) -> Candidate | None:
+    """Return a path of least energy refined, or a faster one near it, with its flight.
 
     Where limits are broken between the knots, rows are added there, then more knots.
     """
@@ -183,14 +204,12 @@ def _refined(path: KnotPath, search: Search) -> Flight | None:
             continue
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
-        choices = [path]
-        if faster:
-            best = min([*faster, path], key=lambda choice: estimate(choice, search.requirements))
-            choices = list(dict.fromkeys([best, path]))
-        for choice in choices:
-            flight = judged(choice, search)
+        best = min([*faster, path], key=lambda choice: estimate(choice, search.requirements))
+        for choice in dict.fromkeys([best, path]):
+            shape = choice.path()
+            flight = judged(shape, search)
             if flight is not None:
-                return flight
+                return Candidate(choice.name, shape, flight)
     return None
 
 

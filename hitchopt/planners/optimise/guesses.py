@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SHORTEST_EDGE = 0.3
 """Least share of the shorter of an edge's two lengths on the path."""
@@ -83,8 +81,7 @@ def _unwrapped(polygon: ConvexPolygon) -> Array:
 
 
 def _line(first: Array, last: Array, s: Array) -> Array:
-    line: Array = first + s[:, None, None] * (last - first)
-    return line
+    return first + s[:, None, None] * (last - first)
 
 
 def _rotated(points: Array, angles: Array) -> Array:
@@ -135,14 +132,7 @@ def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array
         shape=(2 * J, J * n),
     )
     both = sparse.csc_array(sparse.vstack([rows, -rows]))
-    x = solve_qp(
-        QuadraticProgram(
-            sparse.csc_array(sparse.eye_array(J * n)),
-            -lengths.ravel(),
-            both,
-            np.zeros(4 * J),
-            np.full(4 * J, np.inf),
-            np.tile(shortest, J),
-        )
-    )
+    zero, most, least = np.zeros(4 * J), np.full(4 * J, np.inf), np.tile(shortest, J)
+    nearest = sparse.csc_array(sparse.eye_array(J * n))
+    x = solve_qp(QuadraticProgram(nearest, -lengths.ravel(), both, zero, most, least))
     return None if x is None else x.reshape(J, n)

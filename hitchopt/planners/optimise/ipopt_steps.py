@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import casadi as ca
 import numpy as np
 
-from hitchopt.planners.optimise.deferred_signals import answered_later
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
 from hitchopt.planners.optimise.search_task import Search, SolverStep
@@ -27,6 +30,8 @@ SETTLED = 0.3
 _LAST: deque[ca.Function] = deque(maxlen=1)
 """The last solver: casadi keeps a function's derivatives as long as it is referenced, and the next
 solver is built a third faster."""
+
+NUMBERS = tuple(int(number) for number in signal.valid_signals())
 
 
 def iterates(
@@ -76,3 +81,32 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
     inner = table[1:-1]
     inner[:] = x[: inner.size].reshape(inner.shape)
     return program.path.with_table(table)
+
+
+@contextmanager
+def answered_later() -> Iterator[None]:
+    """Answer signals that come within the context at its end, in their order.
+
+    Only those that Python code answers, and in the main thread: no other one ever does.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in NUMBERS}
+    waiting: list[tuple[int, FrameType | None]] = []
+
+    def wait(number: int, frame: FrameType | None) -> None:
+        waiting.append((number, frame))
+
+    changed = [number for number, handler in handlers.items() if callable(handler)]
+    try:
+        for number in changed:
+            signal.signal(number, wait)
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, handlers[number])
+        for number, frame in waiting:  # also where the work has failed
+            handler = handlers[number]
+            if callable(handler):
+                handler(number, frame)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
@@ -14,9 +13,7 @@ from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors,
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 SPLINE_DEGREE = 5
 """Degree of the splines through the knots: smooth up to the snap, so that pieces of a trajectory
@@ -38,11 +35,11 @@ class Columns:
     tensions: (n,)
     """
 
-    vertices: Index
-    q_legs: Index
-    r_legs: Index
-    drones: Index
-    tensions: Index
+    vertices: Indices
+    q_legs: Indices
+    r_legs: Indices
+    drones: Indices
+    tensions: Indices
 
     @property
     def size(self) -> int:
@@ -50,7 +47,7 @@ class Columns:
         return 9 * len(self.q_legs)
 
     @property
-    def nodes(self) -> Index:
+    def nodes(self) -> Indices:
         """(3n, 2): vertices, then drones, as in ``hitch.parts``."""
         return np.concatenate([self.vertices, self.drones])
 

@@ -1,4 +1,4 @@
-"""Rows of a path's program: drones tied to the flat outputs, bodies kept apart."""
+"""A path's program as it is put together: drones tied to the flat outputs, bodies kept apart."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from hitchopt.hitch.parts import SEPARATION
 from hitchopt.model.loaded_robot import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.near_pairs import near_pairs
-from hitchopt.planners.optimise.nlp_draft import Draft
 from hitchopt.planners.optimise.search_task import Search, SolverStep
-from hitchopt.planners.optimise.separating_rows import instants, rows_at_knots, rows_between
-
-Array = NDArray[np.float64]
+from hitchopt.planners.optimise.separating_rows import (
+    instants,
+    near_pairs,
+    rows_at_knots,
+    rows_between,
+)
+from hitchopt.values import Array
 
 FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
@@ -30,6 +32,58 @@ as well."""
 
 PENALTY_WEIGHT = 100.0
 """[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
+
+
+class Draft:
+    """Variables, rows and costs as they are collected.
+
+    Attributes
+    ----------
+    f: sum of the costs so far.
+    """
+
+    def __init__(self) -> None:
+        self.f = ca.MX(0.0)
+        self._variables: list[tuple[ca.MX, Array, Array, Array]] = []
+        self._rows: list[tuple[ca.MX, Array, Array]] = []
+
+    def variables(self, name: str, start: Array, lower: Array, upper: Array) -> ca.MX:
+        """Return new variables that start at ``start`` and stay within their bounds."""
+        x = ca.MX.sym(name, len(start))
+        self._variables.append((x, start, lower, upper))
+        return x
+
+    def bound(self, value: ca.MX, least: Array | float, most: Array | float) -> None:
+        """Add rows that keep values (a column) between their bounds."""
+        lower, upper = (np.zeros(value.numel()) + end for end in (least, most))
+        self._rows.append((value, lower, upper))
+
+    def soft_bound(self, value: ca.MX, least: Array, now: Array, weight: float) -> None:
+        """Add rows that keep values (a column) above their bounds, softly where they are not now.
+
+        Parameters
+        ----------
+        value, least, now: (rows,), now where the variables start.
+        weight: penalty weight of a unit by which a value stays below.
+        """
+        short = np.flatnonzero(now < least)
+        if len(short):
+            lack = (least - now)[short]
+            count = len(short)
+            slack = self.variables("slack", lack, np.zeros(count), np.full(count, np.inf))
+            ones = (short.tolist(), list(range(count)), ca.DM.ones(count))
+            value = value + ca.DM.triplet(*ones, len(least), count) @ slack
+            self.f += weight * ca.sum1(slack)
+        self.bound(value, least, np.inf)
+
+    def program(self) -> tuple[dict[str, ca.MX], dict[str, Array]]:
+        """Return casadi's expressions x, f, g, and its numbers x0, lbx, ubx, lbg, ubg."""
+        x, *box = zip(*self._variables, strict=True)
+        g, *ranges = zip(*self._rows, strict=True)
+        numbers = [np.concatenate(column) for column in (*box, *ranges)]
+        expressions = {"x": ca.vertcat(*x), "f": self.f, "g": ca.vertcat(*g)}
+        names = ("x0", "lbx", "ubx", "lbg", "ubg")
+        return expressions, dict(zip(names, numbers, strict=True))
 
 
 def tie_drones(draft: Draft, knots: ca.MX, path: KnotPath) -> None:

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.model_rows import keep_apart, tie_drones
-from hitchopt.planners.optimise.nlp_draft import Draft
+from hitchopt.planners.optimise.model_rows import Draft, keep_apart, tie_drones
 from hitchopt.planners.optimise.search_task import Search, SolverStep, variable_bounds
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BEND = 0.1
 """Weight of the knots' second differences in the energy: keeps the spline near its knots."""

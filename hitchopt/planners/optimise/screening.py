@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search
-from hitchopt.planners.path.leg_law import CLEAR, sharing_task
+from hitchopt.planners.path.leg_law import CLEAR, leg_task_along
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes, exterior_angles
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight_curves import Flight
@@ -22,8 +21,7 @@ from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 CLOSEST = 0.3
 """Share of their limits that the distances of a guess must exceed for it to be tried."""
@@ -68,17 +66,21 @@ def sound(path: KnotPath) -> bool:
 
 def loose(path: KnotPath, requirements: Requirements) -> bool:
     """Return whether a path's bodies are not all in one heap."""
-    bare = replace(requirements, arena=None)
-    task = LegTask(path.team, bare, path.polygons, path.q_legs, 0.0, WIDEST, roll=path.roll)
-    return reference_margin(task) >= CLOSEST
+    return _margin(path.team, requirements, path.polygons, path.q_legs, path.roll) >= CLOSEST
 
 
 def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch's distances are."""
+    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
+    return _margin(hitch.team, requirements, polygon, q_legs, hitch.roll[None]) * BELOW
+
+
+def _margin(
+    team: Team, requirements: Requirements, polygons: Array, q_legs: Array, roll: Array | None
+) -> float:
+    """Return how many times their limits the distances of hitches are, walls left out."""
     bare = replace(requirements, arena=None)
-    polygon, q_legs, roll = hitch.polygon.vertices[None], hitch.q_legs[None], hitch.roll[None]
-    task = LegTask(hitch.team, bare, polygon, q_legs, 0.0, WIDEST, roll=roll)
-    return reference_margin(task) * BELOW
+    return reference_margin(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:
@@ -106,10 +108,10 @@ def clear(knots: KnotPath, search: Search) -> bool:
     return bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
 
 
-def judged(path: KnotPath, search: Search) -> Flight | None:
+def judged(path: ShapePath, search: Search) -> Flight | None:
     """Return the flight along a path if it satisfies every limit all of the time."""
     try:
-        flight = search.judge(path.path())
+        flight = search.judge(path)
     except (InfeasibleError, TimingError, WarpError):
         return None
     return flight if flight and _tensions_within(flight, search.tension) else None
@@ -127,7 +129,7 @@ def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:
     s = np.unique(np.concatenate([inner, near, 1.0 - near]))
     if np.min(shapes_along(path, s).legs[1:-1]) < requirements.limits.leg:
         return False
-    return reference_margin(sharing_task(path, requirements, s, CLEAR)) >= CLEAR
+    return reference_margin(leg_task_along(path, requirements, s, CLEAR)) >= CLEAR
 
 
 def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:

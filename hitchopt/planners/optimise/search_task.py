@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 INSET = 5e-3
 """[m] Distance from walls and shortest legs, for what the spline does between knots."""
@@ -81,10 +79,7 @@ class Search:
         """
         first, last = (min(m, self.margin) for m in self.end_margins)
         out, back = (np.minimum(a / RAMP, 1.0) for a in (places, steps - places))
-        margins: Array = np.minimum(
-            first + out * (self.margin - first), last + back * (self.margin - last)
-        )
-        return margins
+        return np.minimum(first + out * (self.margin - first), last + back * (self.margin - last))
 
 
 def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Array, Array]:

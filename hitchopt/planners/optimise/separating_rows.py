@@ -1,19 +1,19 @@
-"""Linear rows that keep pairs apart and legs long, at the knots and between them."""
+"""Pairs of bodies that come near on a path, and linear rows that keep them apart and legs long."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from hitchopt.geometry import differences, shortest_offset
+from hitchopt.hitch.parts import Parts, end_combinations
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.near_pairs import NearPairs, near_pairs
 from hitchopt.planners.optimise.search_task import Search
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.requirements import Separation
+from hitchopt.values import Array, Indices
 
 FINER = 4
 """Factor on the instants in the first and the last step, where a hitch starts or ends that barely
@@ -24,6 +24,65 @@ LEG_INSET = 1e-3
 
 LEG_REACH = 0.05
 """[m] Legs longer than their limit and this get no row."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearPairs:
+    """Pairs of bodies that come near one another, each at one of K instants.
+
+    Attributes
+    ----------
+    frame: (m,), the instant.
+    first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
+    kind: (m,), as in ``hitch.parts``.
+    normal: (m, 2), unit vector from the second body to the first where they are closest.
+    enforced: (m,) [m], the distance to enforce.
+    """
+
+    frame: Indices
+    first: Indices
+    second: Indices
+    kind: Indices
+    normal: Array
+    enforced: Array
+
+    def chosen(self, which: NDArray[np.bool_]) -> NearPairs:
+        """Return the pairs where ``which`` (m,) holds."""
+        return NearPairs(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def sides(self) -> tuple[Indices, Indices, Indices]:
+        """Return (pair, node of the first, node of the second) of all their ends against all.
+
+        Bodies whose ends all lie on their sides of a normal are apart by as much.
+        """
+        return end_combinations(self.kind, self.first, self.second)
+
+
+def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: float) -> NearPairs:
+    """Return all pairs that come within ``reach`` [m] of the distance to enforce.
+
+    Parameters
+    ----------
+    nodes: (K, 3n, 2) [m]
+    separation: distances to enforce.
+    margins: (K,), how many times those.
+    reach: [m]
+    """
+    parts = Parts.of(nodes.shape[1] // 3)
+    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
+    corners = nodes[:, parts.nodes]
+    cutoff = float(np.max(limits * np.max(margins))) + reach
+    boxes = corners.min(axis=2), corners.max(axis=2)
+    frame, i, j, kind = parts.near(*boxes, limits, cutoff)
+    ends = [nodes[frame[:, None], parts.nodes[body]] for body in (i, j)]
+    offset = shortest_offset(differences(*ends))
+    distance = np.linalg.norm(offset, axis=1)
+    middle = (ends[0] - ends[1]).mean(axis=1)
+    normal = np.where(distance[:, None] > 1e-6, offset, middle)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    enforced = limits[kind] * margins[frame]
+    found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
+    return found.chosen(distance < enforced + reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +153,7 @@ def _pairs_apart(path: KnotPath, there: Array, places: Array, pairs: NearPairs) 
 
 
 def _chords(
-    at_knots: Array, there: Array, places: Array, sums: tuple[Index, Index, Array]
+    at_knots: Array, there: Array, places: Array, sums: tuple[Indices, Indices, Array]
 ) -> tuple[sparse.csc_matrix, Array]:
     """Return sums of variables at places, by those at the knots around: ``rows @ x + bow``.
 
@@ -109,7 +168,7 @@ def _chords(
     knot = places[frame].astype(np.intp)
     share = places[frame] - knot
     bow = np.sum(weights * there[frame[:, None], variables], axis=1)
-    entries: list[tuple[Array, Index, Index]] = []
+    entries: list[tuple[Array, Indices, Indices]] = []
     for at, part in ((knot, 1.0 - share), (knot + 1, share)):
         inner = np.flatnonzero((at > 0) & (at < steps) & (part > 0.0))
         slope, own = part[inner, None] * weights[inner], variables[inner]

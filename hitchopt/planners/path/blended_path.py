@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,11 @@ from scipy.optimize import brentq
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
+from hitchopt.planners.path.path_feasibility import check_loads, check_shapes
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.planners.timing.fly_path import GRID
+from hitchopt.planners.timing.fly_path import GRID, fly
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -41,6 +44,33 @@ class BlendedPath:
 
     path: ShapePath
     s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BlendedMorph:
+    """The planner of a morph through several hitches without a stop.
+
+    Attributes
+    ----------
+    hitches: three or more, no two neighbours of them the same.
+    requirements: limits of motion.
+    """
+
+    hitches: Sequence[Hitch]
+    requirements: Requirements
+
+    @cached_property
+    def problem(self) -> BlendedPath:
+        """The path through all hitches; raises InfeasibleError where it cannot be flown."""
+        blend = blended(self.hitches)
+        check_shapes(blend.path)
+        check_turns(blend)
+        check_loads(blend.path, self.requirements.limits)
+        return blend
+
+    def solve(self) -> Flight:
+        """Return the flight along the path; errors as of StraightMorph."""
+        return fly(self.problem.path, self.requirements.limits)
 
 
 def blended(hitches: Sequence[Hitch]) -> BlendedPath:
@@ -74,20 +104,9 @@ def check_turns(blend: BlendedPath) -> None:
     slowest = int(np.argmin(speed))
     ratio = float(speed[slowest] / np.mean(speed))
     if ratio < SLOWEST:
-        raise InfeasibleError(
-            [
-                Violation(
-                    "blend",
-                    ratio,
-                    SLOWEST,
-                    "min",
-                    "of the mean speed",
-                    (),
-                    f"at {s[slowest]:.0%} of the path",
-                    "the path turns back on itself there: go by another one",
-                )
-            ]
-        )
+        unit, when = "of the mean speed", f"at {s[slowest]:.0%} of the path"
+        remedy = "the path turns back on itself there: go by another one"
+        raise InfeasibleError([Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)])
 
 
 def passing_times(path: ShapePath, s: Array, flight: Flight) -> Array:

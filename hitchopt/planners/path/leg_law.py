@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
@@ -14,8 +13,7 @@ from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 PROBES = 65
 """Number of points of the path at which a law is tried, before the certificate verifies it all."""
@@ -73,7 +71,7 @@ def laws_nearby(
         s = np.linspace(0.0, 1.0, count)
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-        task = replace(sharing_task(path, requirements, s, margins), shortest_leg=shortest_leg)
+        task = replace(leg_task_along(path, requirements, s, margins), shortest_leg=shortest_leg)
         found = split_slack(task)
         if found.margin < least:
             return
@@ -95,7 +93,7 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
     return long_enough and reference_margin(_task(path, requirements, shapes, CLEAR)) >= CLEAR
 
 
-def sharing_task(
+def leg_task_along(
     path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
 ) -> LegTask:
     """Return the task of choosing leg lengths at the points s (J,) of a path, the ends fixed."""
@@ -107,14 +105,5 @@ def _task(
 ) -> LegTask:
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
-    return LegTask(
-        path.team,
-        requirements,
-        shapes.polygons,
-        shapes.legs[..., 0],
-        requirements.limits.leg,
-        margin,
-        ROUGHNESS,
-        fixed,
-        shapes.roll,
-    )
+    wanted = (shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS, fixed, shapes.roll)
+    return LegTask(path.team, requirements, shapes.polygons, *wanted)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
@@ -13,8 +12,7 @@ from hitchopt.hitch.layout import Layout
 from hitchopt.planners.path.shape_path import Path, shapes_along
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FLATTEST = math.radians(0.01)
 """[rad] Smallest exterior angle on a path: at a flatter vertex the clasp's bisector is lost."""
@@ -51,31 +49,18 @@ def check_shapes(path: Path) -> None:
         k = int(np.argmin(np.min(angles, axis=0)))
         first = int(np.argmax(angles[:, k] < FLATTEST))
         found = math.degrees(float(np.min(angles)))
-        flat = Violation(
-            "convexity",
-            found,
-            math.degrees(FLATTEST),
-            "min",
-            "deg",
-            (f"p{layout.clasps[k]}",),
-            f"from {s[first]:.0%} of the path on",
-            "the straight path is blocked: go by a polygon in between, in two morphs",
-        )
+        when = f"from {s[first]:.0%} of the path on"
+        remedy = "the straight path is blocked: go by a polygon in between, in two morphs"
+        where, least = (f"p{layout.clasps[k]}",), math.degrees(FLATTEST)
+        flat = Violation("convexity", found, least, "min", "deg", where, when, remedy)
         raise InfeasibleError([flat])
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         left = legs[j, at][layout.has_leg[at]].sum()
-        short = Violation(
-            "legs",
-            float(legs[j, at, end]),
-            SHORTEST_LEG,
-            "min",
-            "m",
-            (f"{'qr'[end]}{at}",),
-            f"at {s[j]:.0%} of the path",
-            f"cable {at} leaves {left:.6g} m there",
-        )
+        name, found = f"{'qr'[end]}{at}", float(legs[j, at, end])
+        when, remedy = f"at {s[j]:.0%} of the path", f"cable {at} leaves {left:.6g} m there"
+        short = Violation("legs", found, SHORTEST_LEG, "min", "m", (name,), when, remedy)
         raise InfeasibleError([short])
 
 
@@ -91,15 +76,8 @@ def check_loads(path: Path, limits: Limits) -> None:
     ):
         j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
         if ratios[j, i] >= demands.share:
-            broken = Violation(
-                name,
-                float(ratios[j, i] * most[i]),
-                float(demands.share * most[i]),
-                "max",
-                unit,
-                (path.team.drone_names[i],),
-                f"at rest, {s[j]:.0%} of the path on, "
-                f"{1.0 - demands.share:.1%} of it being reserved to move by",
-                f"{remedy}, or lower team.tension",
-            )
-            raise InfeasibleError([broken])
+            found, limit = float(ratios[j, i] * most[i]), float(demands.share * most[i])
+            reserved = f"{1.0 - demands.share:.1%} of it being reserved to move by"
+            when = f"at rest, {s[j]:.0%} of the path on, {reserved}"
+            where, eased = (path.team.drone_names[i],), f"{remedy}, or lower team.tension"
+            raise InfeasibleError([Violation(name, found, limit, "max", unit, where, when, eased)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hitchopt.hitch import Hitch
@@ -16,27 +18,46 @@ STILL = 1e-9
 """[m] Distance within which a morph moves nothing."""
 
 
-def straight_morph(
-    start: Hitch,
-    end: Hitch,
-    requirements: Requirements,
-    duration: float | None = None,
-) -> Flight | None:
-    """Return the flight from one hitch to another, or None where they are the same.
+@dataclass(frozen=True, eq=False)
+class StraightMorph:
+    """The planner of a morph on which vertices go straight.
 
-    Vertices go straight and legs change so that distances hold on the path. Whether all limits
-    hold for all t is for the certificate to say.
+    Legs change so that distances hold on the path. Whether all limits hold for all t is for the
+    certificate to say.
 
-    Raises
-    ------
-    InfeasibleError: the polygon loses its convexity, a leg or the thrust at rest gives out on the
-        path, or ``duration`` [s] is too short.
-    TimingError, WarpError: no timing was found.
+    Attributes
+    ----------
+    start, end: the hitches before and after.
+    requirements: limits and distances.
+    duration: exactly that long [s]; None for as fast as the limits allow.
     """
-    if np.max(np.abs(end.drones - start.drones)) < STILL:
-        return None
-    path = ShapePath.straight(start, end)
-    check_shapes(path)
-    path = with_legs_clear(path, requirements)
-    check_loads(path, requirements.limits)
-    return fly(path, requirements.limits, duration)
+
+    start: Hitch
+    end: Hitch
+    requirements: Requirements
+    duration: float | None = None
+
+    @property
+    def problem(self) -> ShapePath:
+        """The path that is timed.
+
+        Raises InfeasibleError where the polygon loses its convexity, or a leg or the thrust at rest
+        gives out.
+        """
+        path = ShapePath.straight(self.start, self.end)
+        check_shapes(path)
+        path = with_legs_clear(path, self.requirements)
+        check_loads(path, self.requirements.limits)
+        return path
+
+    def solve(self) -> Flight | None:
+        """Return the flight from one hitch to the other, or None where they are the same.
+
+        Raises
+        ------
+        InfeasibleError: as ``problem``, or ``duration`` is too short.
+        TimingError, WarpError: no timing was found.
+        """
+        if np.max(np.abs(self.end.drones - self.start.drones)) < STILL:
+            return None
+        return fly(self.problem, self.requirements.limits, self.duration)

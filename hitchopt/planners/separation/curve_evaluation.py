@@ -1,26 +1,26 @@
-"""Evaluation of curves: the requirements they break, and the shortest time within limits."""
+"""Evaluation of ends and curves: requirements they break, the shortest time within limits."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
+from hitchopt.checks import Check, arena, keep_out, separation
 from hitchopt.checks.bounds.rates import largest_rate, norm_bound
-from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING
+from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.checks.certificate import within
-from hitchopt.checks.keep_out import smallest_clearance
-from hitchopt.errors import Violation
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.hitch import Swarm
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.setting import Setting
+from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STRETCH = 1.0 / LIMIT_SHARE
 """Stretch of the shortest duration: a reserve for the rounding and refitting of exports."""
@@ -28,10 +28,13 @@ STRETCH = 1.0 / LIMIT_SHARE
 IDLE = 0.01
 """[s] Duration where no drone moves."""
 
-UNITS = {"separation": "ratio", "arena": "m", "keep_out": "m", "span": "ratio"}
-"""Units of the checked quantities."""
-
 REMEDY = "give more time or room, or move the drones concerned apart"
+
+HALF = 0.5
+"""Share of the checks' tolerance that is used here; certificates need the rest for rounding."""
+
+MOST = 10
+"""Maximum number of violations of one kind that are reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +61,24 @@ class Evaluation:
 
 
 def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
-    """Return the evaluation of curves, by bounds that hold at every time."""
-    unit = setting.grid.curves(coefficients, 1.0)
-    duration = needed_duration(setting, unit)
-    closest, broken = _separation(setting, unit, duration)
-    broken += _surroundings(setting, unit, duration) + _tethers(setting, unit, duration)
-    return Evaluation(coefficients, duration, closest, tuple(broken))
+    """Return the evaluation of curves, by the certificate's bounds that hold at every time."""
+    task = setting.task
+    duration = needed_duration(setting, setting.grid.curves(coefficients, 1.0))
+    curves = setting.grid.curves(coefficients, duration)
+    swarm = Swarm(task.drones)
+    motion = Motion.single(swarm, task.requirements, curves, ())
+    apart, *others = (rule.check(motion) for rule in (separation.RULE, arena.RULE, keep_out.RULE))
+    names = dict(zip(swarm.drone_names, task.names, strict=True))
+    broken = [
+        replace(check, where=tuple(names.get(name, name) for name in check.where)).violation(
+            f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY
+        )
+        for check in (apart, *others, _span(setting, curves, swarm))
+        if check is not None and not check.holds
+    ]
+    return Evaluation(
+        coefficients, duration, np.inf if apart is None else apart.bound, tuple(broken)
+    )
 
 
 def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
@@ -75,82 +90,79 @@ def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
     return max(*factors, IDLE) * STRETCH
 
 
-def _separation(
-    setting: Setting, unit: PiecewisePolynomial, duration: float
-) -> tuple[float, list[Violation]]:
-    n = setting.task.drones
-    if n < 2:
-        return math.inf, []
-    scaled = unit.coefficients * setting.scale[:, None]
-    size = float(np.max(np.abs(scaled)))
-    found = smallest_distance(
-        unit.breaks,
-        Bodies(scaled[:, :, None]),
-        None,
-        every_pair,
-        ROUNDING * size,
-        within(1.0, "min", size, 0.5),
-    )
-    if found.worst >= within(1.0, "min", size):
-        return found.worst, []
-    pair = sorted(divmod(found.item, n))
-    when = found.time * duration, duration
-    return found.worst, [_violation(setting, "separation", found.worst, 1.0, "min", pair, when)]
-
-
-def _surroundings(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation]:
-    requirements, x = setting.task.requirements, unit.coefficients
-    size = float(np.max(np.abs(x)))
-    broken = []
-    if requirements.arena is not None:
-        # An arena is convex: if it holds the coefficients, it holds the curves.
-        lower, upper = requirements.arena.lower, requirements.arena.upper
-        room = np.minimum(x - lower[:, None], upper[:, None] - x)
-        corner = float(np.max(np.abs([lower, upper])))
-        worst = float(np.min(room)) - ROUNDING * (size + corner)
-        if float(np.min(room)) >= -LAST_PLACE * corner:
-            worst = 0.0  # a drone that rests on the floor is not below it, as in the certificate
-        if worst < within(0.0, "min", size):
-            piece, drone = np.unravel_index(int(np.argmin(room)), room.shape)[:2]
-            when = float(unit.breaks[piece]) * duration, duration
-            broken.append(_violation(setting, "arena", worst, 0.0, "min", [int(drone)], when))
-    if requirements.keep_out:
-        limit = requirements.separation.radius
-        found = smallest_clearance(unit, requirements.keep_out, limit)
-        if found.worst < within(limit, "min", size):
-            when = found.time * duration, duration
-            broken.append(
-                _violation(setting, "keep_out", found.worst, limit, "min", [found.item], when)
-            )
-    return broken
-
-
-def _tethers(setting: Setting, unit: PiecewisePolynomial, duration: float) -> list[Violation]:
+def _span(setting: Setting, curves: PiecewisePolynomial, swarm: Swarm) -> Check | None:
+    """Return the check of the tethers' lengths; None without tethers."""
     if not setting.task.tethers:
-        return []
+        return None
     first, second, longest = setting.task.tether_arrays
-    x = unit.coefficients
+    x = curves.coefficients
     offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
     size = float(np.max(np.abs(x))) / float(np.min(longest))
-    cells = Cells.over(unit.breaks, [offsets], ROUNDING * size)
+    cells = Cells.over(curves.breaks, [offsets], ROUNDING * size)
     found = largest(cells, norm_bound, within(1.0, "max", size, 0.5))
-    if found.worst <= within(1.0, "max", size):
-        return []
-    pair = [int(first[found.item]), int(second[found.item])]
-    when = found.time * duration, duration
-    return [_violation(setting, "span", found.worst, 1.0, "max", pair, when)]
+    pair = tuple(swarm.drone_names[ends[found.item]] for ends in (first, second))
+    return Check.of("span", found.worst, 1.0, "max", "ratio", found.time, pair, size)
 
 
-def _violation(
-    setting: Setting,
-    name: str,
-    value: float,
-    limit: float,
-    sense: str,
-    drones: Sequence[int],
-    when: tuple[float, float],
-) -> Violation:
-    """Return the violation of drones at a time of the whole duration, ``when`` [s]."""
-    names = tuple(setting.task.names[i] for i in drones)
-    words = f"at t = {when[0]:.4g} s of {when[1]:.4g} s"
-    return Violation(name, value, limit, sense, UNITS[name], names, words, REMEDY)
+def check_ends(task: SeparationTask) -> None:
+    """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
+    found: list[Violation] = []
+    for points, when, end in (
+        (task.start, "at the start (t = 0)", "start"),
+        (task.goal, "at the goals (the plan's end)", "goal"),
+    ):
+        found += _too_close(task, points, when, end)
+        found += _outside(task, points, when, end)
+        found += _within(task, points, when, end)
+        found += _parted(task, points, when, end)
+    if found:
+        raise InfeasibleError(found)
+
+
+def _worst(values: Array, limit: float, sense: str, size: float) -> list[tuple[int, float]]:
+    """Return the index of each value that is beyond its limit and the value, MOST at most."""
+    sign = 1.0 if sense == "min" else -1.0
+    least = sign * within(limit, sense, size, HALF)
+    order = np.argsort(sign * values)[:MOST].tolist()
+    return [(i, float(values[i])) for i in order if sign * values[i] < least]
+
+
+def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
+    scaled = points * task.requirements.separation.scale
+    pairs = np.sort(cKDTree(scaled).query_pairs(1.0, output_type="ndarray"), axis=1)
+    ratios = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
+    for k, ratio in _worst(ratios, 1.0, "min", float(np.max(np.abs(scaled)))):
+        i, j = pairs[k]
+        apart = np.linalg.norm(points[i] - points[j])
+        remedy = f"they are {apart:.3g} m apart: move one {end} away from the other"
+        names = (task.names[i], task.names[j])
+        yield Violation("separation", ratio, 1.0, "min", "ratio", names, when, remedy)
+
+
+def _outside(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
+    arena = task.requirements.arena
+    if arena is not None:
+        inside = np.minimum(points - arena.lower, arena.upper - points).min(axis=1)
+        remedy = f"move the {end} inside, or the wall out"
+        for i, distance in _worst(inside, 0.0, "min", float(np.max(np.abs(points)))):
+            yield Violation("arena", distance, 0.0, "min", "m", (task.names[i],), when, remedy)
+
+
+def _within(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
+    limit = task.requirements.separation.radius
+    remedy = f"move the {end} away from the prism"
+    for k, prism in enumerate(task.requirements.keep_out):
+        distances = np.maximum(prism.clearance(points).distance, 0.0)
+        for i, distance in _worst(distances, limit, "min", float(np.max(np.abs(points)))):
+            where = (task.names[i], f"prism {k}")
+            yield Violation("keep_out", distance, limit, "min", "m", where, when, remedy)
+
+
+def _parted(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
+    first, second, longest = task.tether_arrays
+    ratios = np.linalg.norm(points[first] - points[second], axis=1) / longest
+    size = float(np.max(np.abs(points)) / np.min(longest, initial=np.inf))
+    remedy = f"move the {end}s together, or take a longer cable"
+    for k, ratio in _worst(ratios, 1.0, "max", size):
+        names = (task.names[first[k]], task.names[second[k]])
+        yield Violation("span", ratio, 1.0, "max", "ratio", names, when, remedy)

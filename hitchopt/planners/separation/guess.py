@@ -109,10 +109,10 @@ def _pushes(
     offset = scaled[first] - scaled[second]
     flat = velocities.reshape(-1, 3)
     still = TIE * float(np.max(np.abs(flat)))
-    rightward = _rightward(flat[first] - flat[second], still)
+    right = rightward(flat[first] - flat[second], still)
     apart = layer[first % drones] - layer[second % drones]
     upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
-    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * rightward)
+    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * right)
     direction = unit(offset + fading * abs(rule.side) * aside, aside, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
@@ -126,7 +126,7 @@ def _pushes(
     return pushes.reshape(points.shape), True
 
 
-def _rightward(velocity: Array, still: float) -> Array:
+def rightward(velocity: Array, still: float) -> Array:
     """Return unit vectors (pairs, 3) to the right of relative velocities (pairs, 3).
 
     East where it is upright, or slower than ``still``: rounding has no direction.

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.hitch.convex_qp import Rows
-from hitchopt.planners.separation.setting import Setting
-from hitchopt.planners.separation.spline import HELD
-
-Array = NDArray[np.float64]
+from hitchopt.planners.separation.setting import HELD, Setting
+from hitchopt.values import Array
 
 ACROSS = (0.3, 0.7)
 """Largest change across a derivative, as shares of its limit: at the limit, and at zero."""

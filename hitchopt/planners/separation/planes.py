@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 BATCH = 4096
 """Number of hulls whose nearest points are computed at once, which bounds the memory."""
@@ -61,8 +58,7 @@ class ClosePieces:
         return ClosePieces(piece, first, second)
 
     def _key(self, drones: int) -> Indices:
-        key: Indices = (self.piece * drones + self.first) * drones + self.second
-        return key
+        return (self.piece * drones + self.first) * drones + self.second
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +134,7 @@ def hull_points(differences: Array) -> Array:
     # A plane through the nearest point bounds the hull unless the origin is within.
     products = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
     outside = products > 0.5 * _dot(nearest, nearest)
-    found: Array = np.where(outside, nearest, 0.0).T
-    return found
+    return np.where(outside, nearest, 0.0).T
 
 
 def _corners(k: int) -> Indices:
@@ -196,5 +191,4 @@ def _nearest_of_curves(differences: Array) -> Array:
     points = differences @ weights.T
     squared = np.sum(points * points, axis=1)
     best = first_smallest(squared, np.max(squared, axis=1))
-    nearest: Array = points[np.arange(len(points)), :, best]
-    return nearest
+    return points[np.arange(len(points)), :, best]

@@ -1,23 +1,20 @@
 """Quadratic programs of one pattern by OSQP, each started from the last one's solution.
 
 OSQP reports neither data of wrong length nor crossed bounds in an update; it keeps the old program
-then. Programs check both when they are made. Its status is not trusted; residuals are recomputed.
+then. Programs check both when they are made. Its status is not trusted: the curves are evaluated.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.time_limit import check_time, time_left
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ACCURACY = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
@@ -33,20 +30,6 @@ class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A point that OSQP returned.
-
-    Attributes
-    ----------
-    x: the unknowns.
-    residual: the largest violation of a row, computed from the program.
-    """
-
-    x: Array
-    residual: float
-
-
 class Solver:
     """OSQP, set up once for programs of one pattern and updated while that stays the same."""
 
@@ -55,8 +38,8 @@ class Solver:
         self._patterns: list[Any] = []
         self._multipliers: Array | None = None
 
-    def solve(self, program: QuadraticProgram, first: Array, common_rows: int) -> Solution:
-        """Return OSQP's solution, searched from ``first``.
+    def solve(self, program: QuadraticProgram, first: Array, common_rows: int) -> Array:
+        """Return OSQP's solution (unknowns,), searched from ``first``.
 
         Parameters
         ----------
@@ -112,4 +95,4 @@ class Solver:
             raise ProgramError(str(result.info.status))
         y = np.asarray(result.y, dtype=np.float64)
         self._multipliers = y if np.all(np.isfinite(y)) else None
-        return Solution(x, program.residual(x))
+        return x

@@ -16,11 +16,10 @@ from scipy.sparse.csgraph import dijkstra
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import GOLDEN, TIE, unit
 from hitchopt.planners.separation.task import SeparationTask
-from hitchopt.requirements import Arena, Prism
+from hitchopt.requirements import Prism
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STAND_OFF = 1.25
 """Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
@@ -109,36 +108,30 @@ def routes_along(curves: PiecewisePolynomial) -> Routes:
 
 def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
     """Return the shortest route whose corners keep a distance [m] from all prisms, or None."""
-    solids = [
-        _Solid.around(prism, distance * (1.0 - TIGHT)) for prism in task.requirements.keep_out
-    ]
+    prisms = task.requirements.keep_out
+    solids = [_Solid.around(prism, distance * (1.0 - TIGHT)) for prism in prisms]
     # Ends may stand closer to a prism than corners do: then only what they must keep counts there.
     ends = np.stack([start, goal])
     least_distance = min(distance, task.requirements.separation.radius) * (1.0 - TIGHT)
-    least = [_Solid.around(prism, least_distance) for prism in task.requirements.keep_out]
+    least = [_Solid.around(prism, least_distance) for prism in prisms]
     if not any(solid.cuts(start[None], goal[None])[0] for solid in least):
         return ends
-    levels = [start[2], goal[2]]
-    outlines = []
-    for prism in task.requirements.keep_out:
-        levels += [prism.lower - distance, prism.upper + distance]
-        outlines.append(_widened(prism.polygon.vertices, distance))
-    flat = np.vstack(outlines)
-    heights = np.unique(levels)
+    flat = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
+    levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
+    heights = np.unique([[start[2], goal[2]], *levels])
     nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
-    nodes = np.vstack(
-        [nodes, *(_over(prism, start, goal, distance) for prism in task.requirements.keep_out)]
-    )
-    nodes = nodes[_inside(task.requirements.arena, nodes)]
+    nodes = np.vstack([nodes, *(_over(prism, start, goal, distance) for prism in prisms)])
+    arena = task.requirements.arena
+    if arena is not None:
+        nodes = nodes[np.all((nodes >= arena.lower) & (nodes <= arena.upper), axis=1)]
     for solid in solids:
         nodes = nodes[~solid.holds(nodes)]
     nodes = np.vstack([ends, nodes])
     i, j = np.triu_indices(len(nodes), 1)
     seen = np.ones(len(i), dtype=np.bool_)
-    for wide, narrow in zip(solids, least, strict=True):
-        at_end = i < 2
-        seen[~at_end] &= ~wide.cuts(nodes[i[~at_end]], nodes[j[~at_end]])
-        seen[at_end] &= ~narrow.cuts(nodes[i[at_end]], nodes[j[at_end]])
+    for group, at in ((least, i < 2), (solids, i >= 2)):
+        for solid in group:
+            seen[at] &= ~solid.cuts(nodes[i[at]], nodes[j[at]])
     i, j = i[seen], j[seen]
     length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
     # Of routes that are equally long, one is preferred by its places.
@@ -200,12 +193,10 @@ class _Solid:
         change = after - before
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = -before / change
-        enters = np.where(change < 0.0, crossing, np.where(before < 0.0, 0.0, 1.0))
-        leaves = np.where(change > 0.0, crossing, np.where(before < 0.0, 1.0, 0.0))
-        enters = np.where((change == 0.0) & (before >= 0.0), 1.0, enters)
-        into = np.maximum(np.max(np.where(change > 0.0, 0.0, enters), axis=1), 0.0)
-        out = np.minimum(np.min(np.where(change < 0.0, 1.0, leaves), axis=1), 1.0)
-        return into, out
+        into = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
+        out = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
+        aside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # along a side, outside of it
+        return np.where(aside, 1.0, into), out
 
 
 def _widened(outline: Array, distance: float) -> Array:
@@ -215,13 +206,6 @@ def _widened(outline: Array, distance: float) -> Array:
     middle = np.roll(outward, 1, axis=0) + outward
     widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
     return widened
-
-
-def _inside(arena: Arena | None, points: Array) -> NDArray[np.bool_]:
-    if arena is None:
-        return np.ones(len(points), dtype=np.bool_)
-    inside: NDArray[np.bool_] = np.all((points >= arena.lower) & (points <= arena.upper), axis=1)
-    return inside
 
 
 def _too_narrow(task: SeparationTask, drone: int) -> Violation:

@@ -7,20 +7,19 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
-from hitchopt.planners.separation.end_checks import check_ends
+from hitchopt.planners.separation.curve_evaluation import Evaluation, check_ends, evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
 from hitchopt.planners.separation.qp import ProgramError, Solver
+from hitchopt.planners.separation.roundabout import roundabout
 from hitchopt.planners.separation.separation_program import MARGIN, Around, build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
 from hitchopt.planners.separation.walls import walls_before
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 GUESSES = (
@@ -92,6 +91,12 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
         if found.clear and found.duration <= (task.duration or math.inf):
             return _separated(setting, found, "")
         tried.append(found)
+    if (around := roundabout(setting)) is not None:
+        say("guess: a roundabout")
+        found = _improved(setting, around, say)
+        if found.clear and found.duration <= (task.duration or math.inf):
+            return _separated(setting, found, "all go around where they meet, to the right")
+        tried.append(found)
     for rule in GUESSES:
         patience = rule.patience
         if task.duration is not None and patience * setting.alone > task.duration:
@@ -120,7 +125,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
             solution = solver.solve(built.program, first, built.common_rows)
         except ProgramError:
             break
-        here = evaluate(setting, built.moved(solution.x))
+        here = evaluate(setting, built.moved(solution))
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
         idle = 0 if _merit(setting, here) < (1.0 - GAIN) * _merit(setting, best) else idle + 1
         if _merit(setting, here) < _merit(setting, best):

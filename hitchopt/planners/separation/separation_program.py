@@ -7,7 +7,7 @@ coefficients. A row that is already broken may stay so, or has a slack: there is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,13 +17,9 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.planners.separation.limit_rows import add_limits
 from hitchopt.planners.separation.planes import Planes
-from hitchopt.planners.separation.setting import Setting, inside
-from hitchopt.planners.separation.spline import DEGREE, HELD
+from hitchopt.planners.separation.setting import DEGREE, HELD, Setting, inside
 from hitchopt.planners.separation.walls import Walls
-from hitchopt.requirements import Arena
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 MARGIN = 0.01
 """Margin of every plane, in separations: OSQP errs by some thousandths."""
@@ -66,22 +62,22 @@ class Built:
     ----------
     program: for the solver.
     common_rows: rows at the front that are the same in every program of this setting.
+    setting, around: what it was built from.
     """
 
     program: QuadraticProgram
     common_rows: int
-    _shape: tuple[int, int, int] = field(repr=False)
-    _around: Around = field(repr=False)
-    _arena: Arena | None = field(repr=False)
+    setting: Setting
+    around: Around
 
     def moved(self, x: Array) -> Array:
         """Return the coefficients (N, count, 3) [m] that a solution stands for."""
-        coefficients = self._around.coefficients.copy()
-        steps = np.clip(x[: int(np.prod(self._shape))], -1.0, 1.0).reshape(self._shape)
+        coefficients = self.around.coefficients.copy()
         inner = coefficients[:, HELD:-HELD]
-        inner += self._around.trust * steps
-        if self._arena is not None:  # exactly, where OSQP has a tolerance
-            inner[...] = inside(self._arena, inner)
+        inner += self.around.trust * np.clip(x[: inner.size], -1.0, 1.0).reshape(inner.shape)
+        arena = self.setting.task.requirements.arena
+        if arena is not None:  # exactly, where OSQP has a tolerance
+            inner[...] = inside(arena, inner)
         return coefficients
 
 
@@ -107,7 +103,7 @@ def build_program(setting: Setting, around: Around) -> Built:
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     q = np.concatenate([gradient, np.zeros(len(weights))])
     program = QuadraticProgram(P, q, *rows.compressed())
-    return Built(program, common, (n, free, 3), around, setting.task.requirements.arena)
+    return Built(program, common, setting, around)
 
 
 def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float64], Array]:

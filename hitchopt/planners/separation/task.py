@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import per_robot, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, per_robot, positive
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.planners.separation.planes import CURVE_SAMPLES
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.requirements import Limits
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LIMIT_SHARE = 0.999
 """Share of the limits that is planned at samples; the rest is for what happens between them."""
@@ -146,5 +144,4 @@ def _first_root(a: Array, b: Array, c: Array) -> Array:
     found = np.where(
         (discriminant >= 0.0) & (below > 0.0), -c / np.where(below > 0.0, below, 1.0), np.inf
     )
-    first: Array = np.where(c >= 0.0, 0.0, found)
-    return first
+    return np.where(c >= 0.0, 0.0, found)

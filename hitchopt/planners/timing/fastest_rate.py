@@ -11,15 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from hitchopt.planners.timing.rate_rows import RateRows
 from hitchopt.time_limit import check_time
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 DEGREE = 3
 
@@ -56,7 +53,7 @@ class SplineBasis:
     count: of the coefficients.
     """
 
-    first: Index
+    first: Indices
     values: Array
     count: int
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.planners.timing.speed_profile import SpeedProfile
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 WIDEST = 1.0 / 12.0
 """Longest piece, as a share of the whole time."""

@@ -13,13 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 ACCELERATION, JERK, THRUST, TILT = range(4)
 
@@ -77,7 +74,7 @@ class RateRows:
     e: Array
 
     @classmethod
-    def of(cls, path: ClockedPath, drones: Index) -> RateRows:
+    def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
         """Return the rows of the speed and of given drones.
 
         Parameters
@@ -110,28 +107,17 @@ class RateRows:
         G, pull = G[..., :2, :], pull[..., :2]
         share = np.full(A.shape[:2], LIMIT_SHARE**2)
         zero, flat = np.zeros((*share.shape, 3, 3)), np.zeros_like(share)
-        speed = np.zeros((len(samples), 1, 3))
-        speed[:, 0, 0] = 1.0 / path.most
-        one = np.ones((len(samples), 1))
-        return cls(
-            np.concatenate([zero[:, :1], _square(A), _square(J), _square(F), _square(G)], axis=1),
-            np.concatenate([zero[:, :1], zero, zero, zero, _square(rise)], axis=1),
-            np.concatenate(
-                [speed, nothing, nothing, _double(F, load), _double(G, pull) - _double(rise, lift)],
-                axis=1,
-            ),
-            np.concatenate(
-                [
-                    -one,
-                    -share,
-                    flat,
-                    dot(load, load) - share,
-                    dot(pull, pull) - dot(lift, lift),
-                ],
-                axis=1,
-            ),
-            np.concatenate([0.0 * one, flat, share, flat, flat], axis=1),
+        none, one = zero[:, :1], np.ones((len(samples), 1))
+        speed = np.stack([1.0 / path.most, *np.zeros((2, len(samples)))], axis=-1)[:, None]
+        thrust, tilt = _double(F, load), _double(G, pull) - _double(rise, lift)
+        rows = (
+            (none, none, speed, -one, 0.0 * one),
+            (_square(A), zero, nothing, -share, flat),
+            (_square(J), zero, nothing, flat, share),
+            (_square(F), zero, thrust, dot(load, load) - share, flat),
+            (_square(G), _square(rise), tilt, dot(pull, pull) - dot(lift, lift), flat),
         )
+        return cls(*(np.concatenate(part, axis=1) for part in zip(*rows, strict=True)))
 
     def values(self, p: Array) -> Array:
         """Return the rows' left sides (M, R) for p (M, 3)."""
@@ -161,8 +147,7 @@ class RateRows:
 
 def _square(A: Array) -> Array:
     """Return AᵀA for A (…, d, 3)."""
-    square: Array = np.swapaxes(A, -1, -2) @ A
-    return square
+    return np.swapaxes(A, -1, -2) @ A
 
 
 def _double(A: Array, load: Array) -> Array:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import toppra
-from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 from toppra import algorithm, constraint
 from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
@@ -17,8 +18,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 logging.getLogger("toppra").setLevel(logging.ERROR)  # its complaints become a TimingError
 
@@ -36,8 +36,7 @@ class TimingError(HitchoptError):
 
 def path_grid(steps: int) -> Array:
     """Return (steps + 1,) from 0 to 1, closer at the ends, where the path is left from rest."""
-    grid: Array = 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
-    return grid
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,31 +63,26 @@ class SpeedProfile:
         """Duration from rest to rest [s]."""
         return float(self.times[-1])
 
+    @cached_property
+    def progress(self) -> PPoly:
+        """Function of time [s]: s, a quadratic on each step."""
+        steps = np.diff(self.times)
+        quadratics = np.stack([0.5 * np.diff(self.speed) / steps, self.speed[:-1], self.s[:-1]])
+        return PPoly(quadratics, self.times)
+
     def acceleration(self, t: Array) -> Array:
         """Return s̈ at t (…) [s], zero before and after [1/s²]."""
-        times = self.times
-        i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-        inside = (t >= 0.0) & (t <= times[-1])
-        acceleration: Array = np.where(inside, (np.diff(self.speed) / np.diff(times))[i], 0.0)
-        return acceleration
+        inside = (t >= 0.0) & (t <= self.duration)
+        return np.where(inside, self.progress(np.clip(t, 0.0, self.duration), 2), 0.0)
 
     def mean(self, t: Array, width: float) -> Array:
         """Return the mean of s over the ``width`` [s] before t (…); at rest before and after."""
-        mean: Array = (self._integral(t) - self._integral(t - width)) / width
+        integral, end = self.progress.antiderivative(), self.duration
+        until, before = (
+            integral(np.clip(x, 0.0, end)) + np.maximum(x - end, 0.0) for x in (t, t - width)
+        )
+        mean: Array = (until - before) / width
         return mean
-
-    def _integral(self, t: Array) -> Array:
-        """Return the integral of s from 0 to t (…)."""
-        times, h = self.times, np.diff(self.times)
-        acceleration = np.diff(self.speed) / h
-        steps = h * (self.s[:-1] + h * (self.speed[:-1] / 2.0 + h * acceleration / 6.0))
-        until = np.append(0.0, np.cumsum(steps))
-        inside = np.clip(t, 0.0, times[-1])
-        i = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, len(h) - 1)
-        dt = inside - times[i]
-        within = dt * (self.s[i] + dt * (self.speed[i] / 2.0 + dt * acceleration[i] / 6.0))
-        total: Array = until[i] + within + np.maximum(t - times[-1], 0.0)
-        return total
 
 
 def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:

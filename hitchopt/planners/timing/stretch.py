@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
@@ -13,8 +12,7 @@ from hitchopt.hitch.statics import cable_forces
 from hitchopt.planners.timing.demands import FINAL_SHARE, Demands, loads_at_rest
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SPANS = 8
 """Number of spans of a piece on which its rates are enclosed: within about 0.1 %."""

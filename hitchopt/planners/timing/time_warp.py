@@ -27,8 +27,8 @@ from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.fastest_rate import DEGREE, RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
 from hitchopt.planners.timing.speed_profile import SpeedProfile
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 DemandsAt = Callable[[Array], Demands]
 """Demands of the path at given s."""
 
@@ -102,7 +102,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     ------
     WarpError: no rate, however slow, keeps the limits at the samples.
     """
-    tau = _samples(clock.knots)
+    tau, weights = _samples(clock.knots)
     progress = _spline_jet(clock.progress, tau)
     path = _clocked(demands_at(np.clip(progress[:, 0], 0.0, 1.0)), progress)
     spline = clock.squared_rate
@@ -110,7 +110,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     steady = np.full(len(spline.c), _steady_rate(path))
     drones = _nearest(path.ratios(*basis.at(steady).T))
     for _ in range(ROUNDS):
-        program = RateProgram(basis, RateRows.of(path, drones), _quadrature(clock.knots))
+        program = RateProgram(basis, RateRows.of(path, drones), weights)
         rate = fastest_rate(program, steady)
         ratios = path.ratios(*basis.at(rate).T)
         if np.max(ratios) <= LIMIT_SHARE + TOLERANCE:
@@ -149,18 +149,11 @@ def _nearest(ratios: Array) -> NDArray[np.intp]:
     return np.argpartition(-ratios, count - 1, axis=-1)[..., :count]
 
 
-def _samples(knots: Array) -> Array:
-    """Return SAMPLES Gauss points of each piece, (K · SAMPLES,)."""
-    nodes, _ = np.polynomial.legendre.leggauss(SAMPLES)
-    tau: Array = knots[:-1, None] + 0.5 * np.diff(knots)[:, None] * (1.0 + nodes)
-    return tau.reshape(-1)
-
-
-def _quadrature(knots: Array) -> Array:
-    """Return the weights (K · SAMPLES,) of an integral over the samples."""
-    _, weights = np.polynomial.legendre.leggauss(SAMPLES)
-    quadrature: Array = 0.5 * np.diff(knots)[:, None] * weights
-    return quadrature.reshape(-1)
+def _samples(knots: Array) -> tuple[Array, Array]:
+    """Return SAMPLES Gauss points of each piece, and their weights, (K · SAMPLES,) each."""
+    nodes, weights = np.polynomial.legendre.leggauss(SAMPLES)
+    half = 0.5 * np.diff(knots)[:, None]
+    return (knots[:-1, None] + half * (1.0 + nodes)).ravel(), (half * weights).ravel()
 
 
 def _spline_jet(spline: BSpline, tau: Array) -> Array:

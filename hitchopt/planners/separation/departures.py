@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import tied_order
 from hitchopt.planners.separation.routes import Routes
 from hitchopt.time_limit import check_time
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 CHOICES = 24
 """Number of departure times that a drone can choose from."""

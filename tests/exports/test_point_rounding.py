@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from exported_plans import hitch_plan
 
-from hitchopt.exports.refit import rounding_repair
-from hitchopt.exports.refit.joint_rounding import rounded
-from hitchopt.exports.refit.pieces import Kind, Scale, fitted
-from hitchopt.exports.refit.rounding_repair import Keeping, settled, settling_times
+from hitchopt.exports.refit import point_rounding
+from hitchopt.exports.refit.piece_fitting import Kind, Scale, fitted
+from hitchopt.exports.refit.point_rounding import Keeping, rounded, settled, settling_times
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial
@@ -77,7 +76,7 @@ def test_what_keeps_its_limits_is_left_alone() -> None:
 
 
 def test_with_too_much_beyond_nothing_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounding_repair, "MOST", 2)
+    monkeypatch.setattr(point_rounding, "MOST", 2)
     wanted = fit()
     curves = rounded(wanted, MM, Scale())
     assert settled(curves, wanted, MM, keeping(0.01)) is curves

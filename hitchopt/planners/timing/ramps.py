@@ -1,0 +1,93 @@
+"""The fastest flights along straight lines from rest to rest, limited in jerk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+SHORTEST = 1e-9
+"""[s] Phases of a profile that are shorter are dropped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ramp:
+    """The fastest straight flights from rest to rest within speed, acceleration and jerk.
+
+    Attributes
+    ----------
+    peak: (N,) largest speed of each [m/s]
+    rise: (N,) time to reach it [s]
+    duration: (N,) total time [s]
+    """
+
+    peak: Array
+    rise: Array
+    duration: Array
+
+
+def fastest_ramps(distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float) -> Ramp:
+    """Return the fastest straight flights.
+
+    The bound holds for any flight between two points at that distance: its component along the
+    line between them is such a flight.
+
+    Parameters
+    ----------
+    distance: (N,) [m]
+    speed, acceleration, jerk: limits; acceleration may be (N,).
+    """
+    d = np.asarray(distance, dtype=np.float64)
+    a = np.broadcast_to(np.asarray(acceleration, dtype=np.float64), d.shape)
+    # Peaks of flights that never cruise: with, or without, a time of constant acceleration.
+    corner = a * a / jerk
+    with_plateau = 0.5 * (np.sqrt(corner * corner + 4.0 * a * d) - corner)
+    without = np.cbrt(0.25 * d * d * jerk)
+    peak = np.minimum(np.where(with_plateau >= corner, with_plateau, without), speed)
+    rise = np.where(peak >= corner, peak / a + a / jerk, 2.0 * np.sqrt(peak / jerk))
+    cruise = np.divide(d, peak, out=np.zeros_like(d), where=peak > 0.0) - rise
+    return Ramp(peak, rise, 2.0 * rise + np.maximum(cruise, 0.0))
+
+
+def fastest_clock(
+    goal: float, speed: float, acceleration: float, jerk: float
+) -> PiecewisePolynomial:
+    """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
+
+    Parameters
+    ----------
+    goal: positive, in any unit.
+    speed, acceleration, jerk: limits, in that unit and seconds.
+    """
+    ramp = fastest_ramps([goal], speed, acceleration, jerk)
+    rise, duration = float(ramp.rise[0]), float(ramp.duration[0])
+    turning = min(acceleration / jerk, 0.5 * rise)  # of the acceleration, at the full jerk
+    plateau = rise - 2.0 * turning
+    up = [turning, plateau, turning]
+    seconds = np.array([*up, duration - 2.0 * rise, *up])
+    jerks = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    flown = seconds > SHORTEST
+    return _integrated(goal, seconds[flown], jerks[flown])
+
+
+def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomial:
+    """Return the cubics of phases of constant jerk; the end is met exactly."""
+    jets = [np.zeros(4)]
+    for duration, jerk in zip(seconds, jerks, strict=True):
+        jets[-1][3] = jerk
+        jets.append(advanced(jets[-1], duration))
+    x = np.stack(jets, axis=1)[:3]
+    x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
+    breaks = np.concatenate([[0.0], np.cumsum(seconds)])
+    return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
+
+
+def advanced(jets: Array, dt: Array | float) -> Array:
+    """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
+    p, v, a, j = np.moveaxis(jets, -1, 0)
+    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+    return np.stack([*moved, j], axis=-1)

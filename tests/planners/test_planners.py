@@ -1,0 +1,106 @@
+"""Every strategy shares the protocol of planners: what is asked can be looked at unsolved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.errors import InfeasibleError
+from hitchopt.hitch import Hitch, Team
+from hitchopt.planners.actions.flying import ActionFlight
+from hitchopt.planners.actions.shape_moves import move_vertex
+from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+from hitchopt.planners.forming.prehitch import find_prehitch
+from hitchopt.planners.forming.turns import SwapSettings
+from hitchopt.planners.optimise.candidates import OptimisedMorph
+from hitchopt.planners.path.blended_path import BlendedMorph
+from hitchopt.planners.path.straight_morph import StraightMorph
+from hitchopt.planners.planner import Planner
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.requirements import Requirements
+
+ASKED = Requirements()
+TEAM = Team(4, [2.4, 2.5, 2.45, 2.4])
+SQUARE = ho.regular_polygon(4, 1.2, np.pi / 4).translated([0.7, -0.4])
+START = Hitch.spread(TEAM, SQUARE, 1.3)
+TURNED = Hitch.spread(TEAM, SQUARE.rotated(0.3), 1.3)
+FARTHER = Hitch.spread(TEAM, SQUARE.rotated(0.5).translated([0.3, 0.1]), 1.3)
+
+
+def refused(*_: object) -> Flight | None:
+    raise AssertionError("nothing is judged before it is solved")
+
+
+def moved_vertex() -> ActionFlight:
+    points = SQUARE.vertices.copy()
+    points[1] += [0.1, 0.05]
+    action = move_vertex(START, ho.ConvexPolygon(points), 1)
+    return ActionFlight(action, Hitch(TEAM, action.polygon, 1.3, action.kept_legs), ASKED)
+
+
+def test_strategies_are_planners_and_compute_nothing_when_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in ("path.straight_morph", "path.blended_path", "actions.flying"):
+        monkeypatch.setattr(f"hitchopt.planners.{module}.fly", refused)
+    monkeypatch.setattr("hitchopt.planners.forming.approach.separate", refused)
+    goal = find_prehitch(TURNED, ASKED.separation, SwapSettings()).drones
+    approach = (TEAM, START.drones, goal, ASKED)
+    strategies: list[Planner[object, object]] = [
+        StraightMorph(START, TURNED, ASKED),
+        BlendedMorph((START, TURNED, FARTHER), ASKED),
+        OptimisedMorph(START, TURNED, ASKED, refused),
+        moved_vertex(),
+        DirectApproach(*approach),
+        GatheredApproach(*approach),
+    ]
+    for planner in strategies:
+        assert planner.problem is not None
+        with pytest.raises(AssertionError, match="nothing is judged"):
+            planner.solve()
+
+
+def test_the_paths_asked_for_join_their_hitches() -> None:
+    straight = StraightMorph(START, TURNED, ASKED)
+    flown = moved_vertex()
+    blend = BlendedMorph((START, TURNED, FARTHER), ASKED)
+    for path, ends in (
+        (straight.problem, (START, TURNED)),
+        (flown.problem.path, (START, flown.end)),
+        (blend.problem.path, (START, FARTHER)),
+    ):
+        vertices = path.vertices.at([0.0, 1.0])
+        np.testing.assert_allclose(vertices, np.stack([e.vertices for e in ends]), atol=1e-9)
+    (middle,) = blend.problem.s[1:-1]
+    passed = blend.problem.path.vertices.at(middle)
+    np.testing.assert_allclose(passed, TURNED.vertices, atol=1e-9)
+    for knots in OptimisedMorph(START, TURNED, ASKED, refused).problem:
+        outlines = np.stack([START.polygon.vertices, TURNED.polygon.vertices])
+        np.testing.assert_allclose(knots.polygons[[0, -1]], outlines, atol=1e-6)
+
+
+def test_solutions_fly_the_problem() -> None:
+    planner = StraightMorph(START, TURNED, ASKED)
+    flight = planner.solve()
+    assert flight is not None
+    ends = flight.vertices.at([0.0, flight.duration])
+    np.testing.assert_allclose(ends, planner.problem.vertices.at([0.0, 1.0]), atol=1e-9)
+    assert StraightMorph(START, TURNED, ASKED, 9.0).problem.team is TEAM
+    with pytest.raises(InfeasibleError, match="duration"):
+        StraightMorph(START, TURNED, ASKED, 0.1).solve()
+    direct = DirectApproach(TEAM, START.drones, TURNED.drones, ASKED)
+    stages = direct.solve()
+    task = direct.problem
+    first, last = stages[0].drones, stages[-1].drones
+    np.testing.assert_allclose(first.at(0.0), START.drones, atol=1e-9)
+    np.testing.assert_allclose(last.at(last.duration), TURNED.drones, atol=1e-9)
+    np.testing.assert_array_equal(task.goal, TURNED.drones)
+    assert all(tether.longest < 2.5 for tether in task.tethers)
+
+
+def test_a_problem_that_is_infeasible_in_itself_says_so_unsolved() -> None:
+    half = Hitch.spread(TEAM, SQUARE.rotated(np.pi), 1.3)
+    with pytest.raises(InfeasibleError, match="convexity"):
+        _ = StraightMorph(START, half, ASKED).problem
+    assert OptimisedMorph(START, half, ASKED, refused).problem
