@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def test_a_clasp_that_does_not_bear_is_infinitely_far_from_balance() -> None:
     through = with_drones(held, other.reshape(x.shape) + anchors)
     assert sampled(through, np.array([0.5]))["equilibrium"] < 1e-9
     found = certify(through)["equilibrium"]
-    assert found.worst == math.inf or found.worst > 1e300
+    assert found.bound > 1e300
     assert not found.holds
 
 
@@ -144,7 +145,8 @@ def test_a_millimetre_of_cable_is_noticed(part: str) -> None:
         c[:, 4] += 0.001 * away / np.linalg.norm(away[0, :, 0])
     else:
         c[:, 2, 0] += 0.001
-    wrong = replace(whole, **{part: PiecewisePolynomial(whole.drones.breaks, c)})
+    changed: dict[str, Any] = {part: PiecewisePolynomial(whole.drones.breaks, c)}
+    wrong = replace(whole, **changed)
     check = certify(wrong)["cable_length"]
     assert check.worst == pytest.approx(0.001 / 2.0, rel=1e-2)
     assert check.where == ("cable 2",)
