@@ -21,6 +21,9 @@ from hitchopt.values import Array
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
 """[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""
 
+COARSE = tuple(math.radians(angle) for angle in (20.0, 40.0))
+"""[rad] Rolls at which other lengths of legs are looked for, which takes longer."""
+
 HALVINGS = 7
 """Number of halvings of the step of the ladder in which the smallest roll lies: 0.1° are left."""
 
@@ -32,8 +35,8 @@ search with all of them to be worth its time."""
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     """Return leg lengths on one polygon and the roll (clasps,) [rad] that goes with them.
 
-    There is no roll where legs keep all limits without. Else it is the smallest one with which they
-    keep the margin that is wanted, else the limits; none where no roll is found to help.
+    There is no roll where legs keep all limits without. Else it is the smallest one found with
+    which they keep the margin that is wanted, else the limits; none where no roll helps.
 
     Parameters
     ----------
@@ -43,11 +46,12 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     without = split_slack(task)
     if without.margin >= 1.0:
         return without, own
+    margins: dict[float, float] = {}  # of chosen lengths, at the rolls that were tried
     for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
-        roll = _least(replace(task, margin=margin))
+        aim = replace(task, margin=margin)
+        roll = _least(aim, margins)
         if roll is not None:
-            rolled = _rolled(replace(task, margin=margin), roll)
-            return split_slack(rolled), np.full(len(own), roll)
+            return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
     return without, own
 
 
@@ -63,18 +67,29 @@ def least_roll_of_reference(task: LegTask) -> Array:
     return none if roll is None else none + roll
 
 
-def _least(task: LegTask) -> float | None:
-    """Return the smallest roll [rad] with which leg lengths keep the task's margin, or None."""
+def _least(task: LegTask, margins: dict[float, float]) -> float | None:
+    """Return the smallest roll [rad] with which leg lengths keep the task's margin, or None.
+
+    Lengths as they are come first, which takes no program to be solved.
+
+    Parameters
+    ----------
+    margins: those of chosen lengths at the rolls of COARSE, once they are known.
+    """
 
     def as_they_are(roll: float) -> bool:
         return reference_margin(_rolled(task, roll)) >= task.wanted
 
     def chosen(roll: float) -> bool:
-        return split_slack(_rolled(task, roll)).margin >= task.wanted * (1.0 - 1e-6)
+        if roll not in COARSE:
+            return split_slack(_rolled(task, roll)).margin >= task.wanted * (1.0 - 1e-6)
+        if roll not in margins:
+            margins[roll] = split_slack(_rolled(task, roll)).margin
+        return margins[roll] >= task.wanted * (1.0 - 1e-6)
 
     given = _first(as_they_are, LADDER)
     if given is None:
-        return _first(chosen, LADDER, 2)
+        return _first(chosen, COARSE, 3)
     if _possible(chosen, LESS * given):
         return _first(chosen, (LESS * given,), 3)
     return given

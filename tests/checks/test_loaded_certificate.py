@@ -43,7 +43,8 @@ def motion(seed: int, n: int, *, density: float = 0.01) -> Motion:
     phases = rng.uniform(0.0, 6.0, n)
 
     def polygon_at(t: Array) -> Array:
-        return start + 0.06 * np.sin(t[:, None, None] * [0.8, 1.1] + start)
+        points: Array = start + 0.06 * np.sin(t[:, None, None] * [0.8, 1.1] + start)
+        return points
 
     def tension_at(t: Array) -> Array:
         return 0.9 + 0.03 * np.sin(0.7 * t[:, None] + phases)
