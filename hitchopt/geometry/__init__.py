@@ -1,15 +1,8 @@
 """Convex polygons and arcs, segments and boxes, without any cable."""
 
-from hitchopt.geometry.arc import ConvexArc
-from hitchopt.geometry.outline import Outline
-from hitchopt.geometry.polygon import ConvexPolygon, regular_polygon
-from hitchopt.geometry.segments import differences, shortest_offset
-
-__all__ = [
-    "ConvexArc",
-    "ConvexPolygon",
-    "Outline",
-    "differences",
-    "regular_polygon",
-    "shortest_offset",
-]
+from hitchopt.geometry.arc import ConvexArc as ConvexArc
+from hitchopt.geometry.outline import Outline as Outline
+from hitchopt.geometry.polygon import ConvexPolygon as ConvexPolygon
+from hitchopt.geometry.polygon import regular_polygon as regular_polygon
+from hitchopt.geometry.segments import differences as differences
+from hitchopt.geometry.segments import shortest_offset as shortest_offset

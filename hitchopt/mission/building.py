@@ -60,7 +60,7 @@ def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str,
     """Return the parts that problems of both kinds have, by name, those refused left out."""
     box = keys.arena
     parts = {
-        "title": faults.attempt("", lambda: _title(keys.title)),
+        "title": faults.attempt("", partial(_title, keys.title)),
         "limits": faults.attempt("limits", lambda: _limits(keys.limits)),
         "separation": faults.attempt(
             "separation", lambda: Separation(**keys.separation.model_dump())

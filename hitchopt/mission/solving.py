@@ -52,7 +52,8 @@ def _solved(
     requirements: Requirements,
     optimiser: bool,
 ) -> Certified:
-    begun = _begun(progress, team, start, _first_form(steps), requirements)
+    first_form = next((step for step in steps if isinstance(step, Form)), None)
+    begun = _begun(progress, team, start, first_form, requirements)
     situation = begun.situation
     parts: list[Certified] = []
     for first, group in _groups(steps):
@@ -102,10 +103,6 @@ def _begun(
         _tell(progress, "assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
-
-
-def _first_form(steps: Sequence[Step]) -> Form | None:
-    return next((step for step in steps if isinstance(step, Form)), None)
 
 
 @remembered
