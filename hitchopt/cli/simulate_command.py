@@ -88,7 +88,7 @@ def simulate(
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
     It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the corrections that the thickness of simulated ropes requires, whose sizes it prints.
+    and for the length that the bends of thick simulated ropes use up, which it prints.
     Drones follow setpoints.csv and nothing else: of the cables they feed forward cable_x, cable_y
     and cable_z. Vertex errors are distances in three dimensions, sag included. The exit code of
     one flight is 3 if anything fails: drones touch, or a vertex does not hold. It is also 3 if the
