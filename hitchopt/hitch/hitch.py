@@ -181,11 +181,7 @@ class Hitch:
 
 
 def _nearest_legs(
-    team: Team,
-    polygon: Outline,
-    reference: Array,
-    margin: float,
-    requirements: Requirements,
+    team: Team, polygon: Outline, reference: Array, margin: float, requirements: Requirements
 ) -> Array:
     task = LegTask(
         team,

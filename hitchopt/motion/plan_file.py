@@ -80,11 +80,7 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     text = json.dumps(settings, allow_nan=False, default=_values_of)
     with path.open("wb") as file:
         np.savez(
-            file,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            settings=np.array(text),
-            **arrays,
+            file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
         )
 
 

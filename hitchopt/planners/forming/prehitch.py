@@ -207,10 +207,7 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     clear = np.full(len(turns.half), np.inf)
-    for drone, cable in (
-        (q[:, layout.ahead], layout.behind),
-        (r[:, layout.behind], layout.ahead),
-    ):
+    for drone, cable in ((q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
         clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
     along = unit(layout.edges(turns.vertices))

@@ -88,10 +88,7 @@ class Turns:
         """Return the same ellipses higher up [m]."""
         up = np.array([0.0, 0.0, by])
         return replace(
-            self,
-            centres=self.centres + up,
-            ends=self.ends + up,
-            vertices=self.vertices + up,
+            self, centres=self.centres + up, ends=self.ends + up, vertices=self.vertices + up
         )
 
     def with_senses(self, senses: Array) -> Turns:

@@ -141,8 +141,7 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     """
     fastest = demands.speed_bound
     steepest = np.min(
-        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12),
-        axis=1,
+        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12), axis=1
     )
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
