@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.values import Array
-
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array
-
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 RELATIVE = 1e-4
 """Largest gap between the answer and an attained value, relative to that value."""
