@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
+
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ LEVEL = 1e-9
 def hovering(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
     rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    motion = free_motion(Stage("parked", rest), before.team, i, requirements)
+    motion = free_motion(Stage("parked", rest, CableState.GROUND), before.team, i, requirements)
     (phase,) = motion.phases
     hanging = phase.state is CableState.FREE
     return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
@@ -76,7 +76,7 @@ def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirem
 
 def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     """Return the motion of a stage."""
-    phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
     curves = Flight(stage.drones, stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch))
     return _raised(flying(curves, hitch.team, requirements, [phase]))
 
