@@ -15,15 +15,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import follow_vertex
 from hitchopt.requirements import Requirements
-from hitchopt.steps.edits import (
-    DECIMALS,
-    FORCES,
-    PLAN_DURATION,
-    RATES,
-    StepEdit,
-    Tunable,
-    points_scaled,
-)
+from hitchopt.steps.edits import FORCES, PLAN_DURATION, RATES, StepEdit, Tunable, points_scaled
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import VERTEX, Key, LegsAtEnd
 from hitchopt.steps.situation import StepPlan, StepTask
@@ -105,19 +97,13 @@ class FollowVertex(ActionStep):
 
     def tunables(self) -> Iterator[Tunable]:
         """Yield the points' times."""
-        yield Tunable(
-            "path",
-            1.0,
-            "times",
-            self._stretched,
-            RATES | FORCES,
-            frozenset({PLAN_DURATION}),
-            "times of its points",
-        )
 
-    def _stretched(self, factor: float) -> StepEdit:
-        times = np.round(self.path[:, 0] * factor, DECIMALS)
-        return self._rewritten(times, self.path[:, 1:])
+        def put(factor: float) -> StepEdit:
+            return self._rewritten(points_scaled(times, factor, np.zeros(1)), points)
+
+        times, points = self.path[:, 0], self.path[:, 1:]
+        raises, lowers = RATES | FORCES, frozenset({PLAN_DURATION})
+        yield Tunable("path", 1.0, "times", put, raises, lowers, "times of its points")
 
     def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:
         """Return the edit that scales the points about the centre."""

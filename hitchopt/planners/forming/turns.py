@@ -111,11 +111,6 @@ def rise_that_clears(separation: Separation, tilt: float, least: float) -> float
     return max(least, APART / float(np.linalg.norm(2.0 * separation.scale * w)))
 
 
-def half_that_clears(separation: Separation, least: float) -> float:
-    """Return the smallest half chord [m] that clears the pair's ellipsoids side by side."""
-    return max(least, APART * separation.radius)
-
-
 def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:
     """Return the drones (2n, 3) [m] on half a turn, from rest to rest.
 
