@@ -11,10 +11,9 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import follow_vertex
-from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import FORCES, PLAN_DURATION, RATES, StepEdit, Tunable, points_scaled
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import VERTEX, Key, LegsAtEnd
@@ -80,15 +79,17 @@ class FollowVertex(ActionStep):
         points[self.vertex] = self.path[-1, 1:]
         return convex_outline(team, points, "path", self.path)
 
-    def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
+    def action(self, task: StepTask) -> Action:
         """Return the action."""
-        outline = self.polygon_after(start.team, start.polygon)
-        return follow_vertex(start, outline, self.vertex, self.path)
+        start = task.hitch
+        return follow_vertex(
+            start, self.polygon_after(start.team, start.polygon), self.vertex, self.path
+        )
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; there is no other route."""
-        end = self.end(task.hitch, task.requirements)
-        self.check_end(end.hitch, task.index, task.requirements)
+        end = self.end(task)
+        self.check_end(end.hitch, task)
         return task.ended(self.own_route(task, end).motion(), end.hitch)
 
     def advice(self, check: str) -> str:

@@ -34,8 +34,6 @@ class Land(Step):
         down = before.drones.copy()
         down[:, 2] = requirements.floor
         flight = straight(before.team, requirements.limits, before.drones, down)
-        motion = free_motion(
-            Stage("land", flight, CableState.GROUND), before.team, task.index, requirements
-        )
+        motion = free_motion(Stage("land", flight, CableState.GROUND), task)
         after = replace(before, drones=down)
         return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
