@@ -117,6 +117,11 @@ class OneKey(Keys):
         return data
 
 
+def section(model: type[Keys]) -> Any:
+    """Return a field that holds a model's own defaults unless it is given."""
+    return Field(default_factory=model, description=str(model.__doc__))
+
+
 class QuadrotorKeys(Keys):
     """One kind of quadrotor."""
 

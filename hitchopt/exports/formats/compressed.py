@@ -15,27 +15,17 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.compressed_bytes import (
-    DEGREE,
-    LONGEST,
-    MILLI,
-    decoded,
-    encoded,
-    most_segments,
-)
+from hitchopt.exports.formats.compressed_bytes import KIND, MILLI, decoded, encoded, most_segments
 from hitchopt.exports.formats.crazyflie_memory import BYTES, CrazyflieFormat
 from hitchopt.exports.formats.format import Candidate, Task, writer_of
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, fitted
+from hitchopt.exports.refit.piece_fitting import Scale, breaks_within, fitted
 from hitchopt.exports.refit.point_rounding import Keeping, rounded, settled, settling_times
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import states_at
 from hitchopt.storage.atomic import Writer
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-
-KIND = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=LONGEST)
-"""Durations are whole milliseconds."""
 
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""

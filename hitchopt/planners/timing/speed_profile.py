@@ -164,12 +164,8 @@ def _cast(demands: Demands, u: Array, x: Array) -> Array:
     parts = []
     for first in range(0, len(u), size):
         span = slice(first, first + size)
-        part = replace(
-            demands,
-            drones=demands.drones[span],
-            vertex_speed=demands.vertex_speed[span],
-            loads=demands.loads[span],
-        )
+        drones, vertex_speed = demands.drones[span], demands.vertex_speed[span]
+        part = replace(demands, drones=drones, vertex_speed=vertex_speed, loads=demands.loads[span])
         parts.append(part.reach(u[span], x[span]))
     return np.concatenate(parts)
 
