@@ -179,7 +179,12 @@ def _suggested(
 @click.argument("directory", metavar="DIR", type=GivenPath())
 @click.option("--closest", is_flag=True, help="Report the closest pairs of drones over time.")
 @click.option("--picture", metavar="PNG", type=GivenPath(), help="Draw the same to a file.")
-def check(directory: Path, closest: bool, picture: Path | None) -> None:
+@click.option(
+    "--gamma",
+    default=1.0,
+    help="How many times farther than drones vertices may be off, for tracking_radius.",
+)
+def check(directory: Path, closest: bool, picture: Path | None, gamma: float) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
@@ -189,7 +194,7 @@ def check(directory: Path, closest: bool, picture: Path | None) -> None:
     path = plan_path(directory)
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
-        certificate = certify(motion, progress=progress)
+        certificate = certify(motion, progress, gamma)
     _show("", motion, certificate)
     if closest or picture is not None:
         _show_closest(Plan(motion, certificate), picture)

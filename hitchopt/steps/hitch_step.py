@@ -120,15 +120,15 @@ class ActionStep(ShapeStep):
         """Return which drones move that the paper does not name, and why."""
         parts = []
         if found.turning:
-            parts.append(
-                f"{_all_of(found.turning, 'turn')} as well: tensions differ, so legs turn with "
-                "both edges at their vertex"
-            )
+            reason = "tensions differ, so legs turn with both edges at their vertex"
+            if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
+                reason = "clasps carry weight, so legs rise as it changes"
+            parts.append(f"{_all_of(found.turning, 'turn')} as well: {reason}")
         if found.sliding:
             reasons = ["legs are to change"] if self.legs is not None else []
             reasons += [end.reason] if end.reason else []
             if found.worst is not None:
-                path = action.path(end.hitch.q_legs)
+                path = action.path(end.hitch)
                 altitude = action.start.altitude
                 reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
             parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")

@@ -59,7 +59,7 @@ def tying_site(
     by = altitude - hitch.altitude
     if by <= LEVEL:
         return TyingSite(hitch, pre)
-    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs)
+    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
     return TyingSite(high, replace(pre, turns=pre.turns.raised(by)))
 
 

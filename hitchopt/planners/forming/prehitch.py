@@ -152,7 +152,7 @@ def _turns(
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
-    chord = q - r
+    chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at one height, however legs rise in the hitch
     lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)

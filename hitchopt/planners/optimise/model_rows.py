@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.parts import SEPARATION
+from hitchopt.model.loaded_robot import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
@@ -95,13 +97,31 @@ def tie_drones(draft: Draft, knots: ca.MX, path: KnotPath) -> None:
 
     around = [np.roll(layout.vertices, shift, axis=0) for shift in (1, 0, -1, -2)]
     pulls = [np.roll(layout.tensions, shift) for shift in (1, 0, -1)]
-    free = not bool(np.all(path.team.tension == path.team.tension[0]))
-    place, turn = planar_function(not free).map(columns)(
-        gathered(np.concatenate(around, axis=1)),
-        gathered(layout.q_legs[:, None]),
-        gathered(np.stack(pulls, axis=1)),
-        np.tile(path.team.cable_length, knots.size2())[None],
-    )
+    team, inner = path.team, knots.size2()
+    vertices, tensions = gathered(np.concatenate(around, axis=1)), gathered(np.stack(pulls, axis=1))
+    if team.loaded or path.roll is not None:
+        neighbours = team.layout.neighbours
+        ends = np.column_stack([team.layout.starts, team.layout.ends])
+        roll = np.zeros((inner, n)) if path.roll is None else path.roll[1:-1]
+        loads = np.zeros((n, 2, 3))
+        loads[..., 2] = -GRAVITY * team.load[ends]
+        place, turn = loaded_planar_function(team.cable_density > 0.0).map(columns)(
+            vertices,
+            gathered(layout.q_legs[neighbours]),
+            tensions,
+            np.tile(team.cable_length[neighbours].T, inner),
+            roll[:, ends].reshape(columns, 2).T,
+            np.tile(loads.reshape(n, 6).T, inner),
+            np.full((1, columns), GRAVITY * team.cable_density),
+        )
+    else:
+        free = not bool(np.all(team.tension == team.tension[0]))
+        place, turn = planar_function(not free).map(columns)(
+            vertices,
+            gathered(layout.q_legs[:, None]),
+            tensions,
+            np.tile(team.cable_length, inner)[None],
+        )
     lifted = gathered(np.column_stack([layout.drones.reshape(n, 4), layout.r_legs]))
     draft.bound(ca.vec(place - lifted), 0.0, 0.0)
     sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
