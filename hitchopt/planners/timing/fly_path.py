@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.cable_spans import cable_of, sag_factors
@@ -20,8 +19,7 @@ from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 GRID = 160
 """Number of steps of toppra's grid along the path."""
