@@ -26,9 +26,6 @@ MAX_BYTES = 400_000_000
 DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
 """Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
-ASIDE = ("aside_x", "aside_y", "aside_z")
-"""Columns by how much simulated drones are moved aside for thick ropes [m]; taken off again."""
-
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -52,10 +49,10 @@ class Recording:
 
     @classmethod
     def of_flight(cls, flight: Flight) -> Recording:
-        """Return what a simulated flight recorded until it had rested, without offsets aside."""
+        """Return what a simulated flight recorded until it had rested."""
         record, layout = flight.record, flight.task.team.layout
         rows = record.t <= np.fmax(flight.task.duration, flight.rested) + 1e-9
-        drones = record.drones[rows] - record.aside[rows]
+        drones = record.drones[rows]
         vertices = np.full((len(drones), layout.points, 3), np.nan)
         vertices[:, layout.clasps] = record.vertices[rows]
         return cls(
@@ -164,7 +161,7 @@ def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
     missing = [title for title in ("t", kind, "x", "y", "z") if title not in titles]
     if missing:
         raise FileError(f"{path}: has no column {missing[0]!r}; a recording has {HEADER}")
-    wanted = [titles.index(title) for title in ("t", "x", "y", "z", *ASIDE) if title in titles]
+    wanted = [titles.index(title) for title in ("t", "x", "y", "z")]
     name = titles.index(kind)
     try:
         item = np.array([items.get(line[name].strip(), -1) for line in lines], dtype=np.intp)
@@ -174,7 +171,5 @@ def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
     values = np.array(cells, dtype=np.float64).reshape(len(lines), len(wanted))
     if not np.all(np.isfinite(values[:, 0])):
         raise FileError(f"{path}: holds a time that is not finite; give every row its time")
-    if values.shape[1] > 4:
-        values[:, 1:4] -= values[:, 4:7]
     known = item >= 0
     return np.column_stack([values[known, 0], item[known], values[known, 1:4]])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import block_array, coo_array, csr_array
 from scipy.sparse.linalg import splu
 
@@ -34,6 +34,9 @@ GUESS = 5.0
 
 LARGEST_ERROR = 0.25
 """Largest relative standard error of a stiffness that counts as determined."""
+
+SOFTEST, STIFFEST = 0.01, 1e4
+"""Range in which a stiffness is searched [N/m]."""
 
 WIND_SCALE = 0.2
 """Standard deviation of a steady wind's force that is expected beforehand [N]."""
@@ -138,9 +141,7 @@ def fit_stiffness(
     task = _Residuals(balance, kinds, feed_forward, OFFSET_SCALE, FORCE_SHARE * tension)
     x = np.concatenate([-np.log(stated), np.zeros(2), guess])
     for _ in range(2):
-        found = least_squares(
-            task.values, x, task.jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
-        )
+        found = _solved(task, x)
         x = found.x
         values, drones = task.values(x), balance.windows.drones.size
         offset = task.offset_scale * float(scale_of(values[:drones]))
@@ -150,9 +151,7 @@ def fit_stiffness(
             offset_scale=max(offset, LEAST_OFFSET),
             force_scale=max(force, LEAST_SHARE * tension),
         )
-    found = least_squares(
-        task.values, x, task.jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
-    )
+    found = _solved(task, x)
     g, rows = len(names), len(found.fun)
     jacobian = csr_array(task.jacobian(found.x))
     normal = (jacobian.T @ jacobian).tocsc()
@@ -167,6 +166,21 @@ def fit_stiffness(
         found.x[g : g + 2],
         found.x[g + 2 :].reshape(len(balance.windows.t), -1),
         tuple(_stiffness(value, error) for value, error in zip(k, errors, strict=True)),
+    )
+
+
+def _solved(task: _Residuals, x: Array) -> OptimizeResult:
+    """Return the robust solution from x on, stiffness within its range."""
+    low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
+    low[: task.count], high[: task.count] = -np.log(STIFFEST), -np.log(SOFTEST)
+    return least_squares(
+        task.values,
+        x,
+        task.jacobian,
+        bounds=(low, high),
+        loss="soft_l1",
+        x_scale="jac",
+        tr_solver="lsmr",
     )
 
 

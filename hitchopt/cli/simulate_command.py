@@ -32,7 +32,6 @@ PATH = GivenPath()
     "--preset",
     type=click.Choice(["fast", "accurate"]),
     default="fast",
-    show_default=True,
     help="fast: whether it holds; accurate: with correct friction, five times slower.",
 )
 @click.option(
@@ -40,11 +39,10 @@ PATH = GivenPath()
     "body",
     type=click.Choice(["rigid", "point"]),
     default="rigid",
-    show_default=True,
     help="Rigid bodies with an attitude, or point masses.",
 )
 @click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
-@click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
+@click.option("--seed", metavar="S", type=int, default=0, help="Random seed.")
 @click.option("--processes", metavar="P", type=int, help="Processes; by default all processors.")
 @click.option(
     "--perturbed",
@@ -88,7 +86,7 @@ def simulate(
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
     It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the corrections that the thickness of simulated ropes requires, whose sizes it prints.
+    and for the length that the bends of thick simulated ropes use up, which it prints.
     Drones follow setpoints.csv and nothing else: of the cables they feed forward cable_x, cable_y
     and cable_z. Vertex errors are distances in three dimensions, sag included. The exit code of
     one flight is 3 if anything fails: drones touch, or a vertex does not hold. It is also 3 if the

@@ -72,7 +72,7 @@ def _conditions(simulation: Simulation) -> Table:
     from hitchopt.simulation.error_measures import effective_lengths
 
     flight, preset = simulation.flight, simulation.settings.preset
-    team, gains, sizes = flight.task.team, flight.gains, flight.compensation
+    team, gains = flight.task.team, flight.gains
     stated = np.all(np.isfinite(team.stiffness)) or simulation.settings.stiffness is not None
     table = new_table("Control, and what is corrected", ["quantity"], ["value"])
     off = 1e3 * (effective_lengths(flight) - team.cable_length)
@@ -86,10 +86,9 @@ def _conditions(simulation: Simulation) -> Table:
             f"{1e3 * flight.density:g} g/m; the plan knows {1e3 * team.cable_density:g}",
         ),
         (
-            f"drones aside for ropes of {1e3 * preset.diameter:g} mm",
-            f"≤ {1e3 * sizes.aside:.1f} mm",
+            f"ropes of {1e3 * preset.diameter:g} mm longer for their bends",
+            f"≤ {1e3 * flight.longer:.1f} mm",
         ),
-        ("ropes longer for their bends", f"≤ {1e3 * sizes.longer:.1f} mm"),
         ("  their effective lengths are off by", _range(off, "+.1f") + " mm"),
     ):
         table.add_row(name, value)

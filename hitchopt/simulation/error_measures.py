@@ -120,7 +120,7 @@ def effective_lengths(flight: Flight) -> Array:
     rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
     if not rows.any() or not flight.task.formed[-1]:
         return np.full(team.robots, np.nan)
-    drones = np.mean(record.drones[rows] - record.aside[rows], axis=0)
+    drones = np.mean(record.drones[rows], axis=0)
     vertices = np.empty((team.layout.points, 3))
     vertices[team.layout.anchors] = drones  # a chain's ends; clasps follow
     vertices[team.layout.clasps] = np.mean(record.vertices[rows], axis=0)

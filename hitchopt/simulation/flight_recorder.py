@@ -64,21 +64,20 @@ class Recorder:
         self._contacts.collect()
         self._peaks[:] = 0.0
 
-    def sample(self, time: float, commanded: Array, aside: Array, least_bearing: Array) -> None:
+    def sample(self, time: float, commanded: Array, least_bearing: Array) -> None:
         """Add a row: the present state, and what was gathered since the last sample.
 
         Parameters
         ----------
         time: [s]
         commanded: commanded positions of the drones (2n, 3) [m].
-        aside: by how much they are moved aside for thick ropes (2n, 3) [m].
         least_bearing: (clasps,) [N], the contact force from which on a clasp bears.
         """
         world, motors = self._world, self._motors
         contacts = self._contacts.collect(least_bearing)
         means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
         state = (means, self._peaks.copy(), motors.thrusts.copy(), motors.saturated.copy())
-        self._rows.append((np.array(time), world.drones, commanded, aside, *contacts, *state))
+        self._rows.append((np.array(time), world.drones, commanded, *contacts, *state))
         self._peaks[:] = 0.0
 
     @property

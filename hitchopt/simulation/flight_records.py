@@ -22,8 +22,7 @@ class Record:
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
     drones: positions (samples, 2n, 3) [m].
-    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, moved aside for thick ropes.
-    aside: (samples, 2n, 3) [m], by how much they are moved aside.
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
     bearing: contact forces (samples, clasps) [N].
     tensions: means over each cable's length (samples, n) [N].
@@ -35,7 +34,6 @@ class Record:
     t: Array
     drones: Array
     commanded: Array
-    aside: Array
     vertices: Array
     bearing: Array
     tensions: Array
@@ -75,21 +73,6 @@ class Touch:
     second: str
 
 
-@dataclass(frozen=True)
-class Compensation:
-    """Sizes of what the simulation corrects because its ropes are thicker than cables.
-
-    Attributes
-    ----------
-    aside: largest distance by which a drone's setpoint is moved aside [m].
-    longer: largest length that a rope has more than its cable [m]; it is used up by the bends, so
-        that the planned length is the effective one.
-    """
-
-    aside: float
-    longer: float
-
-
 @dataclass(frozen=True, eq=False)
 class Flight:
     """A flight that was simulated to its end, or until the simulation became invalid.
@@ -106,7 +89,8 @@ class Flight:
     least_bearing: contact forces (clasps,) [N] from which on a clasp bears at the end; zero without
         a hitch.
     gains: of the drones' position loops.
-    compensation: sizes of the corrections for thick ropes.
+    longer: largest length that a rope has more than its cable [m]; the bends of thick ropes use it
+        up, so that the planned length is the effective one.
     error: what ended the flight early, or None.
     """
 
@@ -120,5 +104,5 @@ class Flight:
     density: float
     least_bearing: Array
     gains: PositionGains
-    compensation: Compensation
+    longer: float
     error: InvalidRunError | None

@@ -16,12 +16,12 @@ from hitchopt.simulation.disturbances import Disturbances
 from hitchopt.simulation.drone_control import PositionGains, desired_thrusts
 from hitchopt.simulation.drone_motors import Motors
 from hitchopt.simulation.flight_recorder import Recorder
-from hitchopt.simulation.flight_records import Compensation, Flight
+from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.linking_numbers import linking_matrix
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
-from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
+from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError, check_valid
@@ -64,9 +64,9 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
     It begins with a hitch where the plan has one at the first setpoint, else with hanging cables.
-    The plan's hitch also defines the corrections of ``rope_thickness``, whose sizes the flight
-    states; otherwise drones know their setpoints alone: the ropes' weight is not fed forward unless
-    the setpoints' cable forces hold it.
+    The plan's hitch also defines the correction of ``rope_thickness``, whose size the flight
+    states. Drones know their setpoints alone: the ropes' weight is not fed forward unless the
+    setpoints' cable forces hold it.
 
     Parameters
     ----------
@@ -97,13 +97,11 @@ class _Run:
     """
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
-        team, diameter = task.team, settings.preset.diameter
+        team, preset = task.team, settings.preset
         self._task, self._settings, self._progress = task, settings, progress
         self._disturbances = Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._aside = thickness_offsets(task, diameter)
-        aside = task.setpoints.positions + self._aside
-        self._setpoints = replace(task.setpoints, positions=aside)
-        allowance = thickness_allowance(task, diameter, settings.preset.segment)
+        self._setpoints = task.setpoints
+        allowance = thickness_allowance(task, preset.diameter, preset.segment)
         lengths = team.cable_length * self._disturbances.cable_scale + allowance
         ropes = ropes_of(team, settings, lengths)
         ground = settings.ground
@@ -121,9 +119,7 @@ class _Run:
         self._least_bearing = least_bearing(task)
         self._gains = PositionGains.of(team, settings)
         self._wound = np.zeros_like(start)
-        self._compensation = Compensation(
-            float(np.max(np.linalg.norm(self._aside, axis=-1))), float(np.max(allowance))
-        )
+        self._longer = float(np.max(allowance))
         self._substeps = max(1, round(CONTROL / ropes.preset.time_step))
         self._period = self._substeps * ropes.preset.time_step
         self._damping = 0.0
@@ -229,7 +225,7 @@ class _Run:
         """Record a sample at ``time`` [s], at which setpoint ``index`` applies."""
         least = self._least_bearing[index]
         commanded = self._setpoints.positions[index]
-        self._recorder.sample(time, commanded, self._aside[index], least)
+        self._recorder.sample(time, commanded, least)
 
     def flight(self, error: InvalidRunError | None) -> Flight:
         """Return the flight as far as it was simulated."""
@@ -246,6 +242,6 @@ class _Run:
             self._world.ropes.density,
             self._least_bearing[-1],
             self._gains,
-            self._compensation,
+            self._longer,
             error,
         )

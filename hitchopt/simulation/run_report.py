@@ -56,7 +56,6 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
     cables: dict[str, Array] = {"tension": record.tensions, "peak": record.peak_tensions}
     drones: dict[str, Array] = {
         "x,y,z": record.drones,
-        "aside_x,aside_y,aside_z": record.aside,
         "error": np.linalg.norm(record.drones - record.commanded, axis=-1),
         "thrust": record.thrusts,
         "saturated": record.saturated.astype(np.float64),
@@ -83,10 +82,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "setpoints_sha256": flight.task.digest,
         "settings": settings_summary(simulation.settings),
         "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
-        "compensation": {
-            "drones_aside": flight.compensation.aside,
-            "cables_longer": flight.compensation.longer,
-        },
+        "compensation": {"cables_longer": flight.longer},
         "density": {"simulated": flight.density, "planned": team.cable_density},
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,

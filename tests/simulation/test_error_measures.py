@@ -12,7 +12,7 @@ from scripted import formed_where, regular_hitch, standing, unformed
 from hitchopt.hitch import Hitch
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.error_measures import Spread, tracking_errors, vertex_errors
-from hitchopt.simulation.flight_records import Compensation, Film, Flight, Record
+from hitchopt.simulation.flight_records import Film, Flight, Record
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.simulation_settings import Settings
 
@@ -28,7 +28,6 @@ def flight_of(
         t,
         drones + [0.03, 0.0, 0.04],
         drones,
-        np.zeros_like(drones),
         vertices,
         np.ones(vertices.shape[:2]),
         np.ones((samples, n)),
@@ -40,7 +39,7 @@ def flight_of(
     gains = PositionGains.of(hitch.team, Settings())
     return Flight(
         *(task, record, film, (), None, rested, np.nan, 0.01, np.zeros(n)),
-        *(gains, Compensation(0.0, 0.0), None),
+        *(gains, 0.0, None),
     )
 
 

@@ -9,7 +9,7 @@ from scripted import regular_hitch, standing, unformed
 
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
-from hitchopt.simulation.flight_records import Compensation, Film, Flight, Record, Touch
+from hitchopt.simulation.flight_records import Film, Flight, Record, Touch
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError
 
@@ -40,12 +40,12 @@ def judged(
         bearing[:, lost] = 0.2
     many = np.ones((len(t), 8))
     drones = np.zeros((len(t), 8, 3))
-    record = Record(t, drones, drones, drones, vertices, bearing, some, some, many, many > 2.0)
+    record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0)
     film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
     task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
     least = np.full(4, 0.3)
     gains = PositionGains.of(task.team, Settings())
-    ended = (linking, 3.0, pulled, 0.01, least, gains, Compensation(0.0, 0.0), error)
+    ended = (linking, 3.0, pulled, 0.01, least, gains, 0.0, error)
     return judge(Flight(task, record, film, touches, *ended))
 
 
