@@ -135,6 +135,12 @@ def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_
     table = dict(zip(columns[2:], rows.T, strict=True))
     assert not any(np.any(table[f"cable_{axis}"]) for axis in "xyz")
     np.testing.assert_array_equal(table["ff_x"], table["ax"])
+    # Attitudes point the thrust along m (a + g ẑ).
+    upward = np.stack([table["ax"], table["ay"], table["az"] + 9.81], axis=-1)
+    w, x, y, z = (table[f"q{name}"] for name in "wxyz")
+    third = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
+    thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
+    np.testing.assert_allclose(third, thrust, atol=1e-6)
     loop = PositionLoop.of(plan.motion.team, None, None)
     held = held_tension(plan.motion, loop).motion
     t = np.array([float(line.split(",")[0]) for line in lines])[::6]
