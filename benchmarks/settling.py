@@ -42,8 +42,8 @@ from problems.random_morph import random_convex_polygon
 
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 14 mm, without friction; point masses; one flight "
-    "each; noise of 1 cm, means over 5 s; plans that neglect the ropes' weight; where ropes of this "
-    "thickness bend around each other their straight parts pass the vertex at up to 12 mm"
+    "each; noise of 1 cm, means over 5 s; plans that neglect the ropes' weight; straight "
+    "parts of ropes that bend around each other pass the vertex at up to 12 mm"
 )
 
 EDGE, JITTER = 1.3, 0.15
