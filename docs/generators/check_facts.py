@@ -1,0 +1,49 @@
+"""What the registry knows of every check, as a small table that its section includes."""
+
+from __future__ import annotations
+
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.rule import CheckRule
+from hitchopt.motion.motion import CableState
+
+SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
+
+
+def write_check_facts() -> dict[str, str]:
+    """Return one table for every check, by its name."""
+    return {rule.name: _facts(rule) for rule in RULES}
+
+
+def _facts(rule: CheckRule) -> str:
+    rows = {
+        "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
+        "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
+        "while cables are": _states(rule),
+        "held by exports": _exports(rule),
+        "what eases it": _remedy(rule),
+    }
+    lines = [f"| {key} | {text} |" for key, text in rows.items()]
+    return "\n".join(["| | |", "|---|---|", *lines, ""])
+
+
+def _unit(unit: str) -> str:
+    return {"1": "a number", "ratio": "a ratio", "": "a number"}.get(unit, f"in {unit}")
+
+
+def _states(rule: CheckRule) -> str:
+    states = {state for finder in rule.finders for state in finder.states}
+    if states == set(CableState):
+        return "in any state"
+    return ", ".join(state.name.lower() for state in CableState if state in states)
+
+
+def _exports(rule: CheckRule) -> str:
+    if not any(finder.exported for finder in rule.finders):
+        return "no"
+    return "yes" if rule.exported_limit is None else f"yes, against {rule.exported_limit:g}"
+
+
+def _remedy(rule: CheckRule) -> str:
+    if not rule.free_remedy or rule.free_remedy == rule.remedy:
+        return rule.remedy
+    return f"{rule.remedy}; while cables hang: {rule.free_remedy}"
