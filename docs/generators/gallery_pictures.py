@@ -30,7 +30,7 @@ PALETTE = 64
 
 
 def draw(file: Path, *, solved: bool) -> Figure:
-    """Return the picture of a problem: its plan from above or, without a plan, what is asked for."""
+    """Return the picture of a problem: its plan from above, else what it asks for."""
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
     if solved:
@@ -46,7 +46,7 @@ def draw(file: Path, *, solved: bool) -> Figure:
 
 
 def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem) -> None:
-    """Draw the start, grey, and all outlines or goals that are asked for, the last one in colour."""
+    """Draw the start and all outlines or goals that are asked for, the last one in colour."""
     if isinstance(problem, ho.SwarmProblem):
         for prism in problem.keep_out:
             axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))

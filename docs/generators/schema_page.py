@@ -65,7 +65,7 @@ def _section(name: str, definition: Schema) -> str:
     return "\n".join(lines)
 
 
-def in_words(value: Schema) -> str:
+def in_words(value: Schema) -> str:  # noqa: PLR0911
     """Return the values that a schema admits, in words; definitions are links."""
     if "$ref" in value:
         name = value["$ref"].rpartition("/")[2]
@@ -93,17 +93,11 @@ def in_words(value: Schema) -> str:
 
 def _list_in_words(value: Schema) -> str:
     least, most = value.get("minItems"), value.get("maxItems")
-    items = in_words(value["items"]) if "items" in value else "values"
-    if "prefixItems" in value:
-        return "[" + ", ".join(in_words(each) for each in value["prefixItems"]) + "]"
-    if least is not None and least == most:
-        return f"{least} {_plural(items)}"
-    return f"list of {_plural(items)}"
-
-
-def _plural(words: str) -> str:
-    first, _, rest = words.partition(" ")
-    return f"{first}s {rest}".strip() if first in {"number", "integer", "list"} else f"({words})s"
+    items = in_words(value["items"])
+    if items.startswith(("number", "integer", "list")) or items[:1].isdigit():
+        first, _, rest = items.partition(" ")
+        items = f"lists of {items}" if items[:1].isdigit() else f"{first}s {rest}".strip()
+    return f"{least} {items}" if least is not None and least == most else f"list of {items}"
 
 
 def _range(value: Schema) -> str:
@@ -126,7 +120,7 @@ def _default(key: str, value: Schema, definition: Schema) -> str:
     if key in definition.get("required", []):
         return "required"
     default = value.get("default")
-    return "" if default is None else f"`{_shown(default)}`"
+    return "" if default in (None, "") else f"`{_shown(default)}`"
 
 
 def _shown(value: object) -> str:
