@@ -13,6 +13,10 @@ SECTIONS = ("Parameters", "Attributes", "Raises", "Returns", "Yields", "Notes", 
 ENTRY = re.compile(r"^([\w.*`]+(?:, [\w.*`]+)*)\s*: (.*)$")
 
 
+STAR = re.compile(r"(?<=[(\s])\*(?=\w+[,)])")
+"""Star of a shape such as ``(times, *shape)``, which is no markup."""
+
+
 def process_docstring(
     app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]
 ) -> None:
@@ -23,6 +27,7 @@ def process_docstring(
 
 def converted(lines: list[str]) -> list[str]:
     """Return the lines with sections as rubrics and definition lists."""
+    lines = [STAR.sub(r"\\*", line) for line in lines]
     out: list[str] = []
     within = False
     i = 0
