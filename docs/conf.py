@@ -12,13 +12,14 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from generators.docstring_sections import process_docstring  # noqa: E402
+from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
 
 project = "hitchopt"
 author = "The hitchopt developers"
 release = version = metadata.version("hitchopt")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx_design"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design"]
 exclude_patterns = ["_build", "explanation/generated", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
@@ -35,9 +36,10 @@ autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
 nitpicky = True
-nitpick_ignore_regex = [("py:.*", ".*")]
+nitpick_ignore_regex = [("py:.*", r"(?!hitchopt\.\w+$).*")]
 """Signatures name types of other packages, and such as are not public."""
 
+html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "hitchopt"
 html_static_path = ["_static"]
@@ -61,4 +63,5 @@ os.environ["COLUMNS"] = "100"
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     write_pages()
+    add_renderer(app)
     app.connect("autodoc-process-docstring", process_docstring)
