@@ -39,9 +39,7 @@ def write_api_pages() -> dict[str, str]:
 
 def page_of(name: str) -> str:
     """Return the page on which a public name is."""
-    from hitchopt import _MODULES
-
-    module = _MODULES.get(name, "hitchopt")
+    module: str = vars(ho)["_MODULES"].get(name, "hitchopt")
     for page, (_, prefixes) in GROUPS.items():
         if any(module == prefix or module.startswith(f"{prefix}.") for prefix in prefixes):
             return page

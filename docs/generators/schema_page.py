@@ -87,8 +87,8 @@ def in_words(value: Schema) -> str:  # noqa: PLR0911
             return f"{value['type']}{_range(value)}"
         case "string":
             return "text"
-        case kind:
-            return str(kind or "any")
+        case _:
+            return str(value.get("type", "any"))
 
 
 def _list_in_words(value: Schema) -> str:
