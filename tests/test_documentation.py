@@ -19,7 +19,7 @@ from generators.schema_page import problem_schema, write_schema_page
 from ruamel.yaml import YAML
 
 import hitchopt as ho
-from hitchopt.checks.registry import RULES
+from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
 from hitchopt.cli.template import template_text
 from hitchopt.interrupts import INTERRUPTED, TERMINATED
@@ -122,7 +122,7 @@ def test_every_check_has_a_section_of_three_parts() -> None:
     sections = dict(
         re.findall(r"^### `(\w+)`\n(.*?)(?=^\(check-|\Z)", text, re.DOTALL | re.MULTILINE)
     )
-    assert list(sections) == [rule.name for rule in RULES]
+    assert list(sections) == [rule.name for rule in (*RULES, *REPORTS)]
     for name, words in sections.items():
         assert f"generated/{name}.md" in words
         for part in ("What it says.", "How it is computed.", "What it does not say."):
@@ -131,7 +131,7 @@ def test_every_check_has_a_section_of_three_parts() -> None:
 
 def test_facts_of_checks_are_those_of_the_registry() -> None:
     facts = write_check_facts()
-    assert set(facts) == {rule.name for rule in RULES}
+    assert set(facts) == {rule.name for rule in (*RULES, *REPORTS)}
     assert "must not fall below" in facts["separation"]
     assert "must not rise above" in facts["speed"]
     assert "yes, against 0.001" in facts["cable_length"]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from hitchopt.checks.registry import RULES
-from hitchopt.checks.rule import CheckRule
+from hitchopt.checks.registry import REPORTS, RULES
+from hitchopt.checks.rule import CheckRule, ReportRule
 from hitchopt.motion.motion import CableState
 
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
 
 
 def write_check_facts() -> dict[str, str]:
-    """Return one table for every check, by its name."""
-    return {rule.name: _facts(rule) for rule in RULES}
+    """Return one table for every check and every report, by its name."""
+    facts = {rule.name: _facts_of_check(rule) for rule in RULES}
+    return facts | {rule.name: _facts_of_report(rule) for rule in REPORTS}
 
 
-def _facts(rule: CheckRule) -> str:
+def _facts_of_check(rule: CheckRule) -> str:
     rows = {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
@@ -22,6 +23,14 @@ def _facts(rule: CheckRule) -> str:
         "held by exports": _exports(rule),
         "what eases it": _remedy(rule),
     }
+    return _table(rows)
+
+
+def _facts_of_report(rule: ReportRule) -> str:
+    return _table({"`worst`": _unit(rule.unit), "limit": "none: it is only reported"})
+
+
+def _table(rows: dict[str, str]) -> str:
     lines = [f"| {key} | {text} |" for key, text in rows.items()]
     return "\n".join(["| | |", "|---|---|", *lines, ""])
 

@@ -195,7 +195,14 @@ def _suggested(
     type=GivenPath(),
     help="Draw the closest pairs over time to this file.",
 )
-def check(directory: Path, closest: bool, picture: Path | None) -> None:
+@click.option(
+    "--gamma",
+    type=float,
+    default=1.0,
+    show_default=True,
+    help="How many times farther than drones vertices may be off, for tracking_radius.",
+)
+def check(directory: Path, closest: bool, picture: Path | None, gamma: float) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
@@ -205,7 +212,7 @@ def check(directory: Path, closest: bool, picture: Path | None) -> None:
     path = plan_path(directory)
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
-        certificate = certify(motion, progress=progress)
+        certificate = certify(motion, progress, gamma)
     _show("", motion, certificate)
     if closest or picture is not None:
         _show_closest(Plan(motion, certificate), picture)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import contextlib
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -28,16 +29,30 @@ def write_template(name: str) -> Path:
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
     if path.suffix not in SUFFIXES:
         path = path.with_name(f"{path.name}.yaml")
-    text = template_text()
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with path.open("x", encoding="utf-8") as file, ExitStack() as undo:
-            undo.callback(path.unlink)
-            file.write(text)
-            file.flush()
-            undo.pop_all()
+        try:
+            with open(draft, "x", encoding="utf-8") as file:
+                file.write(template_text())
+            _publish(draft, path)
+        finally:
+            with contextlib.suppress(OSError):
+                draft.unlink()
     except FileExistsError:
         raise FileError(f"{path}: exists already; give another name, or remove it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = getattr(error, "strerror", None) or str(error)
         raise FileError(f"{str(path)!r}: cannot be written ({reason}); give another name") from None
     return path
+
+
+def _publish(draft: Path, path: Path) -> None:
+    """Give the draft its name; an existing file is not replaced, unlike in a rename."""
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if path.exists():
+            raise FileExistsError(str(path)) from None
+        draft.rename(path)

@@ -167,6 +167,10 @@ class MotionLimitsKeys(Keys):
     tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
         default=45.0, description="Largest angle of the thrust from vertical [°]"
     )
+    body_rate_deg: Positive | None = Field(
+        default=None,
+        description="Largest turning rate of the thrust [°/s], or null for no limit",
+    )
     duration: Positive | None = Field(
         default=Limits.duration, description="Of the whole plan [s], or null for no limit"
     )

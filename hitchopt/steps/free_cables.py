@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,8 +12,10 @@ from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.tensions import tautness
 from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
+from hitchopt.planners.timing.turning_stretch import turning_stretch
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import checked, flying
 from hitchopt.steps.situation import Situation
@@ -94,8 +97,20 @@ def _raised(motion: Motion) -> Motion:
     """
     (phase,) = motion.phases
     if phase.state is CableState.GROUND and above_ground(motion):
-        return replace(motion, phases=(replace(phase, state=CableState.FREE),))
-    return motion
+        motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
+    return _turning_slowly(motion)
+
+
+def _turning_slowly(motion: Motion) -> Motion:
+    """Return the motion, from rest to rest, slowed until no thrust turns faster than allowed."""
+    limit = motion.requirements.limits.body_rate
+    if limit is None:
+        return motion
+    breaks = motion.drones.breaks
+    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    forces = (PiecewisePolynomial(breaks, c) for c in (pulls, tautness(motion)))
+    factor = turning_stretch(motion.team, limit, (motion.drones, motion.vertices, *forces))
+    return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 
 def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:

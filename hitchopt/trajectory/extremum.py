@@ -164,6 +164,7 @@ class Search:
     bound: gives lower bounds.
     relative, absolute: how tight ``worst`` has to be.
     target: where all values reach this, cells are halved until ``worst`` does too.
+    known: only smaller values matter; the item is -1 where there are none.
     """
 
     def __init__(
@@ -173,12 +174,13 @@ class Search:
         relative: float = RELATIVE,
         absolute: float = ABSOLUTE,
         target: float = -np.inf,
+        known: float = np.inf,
     ) -> None:
         self.bound = bound
         self.relative = relative
         self.absolute = absolute
         self.target = target
-        self.value = np.inf
+        self.value = known
         self.item = -1
         self.time = 0.0
         self.floor = np.inf  # smallest bound of the cells that are done with
@@ -234,7 +236,7 @@ class Search:
         lost = np.isnan(estimate.value) | np.isnan(estimate.bound)
         values = np.where(lost, -np.inf, estimate.value)
         best = int(np.argmin(values))
-        if values[best] < self.value or self.item < 0:
+        if values[best] < self.value or (self.item < 0 and np.isinf(self.value)):
             self.value = float(values[best])
             self.item = int(batch.item[best])
             x = float(estimate.x[best])

@@ -74,6 +74,8 @@ def _rows(path: Path) -> Iterator[Rows]:
             cells = [text.split(",", drone + 1) for text in lines]
             if not all(map(str.strip, lines)):
                 raise FileError(f"{place}: a line is empty; it is truncated or damaged")
+            if lines[-1].count(",") != header.count(","):
+                raise FileError(f"{place}: the last line is not whole; it is truncated")
             values = read_numbers(lines, (t, *numbers), place)
             if min(map(len, cells)) <= drone:
                 raise FileError(f"{place}: a row names no drone; it is truncated or damaged")

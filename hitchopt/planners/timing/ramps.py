@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.errors import HitchoptError
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -58,20 +59,26 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
+    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used.
+
     Parameters
     ----------
     goal: positive, in any unit.
     speed, acceleration, jerk: limits, in that unit and seconds.
     """
-    ramp = fastest_ramps([goal], speed, acceleration, jerk)
-    rise, duration = float(ramp.rise[0]), float(ramp.duration[0])
-    turning = min(acceleration / jerk, 0.5 * rise)  # of the acceleration, at the full jerk
-    plateau = rise - 2.0 * turning
-    up = [turning, plateau, turning]
-    seconds = np.array([*up, duration - 2.0 * rise, *up])
-    jerks = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
-    flown = seconds > SHORTEST
-    return _integrated(goal, seconds[flown], jerks[flown])
+    from ruckig import InputParameter, Result, Ruckig, Trajectory
+
+    task = InputParameter(1)
+    task.current_position, task.target_position = [0.0], [goal]
+    task.max_velocity, task.max_acceleration, task.max_jerk = [speed], [acceleration], [jerk]
+    trajectory = Trajectory(1)
+    result = Ruckig(1).calculate(task, trajectory)
+    if result not in {Result.Working, Result.Finished}:
+        raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
+    profile = trajectory.profiles[0][0]
+    phases = np.array([profile.t, profile.j], dtype=np.float64)
+    seconds, jerks = phases[:, phases[0] > SHORTEST]
+    return _integrated(goal, seconds, jerks)
 
 
 def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomial:
