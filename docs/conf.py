@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -60,8 +61,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ["COLUMNS"] = "100"
 
 
+def link_results(app: Any, name: str, text: list[str]) -> None:
+    """Let links to benchmarks' results, which lie outside of this directory, lead to their pages."""
+    del app, name
+    place = r"\((?:\.\./)+benchmarks/results/(\w+\.md)\)"
+    text[0] = re.sub(place, r"(/benchmarks/generated/\1)", text[0])
+
+
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     write_pages()
     add_renderer(app)
+    app.connect("source-read", link_results)
     app.connect("autodoc-process-docstring", process_docstring)
