@@ -13,6 +13,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from generators.docstring_sections import process_docstring  # noqa: E402
+from generators.kernel_profile import kernel_profile  # noqa: E402
 from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
 
@@ -59,10 +60,11 @@ project_copyright = "The hitchopt developers, MIT licence"
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ["COLUMNS"] = "100"
+os.environ["IPYTHONDIR"] = kernel_profile()
 
 
 def link_results(app: Any, name: str, text: list[str]) -> None:
-    """Let links to benchmarks' results, which lie outside of this directory, lead to their pages."""
+    """Let links to benchmarks' results, which lie outside of ``docs``, lead to their pages."""
     del app, name
     place = r"\((?:\.\./)+benchmarks/results/(\w+\.md)\)"
     text[0] = re.sub(place, r"(/benchmarks/generated/\1)", text[0])
