@@ -29,14 +29,27 @@ class Quadrotor:
     ----------
     mass: [kg]
     max_thrust: largest collective thrust [N]
+    stiffness: force with which the position loop answers an offset from its set point [N/m]; None
+        is rigid.
+    integral: whether the controller drives the position error to zero, whatever the force.
+    feed_forward: whether the controller adds the cable force that the set points hold.
     """
 
     mass: float = 0.132
     max_thrust: float = 2.6
+    stiffness: float | None = None
+    integral: bool = False
+    feed_forward: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass))
         object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
+        if self.stiffness is not None:
+            object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
+        for name in ("integral", "feed_forward"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise InputError(name, value, "true or false", "write true or false")
 
 
 def kinds_of(
@@ -50,6 +63,17 @@ def kinds_of(
             "quadrotor", len(kinds), f"one kind, or a list of {count}", f"give one per {owner}"
         )
     return kinds
+
+
+def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
+    """Return what hangs at the clasps (clasps,) [kg].
+
+    An array of one value throughout holds for any number of clasps, so that a team can be copied
+    with another topology or number of robots.
+    """
+    if isinstance(given, np.ndarray) and given.size > 0 and np.all(given == given.flat[0]):
+        given = float(given.flat[0])
+    return per_robot("load", given, clasps, not_negative, "clasp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +90,8 @@ class Team:
     tension: one, or one per robot (n,) [N].
     quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
         one per robot.
+    load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
+        hitch, at the inner points of a chain.
 
     Raises
     ------
@@ -79,6 +105,7 @@ class Team:
     cable_friction: float
     tension: NDArray[np.float64]
     quadrotor: tuple[Quadrotor, ...] = field(repr=False)
+    load: NDArray[np.float64] = field(repr=False)
 
     def __init__(
         self,
@@ -90,6 +117,7 @@ class Team:
         cable_friction: float = 0.0,
         tension: float | Sequence[float] | ArrayLike = 0.4,
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
+        load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         if topology not in TOPOLOGIES:
             raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
@@ -110,6 +138,7 @@ class Team:
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
+            "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -125,6 +154,11 @@ class Team:
         return self.robots > 0
 
     @property
+    def loaded(self) -> bool:
+        """Whether clasps carry weight: that of cables, or a load."""
+        return self.cable_density > 0.0 or bool(np.any(self.load))
+
+    @property
     def layout(self) -> Layout:
         """Indices of the points, cables and drones that belong together."""
         return layout_of(self.robots, self.topology)
@@ -132,12 +166,33 @@ class Team:
     @property
     def mass(self) -> NDArray[np.float64]:
         """(2n,) [kg]: mass of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.mass for kind in self.quadrotor], 2)
+        return self._per_drone([kind.mass for kind in self.quadrotor])
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: largest thrust of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.max_thrust for kind in self.quadrotor], 2)
+        return self._per_drone([kind.max_thrust for kind in self.quadrotor])
+
+    @property
+    def stiffness(self) -> NDArray[np.float64]:
+        """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
+        return self._per_drone(
+            [np.inf if kind.stiffness is None else kind.stiffness for kind in self.quadrotor]
+        )
+
+    @property
+    def integral(self) -> NDArray[np.bool_]:
+        """(2n,): whether each drone's controller drives its position error to zero."""
+        return self._per_drone([kind.integral for kind in self.quadrotor]).astype(np.bool_)
+
+    @property
+    def feed_forward(self) -> NDArray[np.bool_]:
+        """(2n,): whether each drone's controller adds the cable force that its set points hold."""
+        return self._per_drone([kind.feed_forward for kind in self.quadrotor]).astype(np.bool_)
+
+    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """Return one value per drone from one per kind; both drones of a robot are of its kind."""
+        return np.repeat(np.array(values, dtype=np.float64), 2)
 
     @property
     def point_names(self) -> tuple[str, ...]:

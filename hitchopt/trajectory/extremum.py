@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array
-
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 RELATIVE = 1e-4
 """Largest gap between the answer and an attained value, relative to that value."""
@@ -78,13 +76,9 @@ class Cells:
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:
         """Return the chosen cells."""
-        return Cells(
-            tuple(block[index] for block in self.blocks),
-            self.item[index],
-            self.start[index],
-            self.end[index],
-            self.margin[index],
-        )
+        blocks = tuple(block[index] for block in self.blocks)
+        start, end = self.start[index], self.end[index]
+        return Cells(blocks, self.item[index], start, end, self.margin[index])
 
     def halves(self) -> Cells:
         """Return all first halves, then all second halves."""
@@ -105,13 +99,9 @@ class Cells:
 
 def joined_cells(parts: Sequence[Cells]) -> Cells:
     """Return the cells of all parts, in a row."""
-    return Cells(
-        tuple(np.concatenate(blocks) for blocks in zip(*(p.blocks for p in parts), strict=True)),
-        np.concatenate([p.item for p in parts]),
-        np.concatenate([p.start for p in parts]),
-        np.concatenate([p.end for p in parts]),
-        np.concatenate([p.margin for p in parts]),
-    )
+    columns = zip(*((*p.blocks, p.item, p.start, p.end, p.margin) for p in parts), strict=True)
+    *blocks, item, start, end, margin = map(np.concatenate, columns)
+    return Cells(tuple(blocks), item, start, end, margin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         "tensions": team.tension,
     }
     phases = tuple(
-        Phase(f"part {i}", 0, a, b, state=CableState.of_label("", formed=f))
+        Phase(f"part {i}", 0, a, b, state=CableState.HITCHED if f else CableState.FREE)
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}

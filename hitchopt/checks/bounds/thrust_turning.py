@@ -28,13 +28,17 @@ from hitchopt.trajectory.enclosed_products import (
     scaled,
     total,
 )
-from hitchopt.trajectory.enclosure import Enclosure, direction, inverse_norm
+from hitchopt.trajectory.enclosure import Enclosure, direction, inverse_norm, norm
 from hitchopt.trajectory.extremum import Bound, Cells, Estimate
 
 Array = NDArray[np.float64]
 
 ORDER = 6
 """Degree in which factors are written: on the cells that matter they err by 1e-9 then."""
+
+FORCE_BLOCKS = {8: 4, 10: 5, 15: 8}
+"""Number of blocks of the force by the number of all, as all that vary have a derivative: without
+weight, with taut cables alone, with cables that hang too."""
 
 NEAREST = 1e-9
 """[m] Drones of a cable that may be one above the other count as this far apart from above: what
@@ -54,7 +58,7 @@ def turning_cells(motion: Motion) -> Cells:
     seconds = (force.end - force.start)[:, None, None]
     slopes = [
         bernstein.differentiate(block) / seconds
-        for block in (*force.blocks[:DIFFERENTIATED], *force.blocks[4:6])
+        for block in (*force.blocks[:DIFFERENTIATED], *force.blocks[4:7])
     ]
     slop = derivative_margin(motion.drones, 3) * motion.team.mass
     slop = slop.ravel() + ROUNDING * np.max(np.abs(slopes[0]), axis=(-2, -1))
@@ -70,13 +74,14 @@ def turning_bound(motion: Motion) -> Bound:
 
 
 def _bound(blocks: tuple[Array, ...], noise: float, rate_noise: float) -> Estimate:
-    hanging = len(blocks) > 8
-    count = 7 if hanging else 4
+    count = FORCE_BLOCKS[len(blocks)]
     force, slopes, slop = blocks[:count], blocks[count:-1], blocks[-1][:, 0, 0]
     thrust = reduced(thrust_enclosure(force, noise), ORDER)
     parts = [exact(slopes[0], slop), _leg_rate(force[1:3], slopes[1:3], noise, rate_noise)]
-    if hanging:
-        parts.append(_hanging_rate(force[4:], slopes[3:]))
+    if count > 4:
+        parts.append(_carried_rate(force[1], force[4], slopes[1], slopes[3], noise, rate_noise))
+    if count > 5:
+        parts.append(_hanging_rate(force[5:], slopes[4:]))
     rate = reduced(total(*parts), ORDER)
     inverse = inverse_norm(thrust.coefficients, thrust.radius)
     turning = reduced(scaled(crossed(thrust, rate), inverse), ORDER)
@@ -106,6 +111,19 @@ def _leg_rate(
     return total(scaled(along, exact(slopes[1])), scaled(turning, exact(tension)))
 
 
+def _carried_rate(
+    legs: Array, weight: Array, moved: Array, gained: Array, noise: float, rate_noise: float
+) -> Enclosure:
+    """Enclose the derivative of the weight w |y| of taut legs y (cells, 3): ``ẇ |y| + w û·ẏ``."""
+    sizes = norm(legs)
+    size = Enclosure(sizes.coefficients[:, None], sizes.radius + 2.0 * noise)
+    growing = inner(reduced(direction(legs, noise), ORDER), exact(moved, rate_noise))
+    rate = total(scaled(size, exact(gained)), scaled(growing, exact(weight)))
+    upward = np.zeros((len(legs), 3, rate.coefficients.shape[-1]))
+    upward[:, 2:] = rate.coefficients
+    return Enclosure(upward, rate.radius)
+
+
 def _hanging_rate(force: tuple[Array, ...], slopes: tuple[Array, ...]) -> Enclosure:
     """Enclose the derivative of what free cables add to the thrust (cells, 3).
 
@@ -131,7 +149,7 @@ def _hanging_rate(force: tuple[Array, ...], slopes: tuple[Array, ...]) -> Enclos
     downward = _product(falling, (least[1] ** 2 - 1.0, most[1] ** 2 - 1.0))
     change = np.array([inward[0], downward[0]]), np.array([inward[1], downward[1]])
     return total(
-        pulled(partner, gained, least, most),
+        pulled(partner, gained, least, most, length),
         pulled(moved, weight, least, most),
         pulled(partner, weight, *change),
     )

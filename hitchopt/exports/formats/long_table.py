@@ -149,20 +149,21 @@ class Rows:
     drones: Sequence[str]
     values: Array
 
+    @classmethod
+    def telling(cls, t: Array, drones: Sequence[str], values: Array, told: Sequence[str]) -> Rows:
+        """Return rows of the told columns (rows, …), zero where a table tells nothing."""
+        whole = np.zeros((len(values), len(FLOWN)))
+        whole[:, [FLOWN.index(name) for name in told]] = values
+        return cls(t, drones, whole)
 
-def columns_told(header: Collection[str]) -> list[int]:
-    """Return which of FLOWN a table with these columns tells, as indices.
+
+def told_in(header: Collection[str]) -> list[str]:
+    """Return which of FLOWN a table with these columns tells.
 
     Positions are always among them; velocities and accelerations are, where they are whole.
     """
-    return [i for i in range(9) if i < 3 or set(FLOWN[i // 3 * 3 : i // 3 * 3 + 3]) <= set(header)]
-
-
-def spread_out(values: Array, told: Sequence[int]) -> Array:
-    """Return the told columns (rows, …) as (rows, 9), zero where a table tells nothing."""
-    whole = np.zeros((len(values), len(FLOWN)))
-    whole[:, told] = values
-    return whole
+    vectors = [FLOWN[:3], *(v for v in (FLOWN[3:6], FLOWN[6:]) if set(v) <= set(header))]
+    return [name for vector in vectors for name in vector]
 
 
 def read_rows(path: Path, rows: Callable[[Path], Iterator[Rows]], frame: str) -> Recording:

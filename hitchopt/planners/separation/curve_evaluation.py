@@ -77,9 +77,8 @@ def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
         for check in (apart, *others, _span(setting, curves, swarm))
         if check is not None and not check.holds
     ]
-    return Evaluation(
-        coefficients, duration, np.inf if apart is None else apart.bound, tuple(broken)
-    )
+    closest = np.inf if apart is None else apart.bound
+    return Evaluation(coefficients, duration, closest, tuple(broken))
 
 
 def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
@@ -114,10 +113,8 @@ def check_ends(task: SeparationTask) -> None:
         (task.start, "at the start (t = 0)", "start"),
         (task.goal, "at the goals (the plan's end)", "goal"),
     ):
-        found += _too_close(task, points, when, end)
-        found += _outside(task, points, when, end)
-        found += _within(task, points, when, end)
-        found += _parted(task, points, when, end)
+        for violations in (_too_close, _outside, _within, _parted):
+            found += violations(task, points, when, end)
     if found:
         raise InfeasibleError(found)
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.planners.path.jets import chained, polynomials_through
 from hitchopt.planners.path.shape_path import Path, path_jets
 from hitchopt.planners.timing.demands import Demands
@@ -19,8 +19,7 @@ from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 GRID = 160
 """Number of steps of toppra's grid along the path."""
@@ -136,7 +135,14 @@ def _cable_error(path: Path, flight: Flight) -> float:
     breaks = flight.drones.breaks
     t = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
     p, drones = flight.vertices.at(t), flight.drones.at(t)
-    layout = path.team.layout
-    legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
-    cables = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
-    return float(np.max(np.abs(cables / path.team.cable_length - 1.0)))
+    team, layout = path.team, path.team.layout
+    legs = drones - p[:, layout.anchors]
+    if team.cable_density == 0.0:
+        lengths = np.linalg.norm(legs, axis=-1)
+        cables = lengths[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + lengths[:, 1::2]
+    else:
+        factors = sag_factors(team, flight.tensions.at(t))
+        cables = np.sum(
+            [cable_of(x, factors) for x in (legs[:, 0::2], layout.edges(p), legs[:, 1::2])], axis=0
+        )
+    return float(np.max(np.abs(cables / team.cable_length - 1.0)))
