@@ -204,6 +204,7 @@ def test_the_gallery_has_every_problem_with_a_picture() -> None:
 @pytest.mark.parametrize(
     ("words", "pages"),
     [
+        ("What is a clasp", {"explanation/clasp.md"}),
         ("clasp", {"reference/glossary.md", "tutorials/first_plan.md"}),
         ("`separation` 1.05", {"how_to/read_separation.md"}),
         ("Fly faster", {"how_to/fly_faster.md"}),
