@@ -12,6 +12,12 @@ from hitchopt.actions import (
     release as release,
     transport as transport,
 )
+from hitchopt.calibration.calibrate import (
+    Calibration as Calibration,
+    calibrate as calibrate,
+)
+from hitchopt.calibration.estimates import Estimate as Estimate
+from hitchopt.calibration.recordings import Recording as Recording
 from hitchopt.checks import (
     Certificate as Certificate,
     CertificateError as CertificateError,

@@ -172,6 +172,18 @@ class QuadrotorKeys(Keys):
     max_thrust: Positive = Field(
         default=Quadrotor.max_thrust, description="Largest collective thrust [N]"
     )
+    stiffness: Positive | None = Field(
+        default=Quadrotor.stiffness,
+        description="Stiffness of the position loop [N/m], or null for a rigid one",
+    )
+    integral: bool = Field(
+        default=Quadrotor.integral,
+        description="Whether the controller drives the position error to zero",
+    )
+    feed_forward: bool = Field(
+        default=Quadrotor.feed_forward,
+        description="Whether the controller adds the cable force that set points hold",
+    )
 
 
 class TeamKeys(Keys):

@@ -40,7 +40,7 @@ def triangle() -> dict[str, object]:
             "tension": [0.4, 0.45, 0.5],
             "quadrotor": [
                 {"mass": 0.132, "max_thrust": 2.6},
-                {"mass": 0.14},
+                {"mass": 0.14, "stiffness": 4.75, "integral": True, "feed_forward": False},
                 {"max_thrust": 2.8},
             ],
         },
