@@ -106,7 +106,7 @@ def _loaded_jets(team: Team, flat: FlatJets) -> DroneJets:
     weight = GRAVITY * team.cable_density
     roll = np.zeros((count, clasps, JET)) if flat.roll is None else flat.roll
     found = _mapped(
-        loaded_clasp_function(weight > 0.0),
+        loaded_clasp_function(weight > 0.0, flat.roll is not None),
         [
             flat.vertices[:, around].reshape(columns, 9, JET),
             flat.q_legs[:, both].reshape(columns, 2, JET),

@@ -20,13 +20,14 @@ from hitchopt.model.series import Series, cosine_and_sine, cross, dot, square_ro
 
 
 @stored
-def loaded_clasp_function(weighty: bool) -> ca.Function:
+def loaded_clasp_function(weighty: bool, rolled: bool) -> ca.Function:
     """Return both drones at clasp ``p_k`` as a function of the flat outputs' jets.
 
     Parameters
     ----------
     weighty: whether cables have weight, so that they sag, rest on the clasps, and pull harder the
         higher they are; else clasps carry loads alone.
+    rolled: whether legs are rolled; else the roll does not enter.
 
     Returns
     -------
@@ -52,7 +53,7 @@ def loaded_clasp_function(weighty: bool) -> ca.Function:
         points,
         [Series.of_jet(q_legs[i, :]) for i in range(2)],
         [Series.of_jet(tensions[i, :]) for i in range(2)],
-        Series.of_jet(roll),
+        Series.of_jet(roll) if rolled else None,
         (length, load, weight if weighty else ca.SX(0.0)),
     )
     forces = []
@@ -140,7 +141,7 @@ class Clasp:
         points: list[Series],
         q_legs: list[Series],
         tensions: list[Series],
-        roll: Series,
+        roll: Series | None,
         constants: tuple[ca.SX, ca.SX, ca.SX],
     ) -> Clasp:
         """Return the legs at ``p_k``.
@@ -149,7 +150,7 @@ class Clasp:
         ----------
         points: ``p_{k-1}, p_k, p_{k+1}`` [m].
         q_legs, tensions: of cables k-1 and k [m], [N].
-        roll: [rad]
+        roll: [rad]; None for none.
         constants: the length of cable k-1 [m], the outside force [N], and the weight of cables per
             length [N/m].
         """
@@ -163,13 +164,18 @@ class Clasp:
             level = dot(edge.row(0, 1), edge.row(0, 1))
             factors.append(factor)
             cables.append(size + size * factor * level)
-        whole = Series.constant(length, roll)
+        whole = Series.constant(length, sizes[0])
         e, d = whole - cables[0] - q_legs[0], q_legs[1]
         # Half of what lies about the clasp: of cable k-1 all but its q-leg.
         carried = (whole - q_legs[0] + d + cables[1]).scaled(half)
-        down = Series.constant(ca.SX([0.0, 0.0, 1.0]), roll)
+        down = Series.constant(ca.SX([0.0, 0.0, 1.0]), sizes[0])
         u = [edge / size for edge, size in zip(edges, sizes, strict=True)]
-        V = tensions[0] * u[0] - tensions[1] * u[1] - Series.constant(load, roll) + carried * down
+        V = (
+            tensions[0] * u[0]
+            - tensions[1] * u[1]
+            - Series.constant(load, sizes[0])
+            + carried * down
+        )
         directions = closed_triangle(
             V, u[0] + u[1], roll, (tensions[0], tensions[1]), (e.scaled(half), d.scaled(half))
         )

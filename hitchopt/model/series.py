@@ -65,9 +65,10 @@ class Series:
     def __truediv__(self, divisor: Series) -> Series:
         """Return the quotient by a scalar, from ``q · b = a``."""
         b, found = divisor.coefficients, list[ca.SX]()
+        inverse = 1.0 / b[0]
         for k, a in enumerate(self.coefficients):
             known = sum((found[i] * b[k - i] for i in range(k)), ca.SX(0.0))
-            found.append((a - known) / b[0])
+            found.append((a - known) * inverse)
         return Series(found)
 
     def __rmul__(self, factor: float) -> Series:
@@ -104,9 +105,10 @@ def cross(a: Series, b: Series) -> Series:
 def square_root(a: Series) -> Series:
     """Return the root of a positive scalar: from ``r · r = a``."""
     found = [ca.sqrt(a.value)]
+    inverse = 0.5 / found[0]
     for k, c in enumerate(a.coefficients[1:], start=1):
         known = sum((found[i] * found[k - i] for i in range(1, k)), ca.SX(0.0))
-        found.append((c - known) / (2.0 * found[0]))
+        found.append((c - known) * inverse)
     return Series(found)
 
 

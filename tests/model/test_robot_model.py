@@ -52,8 +52,8 @@ def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJet
 
 def functions() -> list[ca.Function]:
     found = [f(equal) for f in (robot_function, planar_function) for equal in (True, False)]
-    loaded = (loaded_clasp_function, loaded_planar_function)
-    found += [f(weighty) for f in loaded for weighty in (True, False)]
+    found += [loaded_clasp_function(weighty, True) for weighty in (True, False)]
+    found += [loaded_planar_function(weighty) for weighty in (True, False)]
     return [*found, slipping_clasp_function()]
 
 
