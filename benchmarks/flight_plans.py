@@ -64,24 +64,50 @@ def experiment(name: str, friction: float | None = None) -> Problem:
     return problem_from_dict(data)
 
 
-def tied(n: int) -> Problem:
+def tied(n: int, friction: float = 0.1) -> Problem:
     """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
     row, column = np.divmod(np.arange(n), 2)
     q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
     r = q + [1.0, 0.0, 0.0]
     step = {"form": {"polygon": _polygon(n), "altitude": 1.6, "legs": "balanced"}}
     start = {"drones": {"q": q.tolist(), "r": r.tolist()}}
-    return problem_from_dict({"team": _team(n, LENGTH, 0.1), "start": start, "mission": [step]})
+    return problem_from_dict(
+        {"team": _team(n, LENGTH, friction), "start": start, "mission": [step]}
+    )
 
 
-def moved(friction: float) -> Problem:
-    """Return the problem of a regular triangle, one of its vertices moved outward."""
-    hitch = {"polygon": _polygon(3), "altitude": 1.0, "legs": "balanced"}
+def at_rest(n: int) -> Problem:
+    """Return the problem of a regular hitch without friction that stands for a second."""
+    hitch = {"polygon": _polygon(n), "altitude": 1.6, "legs": "balanced"}
+    steps = [{"hold": {"seconds": 1.0}}]
+    return problem_from_dict(
+        {"team": _team(n, LENGTH, 0.0), "start": {"hitch": hitch}, "mission": steps}
+    )
+
+
+def moved(friction: float, n: int = 3) -> Problem:
+    """Return the problem of a regular hitch, one of its vertices moved outward."""
+    hitch = {"polygon": _polygon(n), "altitude": 1.0, "legs": "balanced"}
     step = {"vertex": 0, "by": [0.0, MOVED_BY], "duration": MOVED_IN}
     data = {
-        "team": _team(3, MOVED, friction),
+        "team": _team(n, MOVED, friction),
         "start": {"hitch": hitch},
         "mission": [{"move_vertex": step}],
+    }
+    return problem_from_dict(data)
+
+
+def standing_and_moved() -> Problem:
+    """Return the problem of a regular triangle that stands, moves a vertex outward, and stands.
+
+    Its team has cables without weight and friction.
+    """
+    hitch = {"polygon": _polygon(3), "altitude": 1.0, "legs": "balanced"}
+    step = {"vertex": 0, "by": [0.0, MOVED_BY], "duration": 6.0}
+    data = {
+        "team": {**_team(3, MOVED, 0.0), "cable_density": 0.0},
+        "start": {"hitch": hitch},
+        "mission": [{"hold": {"seconds": 2.5}}, {"move_vertex": step}, {"hold": {"seconds": 1.0}}],
     }
     return problem_from_dict(data)
 

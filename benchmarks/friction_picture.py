@@ -43,10 +43,10 @@ def draw(file: Path) -> None:
         ).errors
         for k, color in enumerate(("C3", "C0", "C2")):
             name = f"p{k}, moved outward" if k == 0 else f"p{k}"
-            ax.plot(errors.t, 100.0 * errors.without_sag[:, k], color=color, label=name)
+            ax.plot(errors.t, 100.0 * errors.errors[:, k], color=color, label=name)
         ax.set(title=title, xlabel="t [s]", xlim=(0.0, float(errors.t[-1])), ylim=(0.0, None))
         ax.grid(visible=True, alpha=0.3)
-    axes[0].set_ylabel("vertex to its plan, sag off [cm]")
+    axes[0].set_ylabel("vertex to its plan [cm]")
     axes[1].legend(loc="upper left")
     figure.savefig(file, dpi=110)
     plt.close(figure)

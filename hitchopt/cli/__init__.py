@@ -1,5 +1,6 @@
 """The command line; a command imports what it needs when it runs."""
 
+from hitchopt.cli import calibrate_command as calibrate_command  # registers a command
 from hitchopt.cli import fleet_commands as fleet_commands  # registers its commands
 from hitchopt.cli import simulate_command as simulate_command  # and so does this
 from hitchopt.cli.commands import main

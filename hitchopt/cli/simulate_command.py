@@ -32,7 +32,6 @@ PATH = GivenPath()
     "--preset",
     type=click.Choice(["fast", "accurate"]),
     default="fast",
-    show_default=True,
     help="fast: whether it holds; accurate: with correct friction, five times slower.",
 )
 @click.option(
@@ -40,23 +39,38 @@ PATH = GivenPath()
     "body",
     type=click.Choice(["rigid", "point"]),
     default="rigid",
-    show_default=True,
     help="Rigid bodies with an attitude, or point masses.",
 )
 @click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
-@click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
+@click.option("--seed", metavar="S", type=int, default=0, help="Random seed.")
 @click.option("--processes", metavar="P", type=int, help="Processes; by default all processors.")
 @click.option(
     "--perturbed",
     is_flag=True,
-    help="1 cm of noise, 0.05 N of wind, cables 0.5 % off, starts 2 cm off; or as given.",
+    help="Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables "
+    "0.5 % and starts 2 cm off; or as given. The team's cable friction always acts.",
 )
 @click.option("--noise", metavar="M", type=float, help="Error of measured positions per axis [m].")
+@click.option("--velocity-noise", metavar="M/S", type=float, help="Of velocities, per axis [m/s].")
 @click.option("--wind", metavar="N", type=float, help="Force of gusts on every drone [N].")
+@click.option("--steady-wind", metavar="N", type=float, help="Constant level force on drones [N].")
 @click.option("--lag", metavar="S", type=float, help="Time constant of the thrust [s].")
 @click.option("--cable-error", metavar="X", type=float, help="Relative error of cable lengths.")
 @click.option("--start-error", metavar="M", type=float, help="Error of starts per axis [m].")
-@click.option("--downwash", is_flag=True, help="Drones push down those below them.")
+@click.option(
+    "--downwash/--no-downwash", default=None, help="Whether drones push down those below them."
+)
+@click.option(
+    "--stiffness", metavar="N/M", type=float, help="Of position loops; by default the team's."
+)
+@click.option(
+    "--integral/--no-integral", default=None, help="Integral action; by default the team's."
+)
+@click.option(
+    "--feed-forward/--no-feed-forward",
+    default=None,
+    help="Whether the cable forces of setpoints.csv are added; by default the team's.",
+)
 @click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
 @click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
@@ -72,11 +86,12 @@ def simulate(
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
     It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the offsets of drones (less than 12 mm) that the thickness of simulated ropes requires.
-    Drones follow setpoints.csv and nothing else. The exit code of one flight is 3 if anything
-    fails: drones touch, or a vertex does not hold. It is also 3 if the simulation leaves its valid
-    range, which is reported as not simulated and says nothing about the plan. The exit code of a
-    campaign (--runs) is 0; it reports the rate of success.
+    and for the length that the bends of thick simulated ropes use up, which it prints.
+    Drones follow setpoints.csv and nothing else: of the cables they feed forward cable_x, cable_y
+    and cable_z. Vertex errors are distances in three dimensions, sag included. The exit code of
+    one flight is 3 if anything fails: drones touch, or a vertex does not hold. It is also 3 if the
+    simulation leaves its valid range, which is reported as not simulated and says nothing about the
+    plan. The exit code of a campaign (--runs) is 0; it reports the rate of success.
     """
     from hitchopt.simulation.flight_film import check_film
     from hitchopt.simulation.flight_task import read_task
@@ -111,7 +126,7 @@ def _settings(options: dict[str, float | str | bool | None]) -> Settings:
 def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
     """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.cli.simulation_tables import flight_tables
+    from hitchopt.cli.simulation_tables import flight_tables, headline
     from hitchopt.simulation.flight_film import save_film
     from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.run_report import save_simulation
@@ -122,6 +137,7 @@ def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None
     save_simulation(place, done)
     say(flight_tables(done))
     say(f"{_verdict(done)}; results are in {place}")
+    say(headline(done))
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)

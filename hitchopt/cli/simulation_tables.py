@@ -10,6 +10,9 @@ from rich.text import Text
 from hitchopt.cli.console_tables import new_table, rendered
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from rich.table import Table
+
     from hitchopt.simulation.campaign import Campaign
     from hitchopt.simulation.error_measures import Spread
     from hitchopt.simulation.simulate import Simulation
@@ -21,25 +24,29 @@ def flight_tables(simulation: Simulation) -> str:
 
     outcome, errors, run = simulation.outcome, simulation.errors, simulation.run
     vertices = new_table(
-        "Vertices: distances to the plan's, mean ± standard deviation (largest)",
+        "Vertices, in cm: distances to the plan's, mean ± standard deviation (largest); mean\n"
+        "height over the plan; movement under the pull test",
         ["vertex"],
-        ["linked", "bears [N]", "error [cm]", "without sag [cm]", "pull test moves it", "holds"],
+        ["linked", "bears [N]", "error", "height", "without sag", "pulled", "holds"],
     )
     for c, clasp in enumerate(outcome.clasps):
         vertices.add_row(
             clasp.name,
             str(clasp.linking),
             f"{clasp.bearing:.3f} {'≥' if clasp.bears else '<'} {clasp.least_bearing:.3f}",
-            _spread(Spread.of(errors.errors[:, c])),
-            _spread(Spread.of(errors.without_sag[:, c])),
-            _centimetres(clasp.moved),
+            spread_text(Spread.of(errors.errors[:, c])),
+            _height(errors.offsets[:, c, 2]),
+            spread_text(Spread.of(errors.without_sag[:, c])),
+            f"{100 * clasp.moved:.1f}" if np.isfinite(clasp.moved) else "",
             Text("yes" if clasp.holds else "NO", style="green" if clasp.holds else "bold red"),
         )
     figures = new_table("Flight", ["quantity"], ["value"])
     for name, value in (
-        ("drones to their setpoints [cm]", _spread(run.tracking)),
-        ("vertices, all [cm]", _spread(run.vertex_error)),
-        ("vertices without sag [cm]", _spread(run.without_sag)),
+        ("vertices, sag included [cm]", spread_text(run.vertex_error)),
+        ("  while the plan stands still", spread_text(run.resting)),
+        ("  while it moves a vertex", spread_text(run.moving)),
+        ("vertices without sag (level part) [cm]", spread_text(run.without_sag)),
+        ("drones to their setpoints [cm]", spread_text(run.tracking)),
         ("largest tension", f"{run.peak_tension:.3f} N"),
         ("largest thrust", f"{run.peak_thrust:.3f} N"),
         ("thrust saturated", f"{run.saturated:.2%} of samples"),
@@ -47,7 +54,45 @@ def flight_tables(simulation: Simulation) -> str:
     ):
         figures.add_row(name, value)
     parts = [rendered(vertices)] if outcome.clasps else []
-    return "\n\n".join([*parts, rendered(figures)]) + "\n"
+    return "\n\n".join([*parts, rendered(figures), rendered(_conditions(simulation))]) + "\n"
+
+
+def headline(simulation: Simulation) -> str:
+    """Return the flight's main figure in words: the vertices' errors with sag."""
+    run = simulation.run
+    if not np.isfinite(run.vertex_error.mean):
+        return "vertex error: none, the plan has no hitch or none was formed"
+    return (
+        f"vertex error in 3-D, sag included: {spread_text(run.vertex_error)} cm, mean ± σ (largest)"
+    )
+
+
+def _conditions(simulation: Simulation) -> Table:
+    """Return the table of how drones are controlled, and of what the simulation corrects."""
+    from hitchopt.simulation.error_measures import effective_lengths
+
+    flight, preset = simulation.flight, simulation.settings.preset
+    team, gains = flight.task.team, flight.gains
+    stated = np.all(np.isfinite(team.stiffness)) or simulation.settings.stiffness is not None
+    table = new_table("Control, and what is corrected", ["quantity"], ["value"])
+    off = 1e3 * (effective_lengths(flight) - team.cable_length)
+    for name, value in (
+        ("stiffness of position loops", f"{_range(gains.stiffness)} N/m"),
+        ("  stated by", "team or option" if stated else "nobody: the simulator's own"),
+        ("cable forces of setpoints fed forward", _yes(gains.feed_forward)),
+        ("integral action", _yes(gains.integral > 0.0)),
+        (
+            "ropes weigh",
+            f"{1e3 * flight.density:g} g/m; the plan knows {1e3 * team.cable_density:g}",
+        ),
+        (
+            f"ropes of {1e3 * preset.diameter:g} mm longer for their bends",
+            f"≤ {1e3 * flight.longer:.1f} mm",
+        ),
+        ("  their effective lengths are off by", _range(off, "+.1f") + " mm"),
+    ):
+        table.add_row(name, value)
+    return table
 
 
 def campaign_tables(campaign: Campaign) -> str:
@@ -64,7 +109,9 @@ def campaign_tables(campaign: Campaign) -> str:
     )
     runs = new_table("Runs, over all flights", ["quantity"], ["mean", "largest"])
     for name, values in (
-        ("mean vertex error", [run.vertex_error.mean for run in campaign.runs]),
+        ("mean vertex error, sag included", [run.vertex_error.mean for run in campaign.runs]),
+        ("  while the plan stands still", [run.resting.mean for run in campaign.runs]),
+        ("  while it moves a vertex", [run.moving.mean for run in campaign.runs]),
         ("mean vertex error without sag", [run.without_sag.mean for run in campaign.runs]),
         ("mean tracking error", [run.tracking.mean for run in campaign.runs]),
     ):
@@ -79,11 +126,30 @@ def campaign_tables(campaign: Campaign) -> str:
     return f"{head}\n{rendered(runs)}\n\n{rendered(failed)}\n"
 
 
-def _spread(spread: Spread) -> str:
+def spread_text(spread: Spread) -> str:
     """Return mean, deviation and largest value of some errors, in centimetres."""
     if not np.isfinite(spread.mean):
         return "none"
     return f"{100 * spread.mean:.1f} ± {100 * spread.deviation:.1f} ({100 * spread.largest:.1f})"
+
+
+def _height(errors: NDArray[np.float64]) -> str:
+    """Return a vertex's mean height over its plan, in centimetres; nothing where it is lost."""
+    there = errors[np.isfinite(errors)]
+    return f"{100 * np.mean(there):+.1f}" if there.size else ""
+
+
+def _range(values: NDArray[np.float64], digits: str = ".3g") -> str:
+    """Return the smallest and largest of some values, or the one that all are."""
+    low, high = f"{np.min(values):{digits}}", f"{np.max(values):{digits}}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _yes(drones: NDArray[np.bool_]) -> str:
+    """Return whether something is so for all drones, for none or for some of them."""
+    return (
+        "yes" if np.all(drones) else f"{np.sum(drones)} of {len(drones)}" if drones.any() else "no"
+    )
 
 
 def _centimetres(value: float | np.floating) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FIXED_LEG = 1e-4
 """Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in

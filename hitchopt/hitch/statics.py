@@ -25,6 +25,10 @@ from hitchopt.hitch.team import GRAVITY, Team
 
 Array = NDArray[np.float64]
 
+STEP = 1e-5
+"""[s] Step of central differences of cable forces: at 1 m/s a leg of 0.1 m turns by 1e-4 in it, so
+that they err by 1e-9 of themselves."""
+
 PASSES = 3
 """Times that a force triangle is closed, since pulls grow with the height that legs rise to: the
 third one leaves less than 1e-4 of the tension."""
@@ -241,3 +245,19 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     if np.any(share < 1.0):
         forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
     return forces
+
+
+def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
+    """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
+
+    Parameters
+    ----------
+    values: drones, vertices, pulls and tautness, as ``cable_forces`` takes them.
+    rates: their derivatives by time.
+    """
+    later, earlier = (
+        cable_forces(team, *(v + step * r for v, r in zip(values, rates, strict=True)))
+        for step in (STEP, -STEP)
+    )
+    change: Array = (later - earlier) / (2.0 * STEP)
+    return change

@@ -57,15 +57,9 @@ class Swarm(Team):
         """Number N of drones."""
         return len(self.quadrotor)
 
-    @property
-    def mass(self) -> NDArray[np.float64]:
-        """(N,) [kg]: mass of each drone."""
-        return np.array([kind.mass for kind in self.quadrotor])
-
-    @property
-    def max_thrust(self) -> NDArray[np.float64]:
-        """(N,) [N]: largest thrust of each drone."""
-        return np.array([kind.max_thrust for kind in self.quadrotor])
+    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """Return one value per drone; each drone has a kind of its own."""
+        return np.array(values, dtype=np.float64)
 
     @property
     def drone_names(self) -> tuple[str, ...]:

@@ -29,14 +29,27 @@ class Quadrotor:
     ----------
     mass: [kg]
     max_thrust: largest collective thrust [N]
+    stiffness: force with which the position loop answers an offset from its set point [N/m]; None
+        is rigid.
+    integral: whether the controller drives the position error to zero, whatever the force.
+    feed_forward: whether the controller adds the cable force that the set points hold.
     """
 
     mass: float = 0.132
     max_thrust: float = 2.6
+    stiffness: float | None = None
+    integral: bool = False
+    feed_forward: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass))
         object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
+        if self.stiffness is not None:
+            object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
+        for name in ("integral", "feed_forward"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise InputError(name, value, "true or false", "write true or false")
 
 
 def kinds_of(
@@ -153,12 +166,33 @@ class Team:
     @property
     def mass(self) -> NDArray[np.float64]:
         """(2n,) [kg]: mass of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.mass for kind in self.quadrotor], 2)
+        return self._per_drone([kind.mass for kind in self.quadrotor])
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: largest thrust of each drone, in the order q0, r0, q1, r1, …."""
-        return np.repeat([kind.max_thrust for kind in self.quadrotor], 2)
+        return self._per_drone([kind.max_thrust for kind in self.quadrotor])
+
+    @property
+    def stiffness(self) -> NDArray[np.float64]:
+        """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
+        return self._per_drone(
+            [np.inf if kind.stiffness is None else kind.stiffness for kind in self.quadrotor]
+        )
+
+    @property
+    def integral(self) -> NDArray[np.bool_]:
+        """(2n,): whether each drone's controller drives its position error to zero."""
+        return self._per_drone([kind.integral for kind in self.quadrotor]).astype(np.bool_)
+
+    @property
+    def feed_forward(self) -> NDArray[np.bool_]:
+        """(2n,): whether each drone's controller adds the cable force that its set points hold."""
+        return self._per_drone([kind.feed_forward for kind in self.quadrotor]).astype(np.bool_)
+
+    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """Return one value per drone from one per kind; both drones of a robot are of its kind."""
+        return np.repeat(np.array(values, dtype=np.float64), 2)
 
     @property
     def point_names(self) -> tuple[str, ...]:

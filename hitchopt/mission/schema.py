@@ -6,7 +6,7 @@ that ``loading`` makes of these models.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -67,9 +67,10 @@ Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Outline = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
+T = TypeVar("T")
 PerRobot = Annotated[
-    Annotated[Positive, Tag(ONE)]
-    | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+    Annotated[T, Tag(ONE)]
+    | Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
     Discriminator(one_or_each),
 ]
 PerClasp = Annotated[
@@ -159,12 +160,29 @@ class OneKey(Keys):
         return data
 
 
+def section(model: type[Keys]) -> Any:
+    """Return a field that holds a model's own defaults unless it is given."""
+    return Field(default_factory=model, description=str(model.__doc__))
+
+
 class QuadrotorKeys(Keys):
     """One kind of quadrotor."""
 
     mass: Positive = Field(default=Quadrotor.mass, description="Mass [kg]")
     max_thrust: Positive = Field(
         default=Quadrotor.max_thrust, description="Largest collective thrust [N]"
+    )
+    stiffness: Positive | None = Field(
+        default=Quadrotor.stiffness,
+        description="Stiffness of the position loop [N/m], or null for a rigid one",
+    )
+    integral: bool = Field(
+        default=Quadrotor.integral,
+        description="Whether the controller drives the position error to zero",
+    )
+    feed_forward: bool = Field(
+        default=Quadrotor.feed_forward,
+        description="Whether the controller adds the cable force that set points hold",
     )
 
 
@@ -180,7 +198,7 @@ class TeamKeys(Keys):
     topology: Literal["closed", "open"] = Field(
         default="closed", description="closed: a polygon; open: a chain along a convex arc"
     )
-    cable_length: PerRobot = Field(
+    cable_length: PerRobot[Positive] = Field(
         description="Length of the cables [m], one for all or one per robot", examples=[2.4]
     )
     cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
@@ -193,14 +211,10 @@ class TeamKeys(Keys):
         default=0.0,
         description="Friction at the clasps, a coefficient: legs lean against it as cables slide",
     )
-    tension: PerRobot = Field(
+    tension: PerRobot[Positive] = Field(
         default=0.4, description="Tension of the cables [N], one for all or one per robot"
     )
-    quadrotor: Annotated[
-        Annotated[QuadrotorKeys, Tag(ONE)]
-        | Annotated[list[QuadrotorKeys], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-        Discriminator(one_or_each),
-    ] = Field(
+    quadrotor: PerRobot[QuadrotorKeys] = Field(
         default_factory=QuadrotorKeys,
         description="Kind of quadrotor, one for all or a list of one per robot",
     )
@@ -214,6 +228,10 @@ class MotionLimitsKeys(Keys):
     jerk: Positive = Field(default=Limits.jerk, description="Of every drone [m/s³]")
     tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
         default=45.0, description="Largest angle of the thrust from vertical [°]"
+    )
+    body_rate_deg: Positive | None = Field(
+        default=None,
+        description="Largest turning rate of the thrust [°/s], or null for no limit",
     )
     duration: Positive | None = Field(
         default=Limits.duration, description="Of the whole plan [s], or null for no limit"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import cable_forces
+from hitchopt.model.attitude import attitude_function
 from hitchopt.model.loaded_clasp import loaded_clasp_function
 from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
@@ -55,6 +56,38 @@ class DroneJets:
     cable_forces: Array
     thrusts: Array
     legs: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes:
+    """Attitudes and their rates.
+
+    Attributes
+    ----------
+    quaternions: (…, 4), w, x, y, z, from the body's axes to the world's; with yaw 0 and a thrust
+        that points upward w is positive.
+    body_rates: (…, 3) [rad/s], angular velocity about the body's axes.
+    """
+
+    quaternions: Array
+    body_rates: Array
+
+
+def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:
+    """Return the attitudes that point thrusts (…, 3) [N] where they must, at a constant yaw.
+
+    Parameters
+    ----------
+    thrusts: (…, 3) [N] or any other unit.
+    thrust_rates: (…, 3), their derivatives by time.
+    yaw: [rad], as in ``model.attitude``.
+    """
+    columns = thrusts.size // 3
+    jets = np.stack([thrusts.reshape(columns, 3), thrust_rates.reshape(columns, 3)], axis=-1)
+    yaws = np.tile([[[yaw, 0.0]]], (columns, 1, 1))
+    quaternions, body_rates = _mapped(attitude_function(), [jets, yaws])
+    shape = thrusts.shape[:-1]
+    return Attitudes(quaternions.reshape(*shape, 4), body_rates.reshape(*shape, 3))
 
 
 def drone_jets(team: Team, flat: FlatJets) -> DroneJets:

@@ -34,14 +34,31 @@ FORMAT = "hitchopt-plan/1"
 LEG_TENSIONS = "leg_tensions"
 """Polynomials that are stored as well where there is friction; a setting of this name is true."""
 
-PER_KIND = tuple(field.name for field in fields(Quadrotor))
+PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
+
+CONTROL = "control"
+"""Setting that is true where the fields of a quadrotor's controller are stored as well."""
+
+PER_CONTROLLER = tuple(field.name for field in fields(Quadrotor) if field.name not in PER_KIND)
+"""Fields of a quadrotor that are stored like PER_KIND, unless all of them are defaults.
+
+A rigid loop is stored as an infinite stiffness, and a flag as 0 or 1.
+"""
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
+
+EARLIER_STATES = {
+    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
+    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
+    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
+}
+"""States of phases without a hitch by their names, for plan files from before states were stored;
+all others hang free."""
 
 
 def write_plan(path: Path, motion: Motion, title: str = "") -> None:
@@ -64,6 +81,12 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
     }
+    control = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_CONTROLLER}
+    if any(set(column) != {getattr(Quadrotor, name)} for name, column in control.items()):
+        settings[CONTROL] = True
+        for name, column in control.items():
+            stored = [np.inf if value is None else float(value) for value in column]
+            arrays[name] = np.array(stored)
     polynomials: tuple[str, ...] = POLYNOMIALS[:1]
     if team.has_cables:
         polynomials = POLYNOMIALS
@@ -80,11 +103,7 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     text = json.dumps(settings, allow_nan=False, default=_values_of)
     with path.open("wb") as file:
         np.savez(
-            file,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            settings=np.array(text),
-            **arrays,
+            file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
         )
 
 
@@ -128,6 +147,8 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         names = ["breaks", POLYNOMIALS[0], *PER_KIND, *hitched]
         if settings.get(LEG_TENSIONS) is True:
             names.append(LEG_TENSIONS)
+        if settings.get(CONTROL) is True:
+            names += PER_CONTROLLER
         arrays = read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
@@ -150,8 +171,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         tuple(Prism(**entry) for entry in settings.get("keep_out", ())),
     )
     given = settings["team"]
-    rows = zip(*(arrays[name].tolist() for name in PER_KIND), strict=True)
-    kinds = [Quadrotor(*row) for row in rows]
+    kinds = _kinds(arrays)
     alone = "robots" not in given
     phases = tuple(_phase(entry, alone=alone) for entry in settings["phases"])
     if alone:
@@ -168,6 +188,28 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
     return motion
+
+
+def _kinds(arrays: Arrays) -> list[Quadrotor]:
+    """Return the kinds of quadrotors; older files say nothing of their controllers."""
+    columns = {name: arrays[name].tolist() for name in PER_KIND}
+    if PER_CONTROLLER[0] in arrays:
+        columns |= {name: arrays[name].tolist() for name in PER_CONTROLLER}
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    return [
+        Quadrotor(**{name: _from_file(name, value) for name, value in row.items()}) for row in rows
+    ]
+
+
+def _from_file(name: str, value: float) -> Any:
+    """Return a quadrotor's field from the number that stands for it in a file."""
+    if name == "stiffness":
+        return None if value == np.inf else value
+    if name in ("integral", "feed_forward"):
+        if value not in (0.0, 1.0):
+            raise InputError(name, value, "0 or 1", "do not edit it")
+        return value == 1.0
+    return value
 
 
 def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
@@ -197,7 +239,9 @@ def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
             raise InputError("phases", value, words, "do not edit them")
     allowed = [each for each in CableState if (each is CableState.NONE) is alone]
     if state is None:
-        state = CableState.of_label(phase.name, formed=formed is not False)
+        state = EARLIER_STATES.get(phase.name, CableState.FREE)
+        if formed is not False:
+            state = CableState.HITCHED
     elif formed is not None or state not in allowed:
         words = f"one of {', '.join(allowed)}, without formed"
         raise InputError("phases.state", state, words, "do not edit them")

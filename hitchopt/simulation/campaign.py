@@ -24,7 +24,7 @@ from hitchopt.storage.strict_json import write_strict_json
 
 FORMAT = "hitchopt-campaign/1"
 
-SPREADS = ("vertex_error", "without_sag", "moving_without_sag", "tracking")
+SPREADS = ("vertex_error", "resting", "moving", "without_sag", "tracking")
 FIGURES = ("peak_tension", "saturated", "pace")
 """Figures of a run in the table of runs."""
 

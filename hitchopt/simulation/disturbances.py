@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 NOISE_TIME = 0.3
 """Correlation time of the error of measured positions [s]."""
 
+VELOCITY_NOISE_TIME = 0.1
+"""Correlation time of the error of measured velocities [s]."""
+
 GUST_TIME = 1.0
 """Correlation time of gusts [s]."""
 
@@ -53,13 +56,28 @@ class Disturbances:
     perturbations: magnitudes.
     robots: number n of catenary robots.
     seed: every quantity has a stream of its own, thus disabling one does not change the others.
+
+    Attributes
+    ----------
+    cable_scale: (n,), lengths of the cables over the team's.
+    start_offset: (2n, 3) [m], of the drones' first positions.
+    noise, velocity_noise: errors of what drones measure (2n, 3) [m], [m/s].
+    wind: gusts (2n, 3) [N].
+    steady_wind: (3,) [N], constant and level, alike for all drones.
     """
 
     def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
-        streams = np.random.SeedSequence(seed).spawn(4)
-        cables, start, noise, wind = (np.random.default_rng(stream) for stream in streams)
+        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(6))
+        cables, start, noise, wind, velocity, direction = streams
         drones = (2 * robots, 3)
         self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
         self.start_offset: Array = perturbations.start_error * start.standard_normal(drones)
         self.noise = Drift(perturbations.noise, NOISE_TIME, drones, noise)
+        self.velocity_noise = Drift(
+            perturbations.velocity_noise, VELOCITY_NOISE_TIME, drones, velocity
+        )
         self.wind = Drift(perturbations.wind / np.sqrt(3.0), GUST_TIME, drones, wind)
+        heading = direction.uniform(0.0, 2.0 * np.pi)
+        self.steady_wind: Array = perturbations.steady_wind * np.array(
+            [np.cos(heading), np.sin(heading), 0.0]
+        )

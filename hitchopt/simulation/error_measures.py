@@ -7,14 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.simulation.drone_control import POSITION_GAIN
+from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.simulation.flight_records import Flight
-from hitchopt.simulation.hitch_sag import predicted_sag
 
 Array = NDArray[np.float64]
-
-SAGS = 100
-"""Number of times at which the sag is predicted; it is interpolated in between."""
 
 STILL = 1e-6
 """Largest movement from one sample to the next of a vertex that is at rest [m]."""
@@ -54,26 +50,35 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class VertexErrors:
-    """Distances of the vertices from the plan's, while the plan has a hitch.
+    """Errors of the vertices while the plan has a hitch, and until it has rested.
 
     Attributes
     ----------
     t: (samples,) [s]
     rows: samples of the flight's record (samples,).
     planned: planned vertices (samples, clasps, 3) [m].
-    sag: (samples, clasps) [m], predicted for the cables' weight, which the plan neglects.
-    errors: (samples, clasps) [m], distances; nan where cables do not bear on each other.
-    without_sag: (samples, clasps) [m], distances from the planned vertices less the sag.
+    offsets: (samples, clasps, 3) [m], from the planned vertices; nan where cables do not bear on
+        each other.
     moving: whether the plan moves any vertex (samples,).
     """
 
     t: Array
     rows: NDArray[np.intp]
     planned: Array
-    sag: Array
-    errors: Array
-    without_sag: Array
+    offsets: Array
     moving: NDArray[np.bool_]
+
+    @property
+    def errors(self) -> Array:
+        """(samples, clasps) [m]: distances in three dimensions, sag included."""
+        distances: Array = np.linalg.norm(self.offsets, axis=-1)
+        return distances
+
+    @property
+    def without_sag(self) -> Array:
+        """(samples, clasps) [m]: the level part of the distances."""
+        level: Array = np.linalg.norm(self.offsets[..., :2], axis=-1)
+        return level
 
     @property
     def lost(self) -> float:
@@ -84,13 +89,15 @@ class VertexErrors:
 def vertex_errors(flight: Flight) -> VertexErrors:
     """Return the errors at the samples of a flight at which its plan has a hitch, drawn tight.
 
-    The first sample does not count: no contact forces were gathered before it.
+    The first sample does not count: no contact forces were gathered before it. After its end a plan
+    stands still; the time of rest counts, the pull test does not.
     """
     task, record = flight.task, flight.record
     clasps, formed = task.team.layout.clasps, np.flatnonzero(task.formed)
     times, vertices = task.t[formed], task.vertices[formed]
-    rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= task.duration + SAME_SAMPLE))
-    asked = record.t[rows] + task.t[0]
+    end = np.fmax(task.duration, flight.rested) + SAME_SAMPLE
+    rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= end))
+    asked = task.t[0] + np.minimum(record.t[rows], task.duration)
     nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), asked)
     near = np.zeros(len(rows), dtype=np.bool_)
     if formed.size:
@@ -99,31 +106,27 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     rows, place = rows[near], nearest[near]
     step = np.zeros(len(formed))
     step[1:] = np.max(np.linalg.norm(np.diff(vertices, axis=0), axis=-1), axis=-1, initial=0.0)
-    planned, sag = vertices[place][:, clasps], _sags(flight, formed[place])[:, clasps]
-    offset = record.vertices[rows] - planned
-    raised = offset + sag[..., None] * [0.0, 0.0, 1.0]
-    return VertexErrors(
-        record.t[rows],
-        rows,
-        planned,
-        sag,
-        np.linalg.norm(offset, axis=-1),
-        np.linalg.norm(raised, axis=-1),
-        step[place] > STILL,
-    )
+    planned = vertices[place][:, clasps]
+    moving = (step[place] > STILL) & (record.t[rows] <= task.duration + SAME_SAMPLE)
+    return VertexErrors(record.t[rows], rows, planned, record.vertices[rows] - planned, moving)
 
 
-def _sags(flight: Flight, rows: NDArray[np.intp]) -> Array:
-    """Return (rows, points) [m], predicted for some rows of the plan and interpolated between."""
-    task, ranks = flight.task, np.arange(len(rows))
-    points, stiffness = task.team.layout.points, POSITION_GAIN * task.team.mass[::2]
-    if not len(rows):
-        return np.zeros((0, points))
-    chosen = np.unique(np.linspace(0, len(rows) - 1, min(SAGS, len(rows))).round().astype(np.intp))
-    at = rows[chosen]
-    planned = zip(task.setpoints.positions[at], task.vertices[at], task.tensions[at], strict=True)
-    sags = np.array([predicted_sag(task.team, flight.density, *x, stiffness) for x in planned])
-    return np.column_stack([np.interp(ranks, chosen, sags[:, p]) for p in range(points)])
+def effective_lengths(flight: Flight) -> Array:
+    """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest.
+
+    It is how long the cables are for the hitch; nan where the flight did not rest in a hitch.
+    """
+    record, team = flight.record, flight.task.team
+    rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
+    if not rows.any() or not flight.task.formed[-1]:
+        return np.full(team.robots, np.nan)
+    drones = np.mean(record.drones[rows], axis=0)
+    vertices = np.empty((team.layout.points, 3))
+    vertices[team.layout.anchors] = drones  # a chain's ends; clasps follow
+    vertices[team.layout.clasps] = np.mean(record.vertices[rows], axis=0)
+    parts = CableParts.of(team, drones[None], vertices[None])
+    found: Array = parts.lengths(flight.density, np.mean(record.tensions[rows], axis=0)[None])[0]
+    return found
 
 
 def tracking_errors(flight: Flight) -> Array:

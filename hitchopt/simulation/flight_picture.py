@@ -40,13 +40,13 @@ def save_picture(path: Path, simulation: Simulation) -> None:
     top, middle, bottom = over_time
     for c, point in enumerate(team.layout.clasps):
         name = team.point_names[point]
-        top.plot(errors.t, 100.0 * errors.without_sag[:, c], lw=1.0, label=name)
+        top.plot(errors.t, 100.0 * errors.errors[:, c], lw=1.0, label=name)
     if errors.t.size and len(team.layout.clasps) <= LABELLED:
         top.legend(fontsize=8, ncols=3)
     middle.plot(record.t, record.tensions, lw=1.0)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, lw=1.0)
-    titles = "vertex error,\nsag off [cm]", "tension [N]", "farthest drone\nfrom setpoint [cm]"
+    titles = "vertex error,\nsag included [cm]", "tension [N]", "farthest drone\nfrom setpoint [cm]"
     for axes, title in zip(over_time, titles, strict=True):
         axes.set_ylabel(title)
         axes.set_xlim(0.0, float(record.t[-1]) or 1.0)

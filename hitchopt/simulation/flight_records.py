@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.validity import InvalidRunError
 
@@ -21,7 +22,7 @@ class Record:
     ----------
     t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
     drones: positions (samples, 2n, 3) [m].
-    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints, offset for thick ropes.
+    commanded: commanded positions (samples, 2n, 3) [m]: the setpoints.
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
     bearing: contact forces (samples, clasps) [N].
     tensions: means over each cable's length (samples, n) [N].
@@ -87,6 +88,9 @@ class Flight:
     density: of the simulated cables [kg/m].
     least_bearing: contact forces (clasps,) [N] from which on a clasp bears at the end; zero without
         a hitch.
+    gains: of the drones' position loops.
+    longer: largest length that a rope has more than its cable [m]; the bends of thick ropes use it
+        up, so that the planned length is the effective one.
     error: what ended the flight early, or None.
     """
 
@@ -99,4 +103,6 @@ class Flight:
     pulled: float
     density: float
     least_bearing: Array
+    gains: PositionGains
+    longer: float
     error: InvalidRunError | None

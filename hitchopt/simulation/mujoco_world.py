@@ -65,7 +65,8 @@ class World:
         self.ropes, self.rigid, self.ground = ropes, rigid, ground
         self.masses = np.array(masses, dtype=np.float64)
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
-        text = describe(ropes, masses, self.inertia, rigid, ground, gravity)
+        ends = np.repeat(0.5 * ropes.density * ropes.segment_lengths, 2)  # half of the last segment
+        text = describe(ropes, self.masses + ends, self.inertia, rigid, ground, gravity)
         self.model = model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(model)
         names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]

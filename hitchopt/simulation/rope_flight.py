@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.air_forces import downwash, drag
 from hitchopt.simulation.cable_shapes import clasped, hanging
 from hitchopt.simulation.clasp_contacts import least_bearing
 from hitchopt.simulation.disturbances import Disturbances
-from hitchopt.simulation.drone_control import desired_thrusts
+from hitchopt.simulation.drone_control import PositionGains, desired_thrusts
 from hitchopt.simulation.drone_motors import Motors
 from hitchopt.simulation.flight_recorder import Recorder
 from hitchopt.simulation.flight_records import Flight
@@ -20,7 +21,7 @@ from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.linking_numbers import linking_matrix
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
-from hitchopt.simulation.rope_thickness import thickness_allowance, thickness_offsets
+from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError, check_valid
@@ -63,8 +64,9 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
     It begins with a hitch where the plan has one at the first setpoint, else with hanging cables.
-    The plan's hitch also defines the corrections of ``rope_thickness``; otherwise drones know their
-    setpoints alone.
+    The plan's hitch also defines the correction of ``rope_thickness``, whose size the flight
+    states. Drones know their setpoints alone: the ropes' weight is not fed forward unless the
+    setpoints' cable forces hold it.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
 
     Raises
     ------
-    InputError: a preset that cannot bear the team's tension.
+    InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
     UnsupportedError: mujoco is not installed.
     """
@@ -95,12 +97,11 @@ class _Run:
     """
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
-        team, diameter = task.team, settings.preset.diameter
+        team, preset = task.team, settings.preset
         self._task, self._settings, self._progress = task, settings, progress
         self._disturbances = Disturbances(settings.perturbations, team.robots, settings.seed)
-        offsets = thickness_offsets(task, diameter)
-        self._setpoints = replace(task.setpoints, positions=task.setpoints.positions + offsets)
-        allowance = thickness_allowance(task, diameter)
+        self._setpoints = task.setpoints
+        allowance = thickness_allowance(task, preset.diameter, preset.segment)
         lengths = team.cable_length * self._disturbances.cable_scale + allowance
         ropes = ropes_of(team, settings, lengths)
         ground = settings.ground
@@ -116,9 +117,9 @@ class _Run:
         self._motors = Motors(world, team.max_thrust, settings.lag)
         self._recorder = Recorder(world, team, self._motors)
         self._least_bearing = least_bearing(task)
-        # The cable weight that the plan assumes is replaced by that of the ropes.
-        self._planned_weight = _upward(team.cable_weight)
-        self._weight = _upward(ropes.weight_per_drone)
+        self._gains = PositionGains.of(team, settings)
+        self._wound = np.zeros_like(start)
+        self._longer = float(np.max(allowance))
         self._substeps = max(1, round(CONTROL / ropes.preset.time_step))
         self._period = self._substeps * ropes.preset.time_step
         self._damping = 0.0
@@ -186,22 +187,25 @@ class _Run:
         ----------
         time: [s]
         index: setpoint that applies.
-        pull: factor of the tension.
+        pull: factor of the plan's tension. Less than 1 reduces what is fed forward while a hitch is
+            drawn tight; more than 1 is the force of the pull test, which every drone adds.
         offset: from the setpoint's positions (2n, 3) [m].
         """
         world, disturbances = self._world, self._disturbances
-        setpoints = self._setpoints[index]
-        tension = setpoints.cable_forces + self._planned_weight
-        setpoints = replace(
-            setpoints,
-            positions=setpoints.positions + offset,
-            cable_forces=pull * tension - self._weight,
-        )
+        setpoints, gains = self._setpoints[index], self._gains
+        setpoints = replace(setpoints, positions=setpoints.positions + offset)
         measured = world.drones + disturbances.noise.advance(self._period)
         velocities = world.data.qvel[world.drone_dofs]
-        desired = desired_thrusts(setpoints, world.masses, measured, velocities)
+        velocities = velocities + disturbances.velocity_noise.advance(self._period)
+        desired = desired_thrusts(setpoints, world.masses, gains, measured, velocities, self._wound)
+        if pull != 1.0:
+            pulling = gains.feed_forward | (pull > 1.0)
+            desired += (pull - 1.0) * pulling[:, None] * self._outward_pulls(index)
+        if time >= 0.0:
+            error = setpoints.positions - measured
+            self._wound += self._period * gains.integral[:, None] * error
         self._motors.apply(desired, setpoints, self._period)
-        push = disturbances.wind.advance(self._period)
+        push = disturbances.wind.advance(self._period) + disturbances.steady_wind
         if self._settings.perturbations.downwash:
             push = push + downwash(world.drones, self._motors.thrusts)
         world.data.xfrc_applied[world.drone_bodies, :3] += push
@@ -210,10 +214,18 @@ class _Run:
         check_valid(world, time)
         self._recorder.observe(time)
 
+    def _outward_pulls(self, index: int) -> Array:
+        """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch."""
+        task = self._task
+        legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
+        pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
+        return pulls
+
     def _sample(self, time: float, index: int) -> None:
         """Record a sample at ``time`` [s], at which setpoint ``index`` applies."""
         least = self._least_bearing[index]
-        self._recorder.sample(time, self._setpoints.positions[index], least)
+        commanded = self._setpoints.positions[index]
+        self._recorder.sample(time, commanded, least)
 
     def flight(self, error: InvalidRunError | None) -> Flight:
         """Return the flight as far as it was simulated."""
@@ -229,11 +241,7 @@ class _Run:
             self._pulled,
             self._world.ropes.density,
             self._least_bearing[-1],
+            self._gains,
+            self._longer,
             error,
         )
-
-
-def _upward(forces: Array) -> Array:
-    """Return upward forces (2n, 3) of their sizes (2n,)."""
-    upward: Array = np.multiply.outer(forces, [0.0, 0.0, 1.0])
-    return upward

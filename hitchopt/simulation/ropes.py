@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import Team
 from hitchopt.simulation.simulation_settings import DENSITY, Preset, Settings
 from hitchopt.values import not_negative, per_robot, positive
 
@@ -62,11 +62,6 @@ class Ropes:
     def segment_lengths(self) -> Array:
         """Length of one segment of each cable (n,) [m]."""
         return self.lengths / self.segments
-
-    @property
-    def weight_per_drone(self) -> Array:
-        """Half of its cable's weight, which each drone carries (2n,) [N]."""
-        return np.repeat(0.5 * GRAVITY * self.density * self.lengths, 2)
 
     @property
     def largest_tension(self) -> float:

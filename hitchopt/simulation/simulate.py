@@ -7,12 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.simulation.error_measures import (
-    Spread,
-    VertexErrors,
-    tracking_errors,
-    vertex_errors,
-)
+from hitchopt.simulation.error_measures import Spread, VertexErrors, tracking_errors, vertex_errors
 from hitchopt.simulation.flight_outcome import SUCCEEDED, Failure, Outcome, judge
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
@@ -31,8 +26,11 @@ class Run:
     seed: of its perturbations; the same seed gives the same flight.
     verdict: that of its Outcome.
     failures: all failures, by time.
-    vertex_error, without_sag: over vertices and time [m].
-    moving_without_sag: over the time in which the plan moves a vertex; nan where it moves none.
+    vertex_error: distances of vertices from the plan's in three dimensions, sag included, over
+        vertices and time [m].
+    resting, moving: the same while the plan stands still, and while it moves a vertex; nan where it
+        does not.
+    without_sag: level part of vertex_error [m].
     tracking: distances of drones from their commands [m].
     peak_tension, peak_thrust: [N]
     saturated: share of samples at which a drone's command exceeded its thrust.
@@ -43,8 +41,9 @@ class Run:
     verdict: str
     failures: tuple[Failure, ...]
     vertex_error: Spread = NOTHING
+    resting: Spread = NOTHING
+    moving: Spread = NOTHING
     without_sag: Spread = NOTHING
-    moving_without_sag: Spread = NOTHING
     tracking: Spread = NOTHING
     peak_tension: float = np.nan
     peak_thrust: float = np.nan
@@ -86,8 +85,9 @@ class Simulation:
             self.outcome.verdict,
             self.outcome.failures,
             Spread.of(errors.errors),
+            Spread.of(errors.errors[~errors.moving]),
+            Spread.of(errors.errors[errors.moving]),
             Spread.of(errors.without_sag),
-            Spread.of(errors.without_sag[errors.moving]),
             Spread.of(tracking_errors(self.flight)),
             float(np.max(record.peak_tensions)),
             float(np.max(record.thrusts)),
@@ -107,7 +107,7 @@ def simulate(task: Task, settings: Settings, progress: Progress | None = None) -
 
     Raises
     ------
-    InputError: a preset that cannot bear the team's tension.
+    InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
     UnsupportedError: mujoco is not installed.
     """

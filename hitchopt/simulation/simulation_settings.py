@@ -60,7 +60,9 @@ class Perturbations:
     Parameters
     ----------
     noise: standard deviation per axis of the error of the measured drone positions [m].
+    velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
     wind: root mean square of the gust force on a drone [N].
+    steady_wind: constant level force on every drone, in one direction that the seed gives [N].
     lag: time constant of the thrust [s]; None: MOTOR_LAG for a rigid body, FORCE_LAG for a point
         mass, which has no attitude to turn first.
     cable_error: standard deviation of the cable lengths, relative.
@@ -69,14 +71,17 @@ class Perturbations:
     """
 
     noise: float = 0.0
+    velocity_noise: float = 0.0
     wind: float = 0.0
+    steady_wind: float = 0.0
     lag: float | None = None
     cable_error: float = 0.0
     start_error: float = 0.0
     downwash: bool = False
 
     def __post_init__(self) -> None:
-        _check(self, not_negative, "noise", "wind", "lag", "cable_error", "start_error")
+        _check(self, not_negative, "noise", "velocity_noise", "wind", "steady_wind")
+        _check(self, not_negative, "lag", "cable_error", "start_error")
         if self.cable_error > LARGEST_CABLE_ERROR:
             raise InputError(
                 "cable_error",
@@ -91,8 +96,16 @@ LARGEST_CABLE_ERROR = 0.1
 
 CALM = Perturbations()
 
-USUAL = Perturbations(noise=0.01, wind=0.05, cable_error=0.005, start_error=0.02)
-"""Perturbations of earlier rope simulations of the swap, which also have 80 ms of thrust lag."""
+USUAL = Perturbations(
+    noise=0.01,
+    velocity_noise=0.03,
+    wind=0.05,
+    steady_wind=0.05,
+    cable_error=0.005,
+    start_error=0.02,
+    downwash=True,
+)
+"""Perturbations of a flight indoors, besides the lag of the thrust and the team's friction."""
 
 MOTOR_LAG = 0.02
 """Time constant of a rigid drone's motors [s]; its attitude loop adds another 60 ms."""
@@ -116,7 +129,12 @@ class Settings:
     seed: seed of all random numbers.
     friction: coefficient at the clasps that replaces the team's; None: the team's.
     density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where the
-        team's cables have no weight, because a rope without mass cannot be simulated.
+        team's cables have no weight, because a rope without mass cannot be simulated. Drones feed
+        forward what setpoints.csv holds, whatever the ropes weigh.
+    stiffness: of the drones' position loops [N/m]; None: the team's, and that of POSITION_GAIN in
+        ``drone_control`` where the team's drones are rigid.
+    integral: whether controllers have integral action; None: as the team's.
+    feed_forward: whether controllers add the cable force of the setpoints; None: as the team's.
     ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
         stand on it.
     pull_test: whether the flight ends with a pull test of the hitch.
@@ -128,6 +146,9 @@ class Settings:
     seed: int = 0
     friction: float | None = None
     density: float | None = None
+    stiffness: float | None = None
+    integral: bool | None = None
+    feed_forward: bool | None = None
     ground: float | None = None
     pull_test: bool = True
 
@@ -137,7 +158,7 @@ class Settings:
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
         _check(self, not_negative, "friction")
-        _check(self, positive, "density")
+        _check(self, positive, "density", "stiffness")
         _check(self, finite, "ground")
 
     @property

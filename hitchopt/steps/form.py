@@ -127,7 +127,7 @@ class Form(Step):
             checked(tying)  # no use to go there if nothing can be tied
         parts = [_approach(task, site.pre.drones, site.hitch), tying]
         if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
-            parts.append(lifted(site.hitch, wanted.altitude, "lower", i, requirements))
+            parts.append(lifted(site.hitch, wanted.altitude, "lower", task))
         senses = np.sign(site.pre.turns.rise)
         after = Situation(team, wanted.drones, wanted, senses, self.swap)
         return StepPlan(lasting(joined_motions(parts), self.duration, i, self.name), after)

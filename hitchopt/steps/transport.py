@@ -77,7 +77,7 @@ class Transport(HitchStep):
         path = RigidPath(start, self.to, self.yaw)
         outline = self.polygon_after(start.team, start.polygon)
         end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
-        self.check_end(end, task.index, task.requirements)
+        self.check_end(end, task)
         if path.still:
             return task.ended(self.motion(task, None, end), end)
         check_loads(path, limits)

@@ -70,7 +70,7 @@ def test_no_sample_beats_a_bound_and_bounds_are_tight(seed: int, n: int, density
     found = sampled(whole, np.linspace(0.0, whole.duration, 1001))
     for name in FORCES:
         check = certificate[name]
-        worst = check.bound / check.limit if name == "thrust" else check.bound
+        worst = check.bound / check.number if name == "thrust" else check.bound
         outside = found[name] - worst if check.sense == "min" else worst - found[name]
         assert outside >= 0.0, f"{name}: {worst} is beaten by a sample of {found[name]}"
         assert outside <= max(1e-2 * abs(found[name]), 2e-6), f"{name}: {worst}, {found[name]}"

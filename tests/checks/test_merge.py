@@ -16,13 +16,9 @@ TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 @pytest.fixture(scope="module")
 def parts() -> list[Motion]:
     """Four steps of a triangle with drones of unequal thrust, off the origin."""
-    quadrotors = [
-        {"mass": 0.132, "max_thrust": 2.6},
-        {"mass": 0.140, "max_thrust": 3.1},
-        {"mass": 0.125, "max_thrust": 2.9},
-    ]
+    quadrotors = [ho.Quadrotor(0.132, 2.6), ho.Quadrotor(0.140, 3.1), ho.Quadrotor(0.125, 2.9)]
     polygon = np.array(TRIANGLE) + [3.0, 1.0]
-    team = ho.Team(3, 2.4, quadrotor=tuple(ho.Quadrotor(**q) for q in quadrotors))
+    team = ho.Team(3, 2.4, quadrotor=quadrotors)
     hitch = ho.Hitch.spread(team, polygon)
     arena = ho.Arena((-1.0, -4.0, 0.0), (6.0, 4.0, 3.0))
     plans = (

@@ -33,8 +33,15 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_pat
     assert result.exit_code == 0, result.output
     assert "hitched: every vertex is linked and held" in result.stdout
     assert "times real time" in result.stdout
-    for column in ("error [cm]", "without sag [cm]", "drones to their setpoints [cm]"):
-        assert column in result.stdout
+    for words in (
+        "without sag",
+        "while the plan stands still",
+        "drones to their setpoints [cm]",
+        "4.75 N/m",
+        "nobody: the simulator's own",
+        "10 g/m; the plan knows 10",
+    ):
+        assert words in result.stdout
     assert re.search(r"p0 +-?1 +0\.\d{3} ≥ 0\.150 ", result.stdout)
     assert result.stderr == ""
     place = solved / "simulation"
@@ -58,7 +65,12 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_pat
     assert rows[0].startswith("t,vertex,x,y,z,planned_x")
     assert len(rows) == 1 + 3 * len({row.split(",")[0] for row in rows[1:]})
     error = [float(row.split(",")[9]) for row in rows[1:]]
-    assert np.mean(error) == pytest.approx(summary["vertex_error"]["all"]["mean"], rel=1e-6)
+    mean = np.mean(error)
+    assert mean == pytest.approx(summary["vertex_error"]["all"]["mean"], rel=1e-6)
+    assert f"vertex error in 3-D, sag included: {100 * mean:.1f} ± " in result.stdout
+    size = 1e3 * summary["compensation"]["cables_longer"]
+    assert re.search(rf"ropes of 12 mm longer for their bends +≤ {size:.1f} mm", result.stdout)
+    assert summary["position_loops"]["stiffness"] == pytest.approx([36.0 * 0.132] * 6)
     assert film.read_bytes()[:6] in {b"GIF87a", b"GIF89a"}
     assert [path.name for path in tmp_path.iterdir()] == ["flight.gif"]
     check = run("check", solved)  # the plan's own files are as they were
@@ -77,6 +89,7 @@ def test_a_campaign_reports_its_success_rate(solved: Path, tmp_path: Path) -> No
     settings = json.loads((place / "campaign.json").read_text(encoding="utf-8"))["settings"]
     assert settings["perturbations"]["noise"] == 0.0
     assert settings["perturbations"]["wind"] == 0.05
+    assert settings["perturbations"]["downwash"] is True
 
 
 def test_a_flight_that_fails_ends_with_3_and_the_failure(
@@ -115,6 +128,8 @@ def test_an_invalid_run_counts_as_not_simulated(
         (["--preset", "fine"], "'fine' is not one of 'fast', 'accurate'"),
         (["--preste", "fast"], "No such option"),
         (["--noise", "-1"], "noise = -1.0: must be at least 0"),
+        (["--stiffness", "0"], "stiffness = 0.0: must be"),
+        (["--stiffness", "60"], "oscillates more and more; lower it"),
         (["--density", "0.0001"], "time_step = 0.001: must be at most"),
         (["--runs", "0"], "runs = 0: must be at least 1"),
         (["--film", "flight.avi"], "must be a name in .gif or .mp4"),

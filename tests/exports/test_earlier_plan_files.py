@@ -108,6 +108,8 @@ def test_every_number_and_word_of_a_hitch_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(team.tension, [0.4, 0.45, 0.5])
     assert [kind.mass for kind in team.quadrotor] == [0.13, 0.14, 0.15]
     assert [kind.max_thrust for kind in team.quadrotor] == [2.5, 2.6, 2.7]
+    assert {kind.stiffness for kind in team.quadrotor} == {None}
+    assert {(kind.integral, kind.feed_forward) for kind in team.quadrotor} == {(False, True)}
     requirements = motion.requirements
     assert vars(requirements.limits) == LIMITS
     assert vars(requirements.separation) == SEPARATION

@@ -18,7 +18,7 @@ from handmade import made_motion, made_swarm
 
 from hitchopt.cli import main
 from hitchopt.errors import FileError
-from hitchopt.hitch import Team
+from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan, read_title, write_plan
 from hitchopt.requirements import Limits
@@ -102,6 +102,57 @@ def test_every_field_of_a_team_comes_back(motion: Motion, tmp_path: Path) -> Non
         assert field.name in {"robots", "topology"} or not np.array_equal(value, default)
     write_plan(tmp_path / "plan.npz", given)
     assert_same(read_plan(tmp_path / "plan.npz"), given)
+
+
+@pytest.mark.parametrize("made", [made_motion, made_swarm])
+def test_controllers_come_back_and_a_rigid_one_without_them(
+    made: Callable[[], Motion], tmp_path: Path
+) -> None:
+    motion, path = made(), tmp_path / "plan.npz"
+    kinds = [
+        dataclasses.replace(
+            kind, stiffness=None if k == 0 else 4.75 + k, integral=k == 1, feed_forward=k != 2
+        )
+        for k, kind in enumerate(motion.team.quadrotor)
+    ]
+    given = dataclasses.replace(motion, team=with_kinds(motion.team, kinds))
+    write_plan(path, given)
+    assert read_plan(path).team.quadrotor == tuple(kinds)
+    assert_same(read_plan(path), given)
+    write_plan(path, motion)
+    with np.load(path) as file:
+        assert not {"stiffness", "integral", "feed_forward"} & set(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("stiffness", -1.0, "stiffness = -1.0: must be greater than 0"),
+        ("stiffness", np.nan, "stiffness = nan: must be finite"),
+        ("stiffness", -np.inf, "stiffness = -inf: must be finite"),
+        ("integral", 0.5, "integral = 0.5: must be 0 or 1"),
+        ("feed_forward", np.nan, "feed_forward = nan: must be 0 or 1"),
+    ],
+)
+def test_damaged_controllers_are_refused(
+    motion: Motion, tmp_path: Path, name: str, value: float, words: str
+) -> None:
+    kinds = [dataclasses.replace(kind, stiffness=5.0) for kind in motion.team.quadrotor]
+    path = tmp_path / "plan.npz"
+    write_plan(path, dataclasses.replace(motion, team=with_kinds(motion.team, kinds)))
+
+    def change(arrays: dict[str, Any]) -> None:
+        arrays[name] = np.array([value, *arrays[name][1:]])
+
+    rewritten(path, change)
+    with pytest.raises(FileError, match=re.escape(words)):
+        read_plan(path)
+
+
+def with_kinds(team: Team, kinds: list[Quadrotor]) -> Team:
+    if team.has_cables:
+        return dataclasses.replace(team, quadrotor=tuple(kinds))
+    return Swarm(team.drones, quadrotor=kinds)
 
 
 def test_a_plan_without_arena_and_duration_comes_back(motion: Motion, tmp_path: Path) -> None:

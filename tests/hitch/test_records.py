@@ -55,6 +55,9 @@ def test_angles_in_degrees_are_refused_in_radians(
         (lambda: Team(3, 2.0, quadrotor=[Quadrotor()] * 2), "quadrotor"),
         (lambda: Quadrotor(mass=0.0), "mass"),
         (lambda: Quadrotor(max_thrust=-1.0), "max_thrust"),
+        (lambda: Quadrotor(stiffness=0.0), "stiffness"),
+        (lambda: Quadrotor(integral=1), "integral"),  # type: ignore[arg-type]
+        (lambda: Quadrotor(feed_forward=None), "feed_forward"),  # type: ignore[arg-type]
         (lambda: Limits(speed=0.0), "speed"),
         (lambda: Limits(tilt=1.6), "tilt"),
         (lambda: Limits(duration=-1.0), "duration"),

@@ -40,7 +40,7 @@ def triangle() -> dict[str, object]:
             "tension": [0.4, 0.45, 0.5],
             "quadrotor": [
                 {"mass": 0.132, "max_thrust": 2.6},
-                {"mass": 0.14},
+                {"mass": 0.14, "stiffness": 4.75, "integral": True, "feed_forward": False},
                 {"max_thrust": 2.8},
             ],
         },
@@ -49,6 +49,7 @@ def triangle() -> dict[str, object]:
             "acceleration": 1.9,
             "jerk": 19,
             "tilt_deg": 40,
+            "body_rate_deg": 150,
             "vertex_speed": 0.4,
             "leg": 0.16,
             "duration": 60,

@@ -66,6 +66,7 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     assert (limits.speed, limits.acceleration, limits.jerk) == (0.9, 1.9, 19.0)
     assert (limits.vertex_speed, limits.leg, limits.duration) == (0.4, 0.16, 60.0)
     assert limits.tilt == pytest.approx(40 * math.pi / 180, rel=1e-15)
+    assert limits.body_rate == pytest.approx(150 * math.pi / 180, rel=1e-15)
     separation = problem.separation
     assert (separation.radius, separation.height) == (0.11, 0.29)
     assert (separation.cable, separation.crossing) == (0.09, 0.0)
@@ -128,6 +129,7 @@ def test_defaults_are_those_of_the_interface() -> None:
         "vertex_speed": 0.5,
         "leg": 0.15,
         "duration": None,
+        "body_rate": None,
     }
     assert vars(problem.separation) == {
         "radius": 0.12,

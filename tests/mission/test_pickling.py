@@ -37,7 +37,7 @@ TEAM = ho.Team(
     cable_density=0.003,
     cable_friction=0.1,
     tension=[0.4, 0.5, 0.45],
-    quadrotor=[ho.Quadrotor(), ho.Quadrotor(0.14), ho.Quadrotor(0.13, 2.8)],
+    quadrotor=[ho.Quadrotor(), ho.Quadrotor(0.14), ho.Quadrotor(0.13, 2.8, 4.75, True, False)],
 )
 HITCH = ho.Hitch.balanced(TEAM, TRIANGLE, 1.3)
 POINTS = np.arange(9.0).reshape(3, 3)
@@ -57,7 +57,10 @@ STEPS = (
     ho.Land(),
 )
 SWARM = ho.SwarmProblem(
-    ho.Swarm(3, quadrotor=[ho.Quadrotor(), ho.Quadrotor(0.14), ho.Quadrotor(0.13, 2.8)]),
+    ho.Swarm(
+        3,
+        quadrotor=[ho.Quadrotor(), ho.Quadrotor(0.14), ho.Quadrotor(0.13, 2.8, 4.75, True, False)],
+    ),
     POINTS,
     POINTS + 5.0,
     arena=ho.Arena([-30.0] * 3, [30.0] * 3),

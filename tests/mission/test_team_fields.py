@@ -29,7 +29,10 @@ VALUES: dict[str, Any] = {
     "cable_density": 0.003,
     "cable_friction": 0.05,
     "tension": [0.41, 0.42, 0.43, 0.44],
-    "quadrotor": tuple(Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k) for k in range(4)),
+    "quadrotor": tuple(
+        Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k if k else None, k == 1, k != 2)
+        for k in range(4)
+    ),
     "load": [0.001, 0.002, 0.003],
 }
 """One value for every field of a team, none its default; those per robot or clasp all differ."""

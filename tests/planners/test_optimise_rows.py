@@ -157,7 +157,7 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
     bounds = search(None, 1.05, (1.2, 1.01))
     table = way.table()
-    found = rows_between(way, bounds, places, 0.3)
+    found = rows_between(way, bounds, parts, 0.3)
     nodes = way.at(places / 5.0).table()[:, columns.nodes]
     pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
     excess = np.full(len(pairs.enforced), np.inf)
@@ -229,7 +229,7 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     bounds = search(
         None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
     )
-    rows = rows_between(way, bounds, places, 0.0)  # of no pair: their limits are next to none
+    rows = rows_between(way, bounds, 4, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH
     excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
@@ -248,7 +248,7 @@ def test_rows_between_knots_follow_the_chord_between_moved_knots(seed: int, part
     path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
     places = instants(steps, parts)
     asked = search(None, 1.05, (1.2, 1.01), Requirements(ho.Limits(leg=float(np.min(path.q_legs)))))
-    rows = rows_between(path, asked, places, 0.3)
+    rows = rows_between(path, asked, parts, 0.3)
     change = rng.normal(size=path.table().shape)
     change[[0, -1]] = 0.0  # the ends are given
     knots = np.arange(steps + 1.0)

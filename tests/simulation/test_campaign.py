@@ -79,9 +79,11 @@ def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path)
     assert [row["seed"] for row in rows] == ["40", "41"]
     assert [row["verdict"] for row in rows] == ["succeeded", "succeeded"]
     done = simulate(task, BRIEF).errors
-    moving = np.mean(done.without_sag[done.t > 0.035])
-    assert float(rows[0]["moving_without_sag_mean"]) == pytest.approx(moving, rel=1e-5)
-    assert moving > float(rows[0]["without_sag_mean"]) + 0.001
+    moves = (done.t > 0.035) & (done.t < 0.055)
+    for name, chosen in (("moving", moves), ("resting", ~moves), ("vertex_error", moves | True)):
+        expected = np.mean(done.errors[chosen])
+        assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
+    assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"]) - 0.02
     assert float(rows[0]["tracking_mean"]) == pytest.approx(alone[0].tracking.mean, rel=1e-5)
 
 

@@ -13,8 +13,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.simulation.cable_shapes import hanging
 from hitchopt.simulation.drone_control import (
     ATTITUDE_GAIN,
-    POSITION_GAIN,
-    VELOCITY_GAIN,
+    PositionGains,
     attitude_command,
     desired_attitudes,
     desired_thrusts,
@@ -28,6 +27,9 @@ from hitchopt.simulation.simulation_settings import FAST
 Array = NDArray[np.float64]
 
 MASSES = np.array([0.13, 0.21])
+GAINS = PositionGains(
+    np.array([4.0, 9.0]), np.array([1.2, 2.5]), np.zeros(2), np.ones(2, dtype=np.bool_)
+)
 INERTIA = np.array([[1.6e-4, 1.7e-4, 2.7e-4], [2.0e-4, 2.1e-4, 3.0e-4]])
 
 
@@ -41,8 +43,11 @@ def test_at_rest_thrust_carries_the_drone_and_holds_its_cable() -> None:
     zero = np.zeros((2, 3))
     still = Setpoints(zero, zero, zero, zero, np.zeros(2), pull)
     expected = -pull + MASSES[:, None] * np.array([0.0, 0.0, GRAVITY])
-    desired = desired_thrusts(still, MASSES, zero, zero)
+    desired = desired_thrusts(still, MASSES, GAINS, zero, zero)
     np.testing.assert_allclose(desired, expected)
+    deaf = replace(GAINS, feed_forward=np.array([True, False]))
+    found = desired_thrusts(still, MASSES, deaf, zero, zero)
+    np.testing.assert_allclose(found - expected, [[0.0] * 3, pull[1]], atol=1e-15)
     attitudes = desired_attitudes(desired, still.yaw)
     thrusts, moments = attitude_command(still, desired, attitudes, zero, MASSES, INERTIA)
     np.testing.assert_allclose(thrusts, np.linalg.norm(expected, axis=-1))
@@ -53,11 +58,11 @@ def test_errors_pull_back_softly() -> None:
     random = np.random.default_rng(3)
     commanded = commands(random)
     there, flying = random.normal(size=(2, 3)), random.normal(size=(2, 3))
-    base = desired_thrusts(commanded, MASSES, commanded.positions, commanded.velocities)
-    change = desired_thrusts(commanded, MASSES, there, flying) - base
-    gains = POSITION_GAIN * (commanded.positions - there)
-    gains += VELOCITY_GAIN * (commanded.velocities - flying)
-    np.testing.assert_allclose(change, MASSES[:, None] * gains)
+    base = desired_thrusts(commanded, MASSES, GAINS, commanded.positions, commanded.velocities)
+    change = desired_thrusts(commanded, MASSES, GAINS, there, flying, 0.1) - base
+    force = GAINS.stiffness[:, None] * (commanded.positions - there)
+    force += GAINS.damping[:, None] * (commanded.velocities - flying)
+    np.testing.assert_allclose(change, force + 0.1)
 
 
 def test_desired_attitudes_are_rotations_along_the_thrust_and_toward_the_yaw() -> None:
@@ -92,8 +97,8 @@ def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int)
         commanded.yaw + angle,
         turn.apply(commanded.cable_forces),
     )
-    desired = desired_thrusts(commanded, MASSES, where, flying)
-    again = desired_thrusts(turned, MASSES, turn.apply(where), turn.apply(flying))
+    desired = desired_thrusts(commanded, MASSES, GAINS, where, flying)
+    again = desired_thrusts(turned, MASSES, GAINS, turn.apply(where), turn.apply(flying))
     np.testing.assert_allclose(again, turn.apply(desired), atol=1e-12)
     first = attitude_command(commanded, desired, attitudes, rates, MASSES, INERTIA)
     second = attitude_command(turned, again, turn.as_matrix() @ attitudes, rates, MASSES, INERTIA)
@@ -104,7 +109,7 @@ def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int)
 def test_a_small_tilt_is_turned_back_as_a_damped_spring_would() -> None:
     zero = np.zeros((2, 3))
     still = Setpoints(zero, zero, zero, zero, np.zeros(2), zero)
-    desired = desired_thrusts(still, MASSES, zero, zero)
+    desired = desired_thrusts(still, MASSES, GAINS, zero, zero)
     for axis in range(3):
         tilt = np.zeros(3)
         tilt[axis] = 1e-4
@@ -120,7 +125,7 @@ def test_attitudes_are_commanded_to_turn_as_fast_as_the_thrust_does() -> None:
     random = np.random.default_rng(8)
     commanded = commands(random)
     still = replace(commanded, yaw=np.zeros(2), cable_forces=np.zeros((2, 3)))
-    desired = desired_thrusts(still, MASSES, commanded.positions, commanded.velocities)
+    desired = desired_thrusts(still, MASSES, GAINS, commanded.positions, commanded.velocities)
     step = 1e-6
     later = desired + step * MASSES[:, None] * commanded.jerks
     before, after = desired_attitudes(desired, still.yaw), desired_attitudes(later, still.yaw)

@@ -25,13 +25,14 @@ def test_spread_and_memory_do_not_depend_on_the_step(step: float) -> None:
 def test_no_spread_is_no_disturbance() -> None:
     calm = Disturbances(CALM, 3, 7)
     np.testing.assert_array_equal(calm.cable_scale, 1.0)
-    for values in (calm.start_offset, calm.noise.advance(0.1), calm.wind.advance(0.1)):
+    drifts = (calm.noise, calm.velocity_noise, calm.wind)
+    for values in (calm.start_offset, calm.steady_wind, *(drift.advance(0.1) for drift in drifts)):
         np.testing.assert_array_equal(values, 0.0)
 
 
 def test_a_quantity_that_is_switched_off_leaves_the_others_as_they_were() -> None:
     both = Disturbances(USUAL, 4, 11)
-    windless = Disturbances(replace(USUAL, wind=0.0), 4, 11)
+    windless = Disturbances(replace(USUAL, wind=0.0, steady_wind=0.0, velocity_noise=0.0), 4, 11)
     np.testing.assert_array_equal(both.cable_scale, windless.cable_scale)
     np.testing.assert_array_equal(both.start_offset, windless.start_offset)
     np.testing.assert_array_equal(both.noise.advance(0.1), windless.noise.advance(0.1))
@@ -42,3 +43,10 @@ def test_a_quantity_that_is_switched_off_leaves_the_others_as_they_were() -> Non
 def test_gusts_have_the_size_that_was_asked_for() -> None:
     gusts = Disturbances(replace(CALM, wind=0.05), 3000, 5).wind.value
     assert np.sqrt(np.mean(np.sum(gusts**2, axis=-1))) == pytest.approx(0.05, rel=0.02)
+
+
+def test_the_steady_wind_is_level_and_its_direction_is_the_seeds() -> None:
+    winds = np.array([Disturbances(USUAL, 3, seed).steady_wind for seed in range(400)])
+    np.testing.assert_allclose(np.linalg.norm(winds, axis=-1), USUAL.steady_wind)
+    np.testing.assert_array_equal(winds[:, 2], 0.0)
+    assert np.linalg.norm(np.mean(winds, axis=0)) < 0.1 * USUAL.steady_wind  # from everywhere

@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scripted import regular_hitch, standing, unformed
 
+from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
 from hitchopt.simulation.flight_records import Film, Flight, Record, Touch
+from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError
 
 Array = NDArray[np.float64]
@@ -42,7 +44,9 @@ def judged(
     film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
     task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
     least = np.full(4, 0.3)
-    return judge(Flight(task, record, film, touches, linking, 3.0, pulled, 0.01, least, error))
+    gains = PositionGains.of(task.team, Settings())
+    ended = (linking, 3.0, pulled, 0.01, least, gains, 0.0, error)
+    return judge(Flight(task, record, film, touches, *ended))
 
 
 def test_linked_bearing_and_held_is_hitched() -> None:

@@ -121,13 +121,28 @@ def _hanging_weight(partner: Array, weight: Array, length: Array) -> enclosure.E
     """
     lower, upper = steepness_range(partner, length[:, 0, 0])
     most, least = (np.array(pull_terms(sigma)) for sigma in (lower, upper))  # both fall with σ
+    return pulled(partner, weight, least, most, length)
+
+
+def pulled(
+    offset: Array, weight: Array, least: Array, most: Array, length: Array | float = 0.0
+) -> enclosure.Enclosure:
+    """Enclose ``-w/2 (k x, k y, l z - L)`` for an offset (x, y, z) and k, l between bounds.
+
+    Parameters
+    ----------
+    offset: (cells, 3, degree + 1)
+    weight: (cells, 1, degree + 1), w.
+    least, most: (2, cells), k and l.
+    length: (cells, 1, 1), L.
+    """
     middle, spread = 0.5 * (most + least), 0.5 * (most - least)
     factors = np.stack([-middle[0], -middle[0], -middle[1]], axis=1)
-    size = np.max(np.abs(partner), axis=-1)
+    size = np.max(np.abs(offset), axis=-1)
     radius = spread[0] * np.hypot(size[:, 0], size[:, 1]) + spread[1] * size[:, 2]
-    offset = factors[..., None] * partner
-    offset[:, 2] += length[:, 0]
-    pull = bernstein.multiply(weight, 0.5 * offset)
+    scaled = factors[..., None] * offset
+    scaled[:, 2:] += length
+    pull = bernstein.multiply(weight, 0.5 * scaled)
     return enclosure.Enclosure(pull, 0.5 * np.max(np.abs(weight), axis=(-2, -1)) * radius)
 
 

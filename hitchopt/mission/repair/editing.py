@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.repair.change import Edit, Edited
@@ -32,17 +33,27 @@ def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
     if name == "max_thrust":
         pairs = zip(problem.team.quadrotor, rounded, strict=True)
         kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
-        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, [vars(kind) for kind in kinds]
+        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, list(map(_as_written, kinds))
     team = replace(problem.team, **changed)
     same = all(value == rounded[0] for value in rounded)
     edit = Edit(f"team.{name}", rounded[0] if same else rounded)
     return Edited(replace(problem, team=team), (edit,))
 
 
+def _as_written(kind: Quadrotor) -> dict[str, float | bool | None]:
+    """Return what a file says of a kind: mass, thrust, and whatever else is not its default."""
+    return {
+        name: value
+        for name, value in vars(kind).items()
+        if name in ("mass", "max_thrust") or value != getattr(Quadrotor, name)
+    }
+
+
 def with_bound(problem: Problem, key: str, value: float) -> Edited:
     """Return the problem with another limit or distance to keep; key and unit are the file's."""
     section, name = key.split(".")
-    changed = {"tilt": math.radians(value)} if name == "tilt_deg" else {name: value}
+    angle = name.removesuffix("_deg")
+    changed = {name: value} if angle == name else {angle: math.radians(value)}
     part: Any = replace(getattr(problem, section), **changed)
     return Edited(replace(problem, **{section: part}), (Edit(key, value),))
 

@@ -16,13 +16,7 @@ import numpy as np
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.planners.forming.turns import (
-    APART,
-    SwapSettings,
-    Turns,
-    half_that_clears,
-    rise_that_clears,
-)
+from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears
 from hitchopt.requirements import Separation
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
@@ -169,7 +163,7 @@ def _turns(
         middles,
         along,
         math.cos(tilt) * up - math.sin(tilt) * outward,
-        np.maximum(0.5 * share * lengths, half_that_clears(separation, settings.radius)),
+        np.maximum(0.5 * share * lengths, max(settings.radius, APART * separation.radius)),
         np.full(len(along), rise_that_clears(separation, tilt, settings.radius)),
         alone + (scale - 1.0) * (alone - centre),
         hitch.vertices,
@@ -207,10 +201,7 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     clear = np.full(len(turns.half), np.inf)
-    for drone, cable in (
-        (q[:, layout.ahead], layout.behind),
-        (r[:, layout.behind], layout.ahead),
-    ):
+    for drone, cable in ((q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
         clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
     along = unit(layout.edges(turns.vertices))

@@ -163,12 +163,8 @@ class KnotPath:
     def with_table(self, table: Array) -> KnotPath:
         """Return the path with the vertices, q-legs and tensions of a table (knots, size)."""
         columns = self.columns
-        return replace(
-            self,
-            polygons=table[:, columns.vertices],
-            q_legs=table[:, columns.q_legs],
-            tensions=table[:, columns.tensions],
-        )
+        polygons, q_legs = table[:, columns.vertices], table[:, columns.q_legs]
+        return replace(self, polygons=polygons, q_legs=q_legs, tensions=table[:, columns.tensions])
 
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:

@@ -15,12 +15,7 @@ from hitchopt.model.loaded_clasp import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
-from hitchopt.planners.optimise.separating_rows import (
-    instants,
-    near_pairs,
-    rows_at_knots,
-    rows_between,
-)
+from hitchopt.planners.optimise.separating_rows import near_pairs, rows_at_knots, rows_between
 from hitchopt.values import Array
 
 FLATTEST = math.radians(3.0)
@@ -157,8 +152,7 @@ def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: Sol
         draft.soft_bound(value, scale * apart**2, scale * squared, PENALTY_WEIGHT)
     linear = [rows_at_knots(path, pairs.chosen(pairs.kind != SEPARATION))]
     if step.parts > 1:
-        places = instants(path.steps, step.parts)
-        linear.append(rows_between(path, search, places, BETWEEN * step.reach))
+        linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
     for found in linear:
         if len(found.least):
             value = ca.DM(found.rows) @ x

@@ -54,10 +54,7 @@ def chained(outer: Array, inner: Array) -> Array:
     g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
     return np.stack(
         np.broadcast_arrays(
-            outer[..., 0],
-            f1 * g1,
-            f2 * g1**2 + f1 * g2,
-            f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3,
+            outer[..., 0], f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
         ),
         axis=-1,
     )

@@ -1,0 +1,1 @@
+"""Estimates of cable lengths, stiffness and friction from recorded flights."""

@@ -1,0 +1,205 @@
+"""Estimates from recordings that the laws alone compute: exact without noise, honest with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import approx_fprime, least_squares
+from synthetic_flight import recorded, shaken
+
+from hitchopt.calibration.calibrate import estimate_team
+from hitchopt.calibration.estimates import robust_mean
+from hitchopt.calibration.flight_windows import windows_of
+from hitchopt.calibration.force_balance import ForceBalance
+from hitchopt.calibration.plan_comparison import compare
+from hitchopt.calibration.stiffness_fit import _Residuals
+from hitchopt.errors import InputError
+from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
+from hitchopt.hitch.cable_parts import CableParts
+
+Array = NDArray[np.float64]
+
+POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
+DENSITY, MU = 0.012, 0.17
+SOFT, HARD = Quadrotor(mass=0.14), Quadrotor(mass=0.2)
+
+
+def team_of(topology: str = "closed") -> Team:
+    return Team(
+        3,
+        [2.6, 2.5, 2.7],
+        topology=topology,
+        tension=[0.5, 0.6, 0.55],
+        quadrotor=[SOFT, HARD, SOFT],
+    )
+
+
+def hitches(topology: str = "closed") -> tuple[Hitch, Hitch]:
+    """The same polygon, cables slid: one drone of a cable comes nearer as the other goes."""
+    arc = np.array([[1.0, 0.0], [1.6, 1.0], [2.9, 1.1], [3.6, 0.0]])
+    points = POLYGON if topology == "closed" else arc
+    team = team_of(topology)
+    middle = Hitch.balanced(team, points, 1.3)
+    slid = np.array([0.12, -0.1, 0.15]) * team.layout.has_leg.all(axis=1)
+    before, after = (Hitch(team, points, 1.3, middle.q_legs + s * slid) for s in (-1.0, 1.0))
+    return before, after
+
+
+K = np.repeat([4.0, 9.0, 4.0], 2)
+
+
+@pytest.mark.parametrize(("topology", "friction"), [("closed", MU), ("open", 0.0)])
+def test_without_noise_stiffness_and_friction_are_exact(topology: str, friction: float) -> None:
+    task, recording = recorded(*hitches(topology), K, DENSITY, friction)
+    found = estimate_team(recording, task, DENSITY)
+    assert all(one.known for one in found.stiffness)
+    np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.01)
+    assert found.friction.known
+    assert found.friction.value == pytest.approx(friction, abs=0.005)
+
+
+def test_a_steady_wind_is_no_stiffness() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY, wind=(0.05, -0.08))
+    found = estimate_team(recording, task, DENSITY)
+    np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.02)
+
+
+def test_cable_lengths_are_legs_edges_and_arcs() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY)
+    at_rest = replace(recording, t=recording.t[:30])
+    at_rest = replace(at_rest, drones=recording.drones[:30], vertices=recording.vertices[:30])
+    found = estimate_team(at_rest, task, DENSITY)
+    layout, drones, points = task.team.layout, recording.drones[0], recording.vertices[0]
+    for k in range(3):
+        a, b = points[layout.starts[k]], points[layout.ends[k]]
+        expected = 0.0
+        for x, y in ((drones[2 * k], a), (a, b), (b, drones[2 * k + 1])):
+            level, rise = float(np.hypot(*(y - x)[:2])), float((y - x)[2])
+            chord = float(np.linalg.norm(y - x))
+            # The catenary's own length, its horizontal pull such that the mean tension is right.
+            pull = task.team.tension[k] * level / chord / (GRAVITY * DENSITY)
+            expected += np.sqrt(rise**2 + (2.0 * pull * np.sinh(level / (2.0 * pull))) ** 2)
+        assert found.lengths[k].value == pytest.approx(expected, abs=1e-4)
+
+
+def test_arcs_are_those_of_a_catenary() -> None:
+    level, density, tension = 1.4, 0.02, 0.6
+    pull = tension / (GRAVITY * density)  # horizontal, over the weight of a metre
+    team = Team(2, 2.0, topology="open", cable_density=density)
+    points = np.array([[[0.0, 0.0, 1.0], [level, 0.0, 1.0], [level, 0.5, 1.0]]])
+    drones = np.array([points[0, 0], points[0, 1], points[0, 1], points[0, 2]])[None]
+    parts = CableParts.of(team, drones, points)
+    found = parts.lengths(density, np.array([[tension, tension]]))
+    assert found[0, 0] == pytest.approx(2.0 * pull * np.sinh(level / (2.0 * pull)), abs=5e-5)
+    np.testing.assert_allclose(parts.lengths(0.0, np.ones((1, 2)))[0], [level, 0.5])
+
+
+def test_moving_turning_and_renaming_the_flight_changes_no_estimate() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
+    noisy = shaken(recording, 1e-3, 4)
+    first = estimate_team(noisy, task, DENSITY)
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    shift = np.array([5.0, -7.0, 0.4])
+    s = task.setpoints
+    turned = replace(
+        task,
+        setpoints=replace(
+            s, positions=s.positions @ turn.T + shift, cable_forces=s.cable_forces @ turn.T
+        ),
+        vertices=task.vertices @ turn.T + shift,
+    )
+    moved = replace(
+        noisy, drones=noisy.drones @ turn.T + shift, vertices=noisy.vertices @ turn.T + shift
+    )
+    second = estimate_team(moved, turned, DENSITY)
+    for a, b in (
+        (first.friction, second.friction),
+        *zip(first.lengths, second.lengths, strict=True),
+        *zip(first.stiffness, second.stiffness, strict=True),
+    ):
+        # The loss weighs coordinates one by one, which turning mixes.
+        assert abs(a.value - b.value) < 0.05 * a.error
+
+
+def test_standard_errors_are_those_of_repeated_flights() -> None:
+    """Over flights with noise of 1.5 mm, deviations are about as large as the stated errors."""
+    task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
+    scores = []
+    for seed in range(12):
+        found = estimate_team(shaken(recording, 1.5e-3, seed), task, DENSITY)
+        soft, hard = found.stiffness[0], found.stiffness[1]
+        assert abs(found.friction.value - MU) < 0.05
+        scores.append([(soft.value - 4.0) / soft.error, (hard.value - 9.0) / hard.error])
+    assert np.all(np.sqrt(np.mean(np.square(scores), axis=0)) < 2.5)
+    assert np.max(np.abs(scores)) > 0.2  # they are no vacuous bounds
+
+
+def test_derivatives_of_the_residuals_are_right() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY, wind=(0.03, 0.02))
+    windows = windows_of(recording, task).poses()
+    assert len(windows.t) == 2
+    balance = ForceBalance.of(task.team, windows, DENSITY)
+    residuals = _Residuals(
+        balance, np.array([0, 0, 1, 1, 0, 0]), np.array([True] * 4 + [False] * 2), 2e-3, 0.01
+    )
+    random = np.random.default_rng(5)
+    x = np.concatenate([[-1.2, -2.3], [0.05, -0.02], balance.first_guess() * 1.1])
+    x += 0.01 * random.normal(size=x.size)
+    expected = approx_fprime(x, residuals.values, 1e-7)
+    np.testing.assert_allclose(residuals.jacobian(x).toarray(), expected, rtol=1e-4, atol=2e-3)
+
+
+def test_what_a_recording_does_not_determine_is_said() -> None:
+    first, second = hitches()
+    task, recording = recorded(first, second, K, 0.0)
+    weightless = estimate_team(recording, task, 0.0)
+    assert not any(one.known for one in weightless.stiffness)
+    assert "displaced by too little" in weightless.stiffness[0].remark
+    assert "neither determined nor stated" in weightless.friction.remark
+    task, recording = recorded(first, first, K, DENSITY)
+    still = estimate_team(recording, task, DENSITY)
+    assert all(one.known for one in still.stiffness)
+    assert "slide through clasps by 0.0 cm" in still.friction.remark
+    task, recording = recorded(first, second, K, DENSITY)
+    wound = replace(recording, integral=np.ones(6, dtype=np.bool_))
+    assert "integral action" in estimate_team(wound, task, DENSITY).stiffness[0].remark
+    unseen = replace(recording, vertices=np.full_like(recording.vertices, np.nan))
+    with pytest.raises(InputError, match="record the vertices too"):
+        estimate_team(unseen, task, DENSITY)
+
+
+def test_a_robust_mean_is_scipys_and_an_outlier_hardly_moves_it() -> None:
+    random = np.random.default_rng(2)
+    values = 2.4 + 1e-3 * random.normal(size=(25, 3))
+    values[3, 1] += 0.5
+    found, errors = robust_mean(values, 1e-5)
+    assert np.all(np.abs(found - 2.4) < 1e-3)
+    assert np.all(errors < 1e-3)
+    for k, column in enumerate(values.T):
+        scale = 1.4826 * np.median(np.abs(column - np.median(column)))
+        fit = least_squares(column.__sub__, [2.4], loss="soft_l1", f_scale=scale)
+        assert found[k] == pytest.approx(fit.x[0], abs=0.3 * errors[k])
+    assert np.isinf(robust_mean(values[:1], 1e-5)[1]).all()
+
+
+def test_the_comparison_is_the_distance_to_the_plan() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY)
+    between = replace(
+        recording,
+        t=recording.t + 0.5 / 20.0,
+        drones=recording.drones + [0.0, 0.3, 0.4],
+        vertices=np.repeat(task.vertices[-1:], len(recording.t), axis=0) + [0.02, 0.0, 0.0],
+    )
+    found = compare(between, task)
+    places = task.setpoints.positions
+    middle = np.vstack([0.5 * (places[1:] + places[:-1]), places[-1:]])
+    np.testing.assert_allclose(
+        found.drones, np.linalg.norm(recording.drones + [0.0, 0.3, 0.4] - middle, axis=-1)
+    )
+    assert found.vertices[-1] == pytest.approx(0.02)
+    np.testing.assert_array_equal(found.moving, (between.t > 2.0) & (between.t < 8.0))
+    whole, rest, moving = found.spreads(found.vertices)[0]
+    assert rest.mean < moving.largest <= whole.largest
