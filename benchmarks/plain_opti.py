@@ -117,7 +117,7 @@ def keep_limits(opti: Constrained, task: Task, jets: list[ca.MX]) -> None:
     q_leg = ca.reshape(values[legs.ravel().tolist()], 1, JET * n * count)
     tension = ca.DM(np.tile([team.tension[0], 0.0, 0.0, 0.0], (3, n * count)))
     constants = [
-        ca.DM(np.full((1, n * count), value)) for value in (team.cable_length[0], team.mass[0], 0.0)
+        ca.DM(np.full((1, n * count), value)) for value in (team.cable_length[0], team.mass[0])
     ]
     q, r, _, _, q_thrust, r_thrust, r_leg = robot_function(True).map(n * count)(
         vertices, q_leg, tension, *constants

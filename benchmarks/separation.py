@@ -108,7 +108,7 @@ def _rival_row(problem: SwarmProblem, found: RivalFlight) -> str:
     i, j = np.triu_indices(problem.team.drones, 1)
     at_knots = float(np.min(np.linalg.norm(points[:, i] - points[:, j], axis=-1)))
     excess = max(
-        certificate[name].bound / certificate[name].limit - 1.0
+        certificate[name].bound / certificate[name].number - 1.0
         for name in ("speed", "acceleration", "jerk")
     )
     between = certificate["separation"].worst

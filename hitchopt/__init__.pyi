@@ -40,12 +40,7 @@ from hitchopt.geometry import (
     ConvexPolygon as ConvexPolygon,
     regular_polygon as regular_polygon,
 )
-from hitchopt.hitch import (
-    Hitch as Hitch,
-    Quadrotor as Quadrotor,
-    Swarm as Swarm,
-    Team as Team,
-)
+from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.assignment import Assignment as Assignment
 from hitchopt.mission.loading import (
     load_problem as load_problem,
@@ -59,21 +54,11 @@ from hitchopt.mission.problem import (
     HitchStart as HitchStart,
     Problem as Problem,
 )
-from hitchopt.mission.repair import (
-    Change as Change,
-    Suggestion as Suggestion,
-)
+from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
 from hitchopt.mission.swarm_problem import SwarmProblem as SwarmProblem
-from hitchopt.motion.motion import (
-    Motion as Motion,
-    Phase as Phase,
-)
+from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
-from hitchopt.plan import (
-    Plan as Plan,
-    closest as closest,
-    load as load,
-)
+from hitchopt.plan import Plan as Plan, closest as closest, load as load
 from hitchopt.planners.forming.turns import SwapSettings as SwapSettings
 from hitchopt.planning import (
     repair as repair,

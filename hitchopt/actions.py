@@ -67,8 +67,8 @@ def morph(
     InputError: arguments that are wrong in themselves.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    step = _step(steps.Morph, polygon, legs, duration, optimize=optimize, tension=tension)
-    return _planned(start.team, start, step, requirements)
+    values = polygon, legs, duration, False, optimize, tension
+    return _planned(start.team, start, requirements, steps.Morph, *values)
 
 
 def move_vertex(
@@ -98,8 +98,8 @@ def move_vertex(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.MoveVertex, vertex, to, by, legs, duration)
-    return _planned(start.team, start, step, requirements)
+    values = vertex, to, by, legs, duration
+    return _planned(start.team, start, requirements, steps.MoveVertex, *values)
 
 
 def move_edge(
@@ -128,8 +128,7 @@ def move_edge(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.MoveEdge, edge, to, by, legs, duration)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.MoveEdge, edge, to, by, legs, duration)
 
 
 def adjust(
@@ -151,8 +150,7 @@ def adjust(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.Adjust, legs, duration)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.Adjust, legs, duration)
 
 
 def follow_vertex(
@@ -177,8 +175,7 @@ def follow_vertex(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.FollowVertex, vertex, path, legs)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.FollowVertex, vertex, path, legs)
 
 
 def transport(
@@ -202,8 +199,7 @@ def transport(
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.Transport, to, yaw, duration)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.Transport, to, yaw, duration)
 
 
 def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan:
@@ -213,8 +209,7 @@ def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan
     ------
     InputError, InfeasibleError: as morph.
     """
-    step = _step(steps.Hold, seconds)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.Hold, seconds)
 
 
 def form(
@@ -251,8 +246,8 @@ def form(
     InputError: arguments that are wrong in themselves.
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
-    step = _step(steps.Form, polygon, altitude, legs, assign, swap or SwapSettings(), duration)
-    return _planned(team, _free(q, r), step, requirements)
+    values = polygon, altitude, legs, assign, swap or SwapSettings(), duration
+    return _planned(team, _free(q, r), requirements, steps.Form, *values)
 
 
 def release(
@@ -271,8 +266,7 @@ def release(
     ------
     InputError, InfeasibleError: as form.
     """
-    step = _step(steps.Release, duration)
-    return _planned(start.team, start, step, requirements)
+    return _planned(start.team, start, requirements, steps.Release, duration)
 
 
 def land(
@@ -295,21 +289,18 @@ def land(
     ------
     InputError, InfeasibleError: as form.
     """
-    step = _step(steps.Land, duration)
-    return _planned(team, _free(q, r), step, requirements)
-
-
-def _step(kind: Callable[..., steps.Step], *values: Any, **named: Any) -> steps.Step:
-    """Return the step; its polygon and legs are as a user writes them until it is fitting."""
-    return kind(*values, **named)
+    return _planned(team, _free(q, r), requirements, steps.Land, duration)
 
 
 def _free(q: ArrayLike, r: ArrayLike) -> DronesStart:
     return DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
 
 
-def _planned(team: Team, start: Start, step: steps.Step, requirements: Required) -> Plan:
-    fitting = step.fitting(team)  # what is wrong in itself is said first
+def _planned(
+    team: Team, start: Start, requirements: Required, step: Callable[..., steps.Step], *values: Any
+) -> Plan:
+    """Return the plan of a step, made of values as a user writes them."""
+    fitting = step(*values).fitting(team)  # what is wrong in itself is said first
     fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
     given: dict[str, Any] = {name: part for name, part in requirements.items() if part is not None}
     found = solve_problem(Problem(team, start, (fitting,), **given))

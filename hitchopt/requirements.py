@@ -28,6 +28,7 @@ class Limits:
     vertex_speed: largest speed of every vertex of the hitch [m/s]
     leg: shortest leg, vertex to drone, while the hitch holds [m]
     duration: largest duration of the whole plan [s], or None
+    body_rate: largest turning rate of every drone's thrust vector [rad/s], or None
     """
 
     speed: float = 1.0
@@ -37,13 +38,15 @@ class Limits:
     vertex_speed: float = 0.5
     leg: float = 0.15
     duration: float | None = None
+    body_rate: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("speed", "acceleration", "jerk", "tilt", "vertex_speed", "leg"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
         acute("tilt", self.tilt)
-        if self.duration is not None:
-            object.__setattr__(self, "duration", positive("duration", self.duration))
+        for name in ("duration", "body_rate"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, positive(name, getattr(self, name)))
 
 
 @dataclass(frozen=True)

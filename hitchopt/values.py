@@ -107,8 +107,11 @@ def per_robot(
     value: float | Sequence[float] | ArrayLike,
     robots: int,
     checked: Callable[[str, object], float] = positive,
+    owner: str = "robot",
 ) -> NDArray[np.float64]:
     """Return ``value`` as a read-only array (robots,); one number holds for all robots.
+
+    Or for all of what ``owner`` names, of which there are as many.
 
     Parameters
     ----------
@@ -116,6 +119,7 @@ def per_robot(
     value: one number, or one per robot.
     robots: number of robots.
     checked: check of every number.
+    owner: what has one number each.
 
     Raises
     ------
@@ -129,7 +133,7 @@ def per_robot(
         except TypeError:
             given = []
         if len(given) != robots:
-            bound = f"one number, or a list of {robots} (one per robot)"
+            bound = f"one number, or a list of {robots} (one per {owner})"
             remedy = f"{len(given)} were given; add or remove entries, or change team.robots"
             raise InputError(key, value, bound, remedy)
         array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])

@@ -35,8 +35,8 @@ def test_links_lead_to_files() -> None:
 
 
 def test_the_certificates_table_names_every_check() -> None:
-    from hitchopt.checks.registry import RULES
+    from hitchopt.checks.registry import REPORTS, RULES
 
     rows = [line.split("|")[1] for line in README.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)`", row)}
-    assert {rule.name for rule in RULES} <= named
+    assert {rule.name for rule in (*RULES, *REPORTS)} <= named

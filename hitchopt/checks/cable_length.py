@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
+from hitchopt.motion.tensions import lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
@@ -32,10 +34,22 @@ def _used_up(motion: Motion, _: float) -> Finding:
     """Return the largest relative error of a cable's length; ``where`` names the cable.
 
     The largest of ``|leg + edge + leg - L| / L`` and of how far the plan's own ``d_k`` and ``e_k``
-    are from the distances that they stand for, over L as well.
+    are from the distances that they stand for, over L as well. Where cables have weight, legs and
+    edges are longer than their chords s by ``(ρ g / T)² s³ cos²α / 24``, α their slope; ρ counts to
+    the share that the cable is taut.
     """
     length = motion.team.cable_length
-    return _largest(motion, [motion.legs.coefficients / length[:, None, None]])
+    blocks = [motion.legs.coefficients / length[:, None, None]]
+    if motion.team.cable_density > 0.0:
+        blocks.append(_sags(motion))
+    return _largest(motion, blocks)
+
+
+def _sags(motion: Motion) -> Array:
+    """Return, per piece and cable, its weight over its own length, and its tension, in newtons."""
+    team = motion.team
+    weight = GRAVITY * team.cable_density * team.cable_length[:, None] * tautness(motion)
+    return lowered(np.stack([weight, motion.tensions.coefficients], axis=2))
 
 
 def _reaching(motion: Motion, _: float) -> Finding:
@@ -56,23 +70,60 @@ def _largest(motion: Motion, stored: list[Array]) -> Finding:
 
 def _bound(blocks: tuple[Array, ...]) -> Estimate:
     """Bound by how much three lengths sum to more than 1; with stored legs, errors of any sign."""
-    vectors, stored = blocks[0].reshape(len(blocks[0]), 3, 3, -1), blocks[1:]
+    vectors, stored, sags = blocks[0].reshape(len(blocks[0]), 3, 3, -1), blocks[1:2], blocks[2:]
     lengths = enclosure.norm(vectors)
+    arcs = [_arcs(vectors, lengths, sag) for sag in sags]
     order = max(bernstein.degree(part) for part in (lengths.coefficients, *stored))
+    order = max(order, *(bernstein.degree(arc.coefficients) for arc in arcs), 0)
     parts = bernstein.elevate(lengths.coefficients, order)
-    reach = _errors(parts, tuple(bernstein.elevate(legs, order) for legs in stored))
+    longer = [bernstein.elevate(arc.coefficients, order)[:, None] for arc in arcs]
+    reach = _errors(parts, tuple(bernstein.elevate(legs, order) for legs in stored), longer)
     reach[:, 0] += np.sum(lengths.radius, axis=1)[:, None]
+    for arc in arcs:
+        reach[:, 0] += arc.radius[:, None]
     reach[:, 1:] += lengths.radius[:, : reach.shape[1] - 1, None]
     x = np.argmax(np.max(reach, axis=1), axis=-1) / max(1, order)
-    there = np.linalg.norm(bernstein.evaluate(vectors, x[:, None, None]), axis=-1)
+    spans = bernstein.evaluate(vectors, x[:, None, None])
+    there = np.linalg.norm(spans, axis=-1)
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
-    value = np.max(_errors(there[..., None], given), axis=(1, 2))
+    longer = []
+    for sag in sags:
+        weight, tension = np.moveaxis(bernstein.evaluate(sag, x[:, None]), -1, 0)
+        factor = np.divide(weight, tension, out=np.zeros_like(weight), where=tension > 0.0) ** 2
+        arc_there = np.sum(there * (spans[..., 0] ** 2 + spans[..., 1] ** 2), axis=1)
+        longer.append((factor / 24.0 * arc_there)[:, None, None])
+    value = np.max(_errors(there[..., None], given, longer), axis=(1, 2))
     return Estimate(np.max(reach, axis=(1, 2), initial=0.0), np.maximum(value, 0.0), x)
 
 
-def _errors(lengths: Array, stored: tuple[Array, ...]) -> Array:
-    """Return the error of the sum, and those of stored legs (cells, 1 or 3, coefficients)."""
+def _arcs(vectors: Array, lengths: enclosure.Enclosure, sag: Array) -> enclosure.Enclosure:
+    """Enclose by how much the three spans of a cable are longer than their chords (cells,)."""
+    level = bernstein.dot(vectors[:, :, :2], vectors[:, :, :2])
+    product = np.sum(bernstein.multiply(lengths.coefficients, level), axis=1)
+    radius = np.sum(lengths.radius * np.max(np.abs(level), axis=-1), axis=1)
+    # A quotient of polynomials lies between those of their coefficients, the divisor positive. A
+    # weight that rises with the tension has the same ratio to it where both vanish.
+    weight, tension = sag[:, 0], sag[:, 1]
+    pulling = tension > 0.0
+    ratios = np.divide(weight, tension, out=np.zeros_like(weight), where=pulling)
+    most = np.max(ratios, axis=-1)
+    least = np.min(np.where(pulling, ratios, most[:, None]), axis=-1)
+    most, least = most * most / 24.0, least * least / 24.0
+    middle, spread = 0.5 * (most + least), 0.5 * (most - least)
+    whole = np.max(np.abs(product), axis=-1) + radius
+    return enclosure.Enclosure(middle[:, None] * product, middle * radius + spread * whole)
+
+
+def _errors(lengths: Array, stored: tuple[Array, ...], longer: list[Array]) -> Array:
+    """Return the error of the sum, and those of stored legs (cells, 1 or 3, coefficients).
+
+    Parameters
+    ----------
+    longer: (cells, 1, coefficients), by how much cables are longer than the sum of their spans.
+    """
     excess: Array = np.sum(lengths, axis=1, keepdims=True) - 1.0
+    for arcs in longer:
+        excess = excess + arcs
     if stored:
         excess = np.abs(np.concatenate([excess, stored[0] - lengths[:, :2]], axis=1))
     return excess

@@ -43,56 +43,68 @@ class Check:
     name: as in the certificate's table (README).
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
     worst: bounds the quantity for all t, rounding included; None where nothing was counted.
-    limit: in the same unit.
+    limit: in the same unit; None where the quantity is only reported.
     sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
     unit: such as ``m`` or ``ratio``.
     time: [s], when the quantity is about at its worst.
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
+    gamma: how much farther vertices are off than drones, where the quantity assumes that.
     """
 
     name: str
     holds: bool
     worst: float | None
-    limit: float
+    limit: float | None
     sense: str
     unit: str
     time: float
     where: tuple[str, ...]
     method: str = "continuous"
+    gamma: float | None = None
 
     @classmethod
     def of(
         cls,
         name: str,
         worst: float,
-        limit: float,
+        limit: float | None,
         sense: str,
         unit: str,
         time: float,
         where: tuple[str, ...],
         size: float = 1.0,
+        gamma: float | None = None,
     ) -> Check:
         """Return the check, ``holds`` following from the numbers, within the tolerance.
 
-        ``size`` is the largest length that enters the quantity, in its unit, as ``within`` has it.
-        What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
-        An infinity that holds is that of nothing, so there is no ``worst`` and no place.
+        What is only reported holds. ``size`` is the largest length that enters the quantity, in its
+        unit, as ``within`` has it. What is beyond all numbers becomes the largest one, and nan the
+        worst: files hold neither. An infinity that holds is that of nothing, so there is no
+        ``worst`` and no place.
         """
         largest = sys.float_info.max
+        limit = None if limit is None else float(limit)
         if worst == _nothing(sense):
-            return cls(name, True, None, float(limit), sense, unit, float(time), ())
+            return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
-        least = within(limit, sense, size)
-        holds = worst >= least if sense == "min" else worst <= least
-        return cls(name, bool(holds), worst, float(limit), sense, unit, float(time), where)
+        holds = limit is None
+        if limit is not None:
+            least = within(limit, sense, size)
+            holds = bool(worst >= least if sense == "min" else worst <= least)
+        return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
         return Violation(
-            self.name, self.bound, self.limit, self.sense, self.unit, self.where, when, remedy
+            self.name, self.bound, self.number, self.sense, self.unit, self.where, when, remedy
         )
+
+    @property
+    def number(self) -> float:
+        """The limit; nan where there is none."""
+        return math.nan if self.limit is None else self.limit
 
     @property
     def bound(self) -> float:
@@ -102,6 +114,8 @@ class Check:
     @property
     def pressure(self) -> float:
         """How near the quantity comes to its limit; drones may have different ones."""
+        if self.limit is None:
+            return -self.bound if self.sense == "min" else self.bound
         if self.sense == "min":
             return self.limit - self.bound
         return self.bound / self.limit if self.limit > 0.0 else self.bound - self.limit
@@ -158,7 +172,7 @@ class Certificate:
             "format": FORMAT,
             "certified": self.certified,
             "duration": self.duration,
-            "checks": [{**asdict(check), "where": list(check.where)} for check in self.checks],
+            "checks": [_entry(check) for check in self.checks],
         }
 
     @classmethod
@@ -172,9 +186,17 @@ class Certificate:
         return cls(float(data["duration"]), checks)
 
 
+def _entry(check: Check) -> dict[str, Any]:
+    """Return a check as ``certificate.json`` holds it; only some have a gamma."""
+    entry = {**asdict(check), "where": list(check.where)}
+    if check.gamma is None:
+        del entry["gamma"]
+    return entry
+
+
 def describe(check: Check) -> str:
     """Return one sentence on a check that does not hold."""
     broken = broken_limit(
-        check.name, check.bound, check.limit, check.sense, check.unit, check.where
+        check.name, check.bound, check.number, check.sense, check.unit, check.where
     )
     return f"{broken}, t = {check.time:.4g} s"

@@ -6,11 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.registry import RULES
+from hitchopt.checks.registry import REPORTS, RULES
+from hitchopt.checks.rule import Found
+from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.motion.motion import Motion
+from hitchopt.values import not_negative
 
 
-def certify(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
+def certify(
+    motion: Motion, progress: Callable[[str], None] | None = None, gamma: float = GAMMA
+) -> Certificate:
     """Check what flies for all of its time.
 
     Every ``worst`` is a bound from Bernstein coefficients with subdivision: the quantity does not
@@ -28,12 +33,23 @@ def certify(motion: Motion, progress: Callable[[str], None] | None = None) -> Ce
     ----------
     motion: the plan.
     progress: called with the name of every check as it starts.
+    gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
+
+    Raises
+    ------
+    InputError: a gamma that is negative or not finite.
     """
-    checks = []
+    gamma = not_negative("gamma", gamma)
+    found: dict[str, tuple[Found, ...]] = {}
     for rule in RULES:
         if progress is not None and rule.limit_of(motion) is not None:
             progress(rule.name)
-        checks.append(rule.check(motion))
+        found[rule.name] = rule.findings(motion)
+    checks = [most_pressing(each.check for each in spans) for spans in found.values()]
+    for report in REPORTS:
+        if progress is not None:
+            progress(report.name)
+        checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
 
@@ -51,7 +67,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     parts: their certificates, whatever they say of the duration.
     """
     begin = float(motion.drones.breaks[0])
-    found: dict[str, list[Check]] = {rule.name: [] for rule in RULES}
+    found: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
     for part in parts:
         for check in part.checks:
             found[check.name].append(replace(check, time=begin + check.time))
@@ -59,4 +75,5 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     checks = [
         rule.check(motion) if rule.whole else most_pressing(found[rule.name]) for rule in RULES
     ]
+    checks += [most_pressing(found[rule.name]) for rule in REPORTS]
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))

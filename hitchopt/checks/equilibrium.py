@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
+from hitchopt.checks.bounds.clasp_weights import (
+    clasp_weights,
+    contact_bound,
+    weight_at,
+    weight_enclosure,
+)
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
-from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION, lowered
+from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
+from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
+from hitchopt.motion.tensions import chord_pulls, lowered
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 
@@ -29,11 +38,15 @@ SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
 def _find(motion: Motion, _: float) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1}``; ``where`` names the
-    vertex. Legs pull with their cable's tension, ``P = T``, or with what friction makes of it. What
+    The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1} - W_k ẑ``; ``where`` names
+    the vertex. Legs pull with their cable's tension, ``P = T``, or with what friction makes of it,
+    and with what that grows by where cables have weight. What
     friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ θ}``
     times the tension, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a
-    chain's ends it wraps none.
+    chain's ends it wraps none. The weight that a clasp carries is its load and what the drones do
+    not carry of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the
+    share that they are taut. Where there is weight cables have to press on each other as well: a
+    clasp that does not bear is infinitely far from balance.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
@@ -45,13 +58,21 @@ def _find(motion: Motion, _: float) -> Finding:
     meeting = [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
     vectors = np.stack(meeting, axis=2)
     rows = vectors.reshape(*vectors.shape[:2], 12, -1)
-    bound = partial(_bound, noise=position_margin(motion))
-    found = largest(Cells.over(motion.drones.breaks, [rows, _pulls(motion)]), bound)
+    blocks = [rows, _pulls(motion)]
+    if motion.team.loaded:
+        blocks += clasp_weights(motion)
+    noise = position_margin(motion)
+    cells = Cells.over(motion.drones.breaks, blocks)
+    found = largest(cells, partial(_bound, noise=noise))
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)
         if beyond.worst > worst:
             worst, time, point = beyond.worst, beyond.time, layout.anchors[beyond.item]
+    if motion.team.loaded:
+        lifted = largest(cells, partial(contact_bound, noise=noise), within(0.0, "max"))
+        if lifted.worst >= 0.0:
+            worst, time, point = math.inf, lifted.time, layout.clasps[lifted.item]
     return Finding(worst, time, (f"p{point}",))
 
 
@@ -62,23 +83,23 @@ def _pulls(motion: Motion) -> Array:
     """
     layout = motion.team.layout
     tension = motion.tensions.coefficients
-    if motion.leg_tensions is None:
+    if motion.leg_tensions is None and not motion.team.loaded:
         tension = lowered(tension)
         return np.stack([tension[:, layout.ahead], tension[:, layout.behind]], axis=2)
-    pull = motion.leg_tensions.coefficients
+    pull = chord_pulls(motion)
     order = max(bernstein.degree(pull), bernstein.degree(tension))
     pull, tension = bernstein.elevate(pull, order), bernstein.elevate(tension, order)
     each = [
-        pull[:, layout.ahead, 0],
+        pull[:, 2 * layout.ahead],
         tension[:, layout.ahead],
-        pull[:, layout.behind, 1],
+        pull[:, 2 * layout.behind + 1],
         tension[:, layout.behind],
     ]
-    return np.stack(each, axis=2)
+    return lowered(np.stack(each, axis=2))
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
-    rows, pulls = blocks
+    rows, pulls, weights = blocks[0], blocks[1], blocks[2:]
     vectors = rows.reshape(len(rows), 4, 3, -1)
     shared = 4 // pulls.shape[1]  # directions along which one pull acts
     tension = pulls if shared == 2 else pulls[:, 1::2]
@@ -86,11 +107,18 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     signed = along.coefficients * SIGNS[:, None, None]
     grouped = np.sum(signed.reshape(len(rows), -1, shared, *signed.shape[2:]), axis=2)
     residual = np.sum(bernstein.multiply(pulls[:, :, None], grouped), axis=1)
+    if weights:
+        weight = weight_enclosure(weights[0], weights[1], noise)
+        order = max(bernstein.degree(residual), bernstein.degree(weight.coefficients))
+        residual = bernstein.elevate(residual, order)
+        residual[:, 2] -= bernstein.elevate(weight.coefficients, order)
     norms = np.linalg.norm(residual, axis=1)
     radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
     sizes = bernstein.elevate(np.abs(pulls), bernstein.degree(norms))
     norms = norms + np.sum(sizes * radius[..., None], axis=1)
+    if weights:
+        norms = norms + bernstein.elevate(weight.radius, bernstein.degree(norms))
     # {|S| <= θ T} is a convex cone in (S, T): coefficients within it keep the curve within it.
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
     pulling = np.max(least, axis=-1, keepdims=True) > 0.0
@@ -103,7 +131,10 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     P = np.repeat(bernstein.evaluate(pulls, x[:, None]), shared, axis=1)
     forces = unit * SIGNS[:, None] * P[..., None]
     unknown = np.sum(np.where(known[..., 0], 0.0, np.abs(P)), axis=1)
-    unbalanced = np.linalg.norm(np.sum(forces, axis=1), axis=-1) + unknown
+    total = np.sum(forces, axis=1)
+    if weights:
+        total[:, 2] -= weight_at(weights[0], weights[1], x)
+    unbalanced = np.linalg.norm(total, axis=-1) + unknown
     weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
     value = np.where(nothing, 0.0, _over(unbalanced, weakest))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from hitchopt.checks import (
     acceleration,
     arena,
+    body_rate,
     cable_clearance,
     cable_length,
     continuity,
@@ -22,6 +23,7 @@ from hitchopt.checks import (
     tension,
     thrust,
     tilt,
+    tracking_radius,
     vertex_speed,
 )
 
@@ -35,6 +37,7 @@ RULES = (
     vertex_speed.RULE,
     thrust.RULE,
     tilt.RULE,
+    body_rate.RULE,
     legs.RULE,
     cable_length.RULE,
     span.RULE,
@@ -48,6 +51,9 @@ RULES = (
     duration.RULE,
 )
 """One rule per check; a new check is one file and one line here."""
+
+REPORTS = (tracking_radius.RULE,)
+"""What a certificate reports after its checks, without a limit."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""

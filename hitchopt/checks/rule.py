@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -59,6 +59,14 @@ class Finder:
 
 
 @dataclass(frozen=True, eq=False)
+class Found:
+    """The check of one span of time, in which cables are in one of ``states``."""
+
+    states: Set[CableState]
+    check: Check
+
+
+@dataclass(frozen=True, eq=False)
 class CheckRule:
     """What the certificate checks, and all that others have to know of it.
 
@@ -102,20 +110,57 @@ class CheckRule:
         motion: the plan.
         exported: apply the finders and the limit for exported curves.
         """
+        return most_pressing(found.check for found in self.findings(motion, exported=exported))
+
+    def findings(self, motion: Motion, *, exported: bool = False) -> tuple[Found, ...]:
+        """Return what is found on all spans of time in which the rule applies."""
         limit = self.limit_of(motion)
         if limit is None:
-            return None
+            return ()
         if exported and self.exported_limit is not None:
             limit = self.exported_limit
-        found = [
-            finder.find(span, limit)
+        return tuple(
+            Found(finder.states, self._check(finder.find(span, limit), limit))
             for finder in self.finders
             if finder.exported or not exported
             for span in motion.spans(finder.states)
-        ]
-        return most_pressing([self._check(finding, limit) for finding in found])
+        )
 
     def _check(self, found: Finding, limit: float) -> Check:
         limit = limit if found.limit is None else found.limit
         given = (found.worst, limit, self.sense, self.unit, found.time, found.where, found.size)
         return Check.of(self.name, *given)
+
+
+Findings = Mapping[str, Sequence[Found]]
+"""What has been found on a motion, by the rules' names."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReportRule:
+    """What a certificate reports without a limit, given what its checks have found.
+
+    Attributes
+    ----------
+    name, unit, sense: as in ``Check``.
+    find: returns the worst value of a motion; with the findings and ``gamma`` of ``Check``.
+    """
+
+    name: str
+    unit: str
+    sense: str
+    find: Callable[[Motion, Findings, float], Finding]
+
+    def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
+        """Return the value as a check that holds."""
+        worst = self.find(motion, found, gamma)
+        return Check.of(
+            self.name,
+            worst.worst,
+            None,
+            self.sense,
+            self.unit,
+            worst.time,
+            worst.where,
+            gamma=gamma,
+        )

@@ -14,6 +14,7 @@ import click
 from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
 from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
+from hitchopt.exports.export_options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
     from hitchopt.motion.motion import Motion
     from hitchopt.plan import Plan
 
-MAX_RATE = 10_000.0
-"""Largest setpoint rate [Hz]: no flight controller accepts a higher one."""
+HELP = {"help_option_names": ["-h", "--help"], "show_default": True}
+"""Settings of all commands' help texts."""
 
 MAX_ROWS = 5e8
 """Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
@@ -43,7 +44,7 @@ def _version() -> str:
         return "(not installed)"
 
 
-@click.group(cls=SafeGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=SafeGroup, context_settings=HELP)
 @click.version_option(version=_version(), prog_name="hitchopt")
 def main() -> None:
     """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
@@ -69,14 +70,7 @@ def main() -> None:
     type=GivenPath(),
     help="Directory to write the plan to; by default ./ and FILE's stem.",
 )
-@click.option(
-    "--rate",
-    metavar="HZ",
-    type=float,
-    default=100.0,
-    show_default=True,
-    help="Setpoints per second and drone.",
-)
+@click.option("--rate", metavar="HZ", default=100.0, help="Setpoints per second and drone.")
 @click.option(
     "--repair/--no-repair",
     "searching",
@@ -84,16 +78,11 @@ def main() -> None:
     help="If there is no plan, search for the smallest change that makes it feasible.",
 )
 @click.option(
-    "--limit",
-    metavar="SECONDS",
-    type=float,
-    default=DEFAULT_LIMIT,
-    show_default=True,
-    help="Time limit, the search for changes included.",
+    "--limit", metavar="SECONDS", default=DEFAULT_LIMIT, help="Time limit, searches included."
 )
 def solve(file: Path, directory: Path | None, rate: float, searching: bool, limit: float) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR."""
-    _check_rate(rate)
+    checked_rate(rate)
     if not math.isfinite(limit) or limit <= 0.0:
         raise InputError("--limit", limit, "above 0 s", f"{DEFAULT_LIMIT:g} s are usual")
     end = time.monotonic() + limit
@@ -189,13 +178,13 @@ def _suggested(
 @main.command()
 @click.argument("directory", metavar="DIR", type=GivenPath())
 @click.option("--closest", is_flag=True, help="Report the closest pairs of drones over time.")
+@click.option("--picture", metavar="PNG", type=GivenPath(), help="Draw the same to a file.")
 @click.option(
-    "--picture",
-    metavar="PNG",
-    type=GivenPath(),
-    help="Draw the closest pairs over time to this file.",
+    "--gamma",
+    default=1.0,
+    help="How many times farther than drones vertices may be off, for tracking_radius.",
 )
-def check(directory: Path, closest: bool, picture: Path | None) -> None:
+def check(directory: Path, closest: bool, picture: Path | None, gamma: float) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
@@ -205,7 +194,7 @@ def check(directory: Path, closest: bool, picture: Path | None) -> None:
     path = plan_path(directory)
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
-        certificate = certify(motion, progress=progress)
+        certificate = certify(motion, progress, gamma)
     _show("", motion, certificate)
     if closest or picture is not None:
         _show_closest(Plan(motion, certificate), picture)
@@ -237,11 +226,6 @@ def _show_closest(plan: Plan, picture: Path | None) -> None:
     say(f"Closest neighbours\n{closest(plan, picture=picture)}\n")
     if picture is not None:
         say(f"the closest neighbours over time are drawn in {picture}")
-
-
-def _check_rate(rate: float) -> None:
-    if not math.isfinite(rate) or not 0.0 < rate <= MAX_RATE:
-        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
 
 
 def _least_duration(problem: AnyProblem) -> float:

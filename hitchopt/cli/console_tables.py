@@ -39,16 +39,22 @@ def phase_table(phases: Iterable[Phase]) -> str:
 
 
 def certificate_table(certificate: Certificate) -> str:
-    """Return the table of a certificate's checks, each with its worst value over all of time."""
+    """Return the table of a certificate's checks, each with its worst value over all of time.
+
+    What is reported without a limit has what it assumes of the vertices in that column.
+    """
     table = new_table("Certificate", ["check"], ["worst", "limit"])
     for name in ("unit", "where", "when", "holds"):
         table.add_column(name, overflow="fold")
     for check in certificate.checks:
         relation = "≥" if check.sense == "min" else "≤"
+        limit = f"{relation} {number(check.limit)}"
+        if check.limit is None:
+            limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
         table.add_row(
             Text(check.name),
             number(check.worst),
-            f"{relation} {number(check.limit)}",
+            limit,
             Text("" if check.unit == "1" else check.unit),
             Text(_names(check.where)),
             f"{check.time:.3f} s" if check.worst is not None and math.isfinite(check.time) else "",

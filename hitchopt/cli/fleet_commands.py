@@ -12,6 +12,7 @@ import click
 from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET, say
 from hitchopt.cli.paths import GivenPath, plan_path
+from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
@@ -57,14 +58,11 @@ if TYPE_CHECKING:
     "--stretch", metavar="FACTOR", default=1.0, help="Factor of all durations, from 1 on."
 )
 @click.option(
-    "--storage",
-    type=click.Choice(["mcap", "sqlite3"]),
-    default="mcap",
-    help="Storage format of a ros2bag.",
+    "--storage", type=click.Choice([*STORAGES]), default="mcap", help="Storage of a ros2bag."
 )
 @click.option(
     "--ros-distro",
-    type=click.Choice(["humble", "iron", "jazzy"]),
+    type=click.Choice([*ROS_DISTROS]),
     default="humble",
     help="The release that a ros2bag is for; later ones read bags for earlier ones.",
 )
@@ -130,12 +128,8 @@ def _show(part: Export) -> None:
     type=float,
     help="Limit; by default the show's own, or 10 where it has none.",
 )
-@click.option(
-    "--radius", metavar="M", default=0.12, show_default=True, help="A drone's ellipsoid, across."
-)
-@click.option(
-    "--height", metavar="M", default=0.3, show_default=True, help="A drone's ellipsoid, up."
-)
+@click.option("--radius", metavar="M", default=0.12, help="A drone's ellipsoid, across.")
+@click.option("--height", metavar="M", default=0.3, help="A drone's ellipsoid, up.")
 @click.option(
     "--relative",
     is_flag=True,

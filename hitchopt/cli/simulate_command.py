@@ -32,7 +32,6 @@ PATH = GivenPath()
     "--preset",
     type=click.Choice(["fast", "accurate"]),
     default="fast",
-    show_default=True,
     help="fast: whether it holds; accurate: with correct friction, five times slower.",
 )
 @click.option(
@@ -40,11 +39,10 @@ PATH = GivenPath()
     "body",
     type=click.Choice(["rigid", "point"]),
     default="rigid",
-    show_default=True,
     help="Rigid bodies with an attitude, or point masses.",
 )
 @click.option("--runs", metavar="N", type=int, help="Simulate N flights, with seeds S, S+1, ….")
-@click.option("--seed", metavar="S", type=int, default=0, show_default=True, help="Random seed.")
+@click.option("--seed", metavar="S", type=int, default=0, help="Random seed.")
 @click.option("--processes", metavar="P", type=int, help="Processes; by default all processors.")
 @click.option(
     "--perturbed",

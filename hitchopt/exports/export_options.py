@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,10 @@ STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
 """Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
 stop at 9, whose profiles of quality of service are lists."""
+
+
+MAX_RATE = 10_000.0
+"""Largest rate of setpoints or samples [Hz]: no flight controller accepts a higher one."""
 
 
 @dataclass(frozen=True)
@@ -54,3 +59,10 @@ class ExportOptions:
         if self.ros_distro not in ROS_DISTROS:
             choices = ", ".join(ROS_DISTROS)
             raise InputError("--ros-distro", self.ros_distro, choices, "humble is usual")
+
+
+def checked_rate(rate: float) -> float:
+    """Return the rate [Hz]; raise InputError unless files may be sampled at it."""
+    if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
+        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
+    return rate

@@ -16,13 +16,7 @@ from pathlib import Path
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Progress, Task
-from hitchopt.exports.manifest import (
-    FILE,
-    manifest_of,
-    manifest_of_parts,
-    owned_files,
-    part_folders,
-)
+from hitchopt.exports.manifest import FILE, manifest_of, owned_files, part_folders, parts_manifest
 from hitchopt.exports.verification import SLOWER, Verdict, verify
 from hitchopt.motion.cutting import stretched
 from hitchopt.storage.atomic import Writer, replace_files
@@ -139,7 +133,7 @@ class _Exporter:
                     for part, name in zip(tasks, names, strict=True)
                 ]
                 done = [self._copied(each, folder / each.folder.name) for each in tried]
-            write = partial(write_strict_json, content=manifest_of_parts(self.kind, tasks, names))
+            write = partial(write_strict_json, content=parts_manifest(self.kind, tasks, names))
             replace_files(folder, {FILE: write}, {FILE, *owned_files(folder)}, seal=FILE)
         for name in before:  # an earlier export was cut into more parts
             if name not in names and (folder / name).is_dir():

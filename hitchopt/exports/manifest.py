@@ -41,7 +41,7 @@ def manifest_of(kind: Format, task: Task, candidate: Candidate, verdict: Verdict
     }
 
 
-def manifest_of_parts(kind: Format, tasks: Sequence[Task], parts: Sequence[str]) -> dict[str, Any]:
+def parts_manifest(kind: Format, tasks: Sequence[Task], parts: Sequence[str]) -> dict[str, Any]:
     """Return the manifest of a plan that was cut; its parts are folders."""
     return {
         **_head(kind, tasks[0]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.export_options import ExportOptions
+from hitchopt.exports.export_options import ExportOptions, checked_rate
 from hitchopt.exports.exporting import Export, export_plan, silent
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
 from hitchopt.exports.formats.format import Format, Progress, Task
@@ -19,9 +18,6 @@ from hitchopt.exports.manifest import FILE
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.cutting import stretched
 from hitchopt.motion.motion import Motion
-
-MAX_RATE = 10_000.0
-"""Highest rate of samples [Hz]: nothing takes setpoints faster."""
 
 ENDINGS = (".csv", ".parquet", ".npz", ".json", ".skyc", ".zip", ".mcap", ".db3", ".bin", ".yaml")
 """Endings of files in exports: such a name is that of a single file, not of a folder."""
@@ -77,9 +73,7 @@ def _rate(kind: Format, rate: float | None) -> float:
         return kind.rate
     if kind.rate == 0.0:
         raise InputError("--rate", rate, f"left out for {kind.name}", "it does not sample")
-    if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
-        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 is usual")
-    return rate
+    return checked_rate(rate)
 
 
 def export_file(

@@ -107,10 +107,7 @@ def recording_of_curves(
 
 
 def recording_of_samples(
-    names: Sequence[str],
-    blocks: Callable[[], Iterable[Samples]],
-    frame: str,
-    smooth: int,
+    names: Sequence[str], blocks: Callable[[], Iterable[Samples]], frame: str, smooth: int
 ) -> Recording:
     """Return the recording of samples: between two of them the curve that meets both.
 

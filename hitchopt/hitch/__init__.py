@@ -4,10 +4,4 @@ from hitchopt.hitch.hitch import Hitch
 from hitchopt.hitch.swarm import Swarm
 from hitchopt.hitch.team import GRAVITY, Quadrotor, Team
 
-__all__ = [
-    "GRAVITY",
-    "Hitch",
-    "Quadrotor",
-    "Swarm",
-    "Team",
-]
+__all__ = ["GRAVITY", "Hitch", "Quadrotor", "Swarm", "Team"]

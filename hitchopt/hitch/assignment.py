@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.team import Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
+from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FIXED_LEG = 1e-4
 """Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
 plans."""
+
+SAGGING_LEG = 1e-2
+"""The same where cables have weight: whoever gives the leg may have left out that edges sag."""
 
 
 def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
@@ -39,9 +42,14 @@ def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
 
 
 def cable_slack(team: Team, polygon: Outline) -> Array:
-    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError where an edge uses up its cable."""
+    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError where an edge uses up its cable.
+
+    The cable of an edge that sags is longer than the edge (``cable_spans``).
+    """
     lengths = polygon.edge_lengths
     slack: Array = team.cable_length - lengths
+    if team.cable_density > 0.0:
+        slack = cable_slack_of(team, polygon.edge_directions * lengths[:, None])
     if np.min(slack) <= 0.0:
         worst = int(np.argmin(slack))
         remedy = (
@@ -62,7 +70,8 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
     """Return the q-legs, exact at a chain's ends, or raise InfeasibleError."""
     d = team.layout.q_legs_of(given, slack)
     k = int(np.argmax(np.abs(given - d) / team.cable_length))
-    if abs(given[k] - d[k]) > FIXED_LEG * team.cable_length[k]:
+    tolerance = FIXED_LEG if team.cable_density == 0.0 else SAGGING_LEG
+    if abs(given[k] - d[k]) > tolerance * team.cable_length[k]:
         end = int(team.layout.has_leg[k, 0])
         remedy = (
             f"{'qr'[end]}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
@@ -75,6 +84,20 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
         remedy = f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it"
         raise _refusal(legs[k, end], 0.0, "min", f"{'qr'[end]}{k}", remedy)
     return d
+
+
+def checked_roll(team: Team, given: ArrayLike) -> Array:
+    """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
+    clasps = len(team.layout.clasps)
+    try:
+        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
+    except (TypeError, ValueError):
+        bound = f"one angle, or a list of {clasps} (one per clasp)"
+        raise InputError("roll", given, bound, "give radians") from None
+    if not np.all(np.abs(roll) < 0.5 * np.pi):  # nan too
+        raise InputError("roll", given, "within ±π/2 rad", "give radians below a right angle")
+    roll.setflags(write=False)
+    return roll
 
 
 def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) -> InfeasibleError:

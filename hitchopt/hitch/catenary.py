@@ -18,9 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 NEWTON = 12
 """Number of Newton iterations; 6 reach the last place for all ratios up to 1e9."""

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 RESIDUAL = 1e-6
 """Largest violation of a row or a bound, in its own unit, of a solution that is used."""

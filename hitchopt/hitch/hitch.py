@@ -9,8 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch.cable_slack import balanced_legs, cable_slack, checked_legs, fitting_polygon
+from hitchopt.hitch.cable_slack import (
+    balanced_legs,
+    cable_slack,
+    checked_legs,
+    checked_roll,
+    fitting_polygon,
+)
+from hitchopt.hitch.cable_spans import ClaspLoads, clasp_loads, sag_factors, shortening
 from hitchopt.hitch.leg_lengths import split_slack
+from hitchopt.hitch.leg_roll import least_roll_of_reference, split_with_least_roll
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
@@ -24,30 +32,42 @@ Array = NDArray[np.float64]
 class Hitch:
     """A hitch in a horizontal plane, in balance: closed, or an open chain.
 
+    Vertices are in that plane. Where clasps carry weight their legs rise out of it, so that they
+    hold it there; where legs are rolled one rises and the other one sinks.
+
     Parameters
     ----------
     team: its cables tie the hitch.
     polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
         points (n, 2) or (n + 1, 2) [m].
     altitude: height of its plane [m].
-    q_legs: (n,) [m], ``d_k``: from vertex k to drone q_k. The rest of cable k's slack is
-        ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice at its
-        ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of the cable.
+    q_legs: (n,) [m], ``d_k``: the length of cable from vertex k to drone q_k. The rest of cable k's
+        slack is ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice
+        at its ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of
+        the cable.
+    roll: one or (clasps,) [rad], ``ψ_k``: by how much the legs at a clasp are turned out of the
+        plane in which they hold it, ``q_k`` up and ``r_{k-1}`` down where it is positive.
 
     Raises
     ------
     InputError: a count that does not fit the team, or numbers that are not finite.
-    InfeasibleError: an edge as long as its cable, a leg that is not positive, or one at a chain's
-        end that is not the only one there is.
+    InfeasibleError: an edge as long as its cable, a leg that is not positive, one at a chain's
+        end that is not the only one there is, or a weight that the tensions cannot carry.
     """
 
     team: Team
     polygon: Outline
     altitude: float
     q_legs: Array
+    roll: Array
 
     def __init__(
-        self, team: Team, polygon: Outline | ArrayLike, altitude: float, q_legs: ArrayLike
+        self,
+        team: Team,
+        polygon: Outline | ArrayLike,
+        altitude: float,
+        q_legs: ArrayLike,
+        roll: ArrayLike = 0.0,
     ) -> None:
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
@@ -62,19 +82,29 @@ class Hitch:
         object.__setattr__(self, "polygon", outline)
         object.__setattr__(self, "altitude", coordinate("altitude", altitude))
         object.__setattr__(self, "q_legs", d)
+        object.__setattr__(self, "roll", checked_roll(team, roll))
+        if self._loads is not None:
+            self._directions()  # raises where they cannot carry it
 
     @classmethod
-    def balanced(cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0) -> Hitch:
+    def balanced(
+        cls,
+        team: Team,
+        polygon: Outline | ArrayLike,
+        altitude: float = 1.0,
+        roll: ArrayLike = 0.0,
+    ) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
 
-        At the ends of a chain, the cable's one leg takes all of its slack.
+        At the ends of a chain, the cable's one leg takes all of its slack. Legs have the given
+        roll, one or (clasps,) [rad].
 
         Raises
         ------
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        return cls(team, outline, altitude, balanced_legs(team, outline))
+        return cls(team, outline, altitude, balanced_legs(team, outline), roll)
 
     @classmethod
     def spread(
@@ -85,6 +115,7 @@ class Hitch:
         *,
         limits: Limits | None = None,
         separation: Separation | None = None,
+        roll: ArrayLike | None = None,
     ) -> Hitch:
         """Return the hitch whose leg lengths keep drones well apart.
 
@@ -92,19 +123,29 @@ class Hitch:
         distances to cables of at least 1.5 times their limits and legs within theirs; where there
         are none, they have the largest such margin.
 
+        Parameters
+        ----------
+        team, polygon, altitude: as of the class.
+        limits, separation: the default ones if None.
+        roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
+            one angle at all clasps, the smallest with which they keep that margin, or else the
+            limits.
+
         Raises
         ------
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        d = _nearest_legs(
-            team,
-            outline,
-            balanced_legs(team, outline),
-            SPREAD_MARGIN,
-            Requirements(limits or Limits(), separation or Separation()),
-        )
-        return cls(team, outline, altitude, d)
+        requirements = Requirements(limits or Limits(), separation or Separation())
+        reference = balanced_legs(team, outline)
+        if roll is None:
+            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements)
+            found, rolled = split_with_least_roll(task)
+        else:
+            rolled = checked_roll(team, roll)
+            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements, rolled)
+            found = split_slack(task)
+        return cls(team, outline, altitude, found.q_legs[0], rolled)
 
     @classmethod
     def nearest(
@@ -117,10 +158,13 @@ class Hitch:
         limits: Limits,
         separation: Separation,
         arena: Arena | None = None,
+        roll: ArrayLike = 0.0,
     ) -> Hitch:
         """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
 
-        Where there is none, the one with the largest margin.
+        Where there is none, the one with the largest margin. Legs have the given roll, one or
+        (clasps,) [rad], unless they break a limit with it: then all have the smallest one that is
+        found to keep them.
 
         Raises
         ------
@@ -130,20 +174,44 @@ class Hitch:
         slack = cable_slack(team, outline)
         wanted = np.asarray(fractions, dtype=np.float64) * slack
         wanted = team.layout.q_legs_of(wanted, slack)
-        d = _nearest_legs(
-            team, outline, wanted, LIMIT_MARGIN, Requirements(limits, separation, arena)
-        )
-        return cls(team, outline, altitude, d)
+        requirements = Requirements(limits, separation, arena)
+        given = checked_roll(team, roll)
+        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, given)
+        found, rolled = split_with_least_roll(task)
+        return cls(team, outline, altitude, found.q_legs[0], rolled)
+
+    def least_rolled(self, requirements: Requirements) -> Hitch:
+        """Return the hitch with the same lengths of legs, rolled as little as keeps all limits.
+
+        Not at all where they keep them without, or where no roll helps.
+        """
+        task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
+        roll = least_roll_of_reference(task)
+        return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll)
 
     @property
     def slack(self) -> Array:
-        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``."""
-        return self.team.cable_length - self.polygon.edge_lengths
+        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``, in lengths of cable."""
+        return cable_slack(self.team, self.polygon)
+
+    @property
+    def r_legs(self) -> Array:
+        """(n,) [m]: length of cable ``e_k`` from vertex k+1 to drone r_k; 0 at a chain's end."""
+        return self.team.layout.legs_of(self.q_legs, self.slack)[:, 1]
 
     @property
     def legs(self) -> Array:
-        """(n, 2) [m]: ``d_k`` and ``e_k``; zero where a chain's end has no leg."""
-        return self.team.layout.legs_of(self.q_legs, self.slack)
+        """(n, 2) [m]: distances of q_k and r_k from their vertices, ``d_k`` and ``e_k``.
+
+        Zero where a chain's end has no leg; less than the lengths of cable where that sags.
+        """
+        lengths = self.team.layout.legs_of(self.q_legs, self.slack)
+        if self.team.cable_density == 0.0:
+            return lengths
+        steep = np.stack([direction[:, 2] for direction in self._directions()], axis=-1)
+        factors = sag_factors(self.team, self.team.tension)[:, None]
+        chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
+        return chords
 
     @property
     def fractions(self) -> Array:
@@ -161,10 +229,21 @@ class Hitch:
 
         Where a chain's end has no leg: along its edge, outward.
         """
+        q, r = self._directions()
+        directions = np.stack([q, r], axis=1).reshape(-1, q.shape[-1])
+        if directions.shape[-1] == 2:
+            directions = np.column_stack([directions, np.zeros(len(directions))])
+        return directions
+
+    @property
+    def _loads(self) -> ClaspLoads | None:
+        return clasp_loads(self.team, self.q_legs, self.slack, self.roll)
+
+    def _directions(self) -> tuple[Array, Array]:
         team = self.team
-        q, r = leg_directions(self.polygon.edge_directions, team.tension, team.topology)
-        level = np.stack([q, r], axis=1).reshape(-1, 2)
-        return np.column_stack([level, np.zeros(len(level))])
+        return leg_directions(
+            self.polygon.edge_directions, team.tension, team.topology, self._loads
+        )
 
     @property
     def drones(self) -> Array:
@@ -180,20 +259,20 @@ class Hitch:
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
-def _nearest_legs(
+def _leg_task(
     team: Team,
     polygon: Outline,
     reference: Array,
     margin: float,
     requirements: Requirements,
-) -> Array:
-    task = LegTask(
+    roll: Array | None = None,
+) -> LegTask:
+    return LegTask(
         team,
         requirements,
         polygon.vertices[None],
         reference[None],
         requirements.limits.leg * LIMIT_MARGIN,
         margin,
+        roll=None if roll is None else roll[None],
     )
-    q_legs: Array = split_slack(task).q_legs[0]
-    return q_legs

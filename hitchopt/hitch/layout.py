@@ -14,7 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hitchopt.values import Array
+
 Index = NDArray[np.intp]
 
 CLOSED, OPEN = "closed", "open"

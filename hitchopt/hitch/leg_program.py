@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import EAST, unit
+from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.hitch.leg_task import LegTask
-from hitchopt.hitch.parts import CROSSING, Parts, end_combinations
+from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.requirements import Arena
 
@@ -25,9 +26,16 @@ Index = NDArray[np.intp]
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances come first, deviation second."""
 
+SWAY = 0.02
+"""[m] Distance by which drones turn aside at most as the weight of their cables' legs changes."""
+
 
 class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
+
+    In the plane of level legs two coordinates suffice; else there are three, and heights between
+    two drones count as much less as their ellipsoid is higher than wide. The directions of legs
+    whose cables have weight depend on their lengths: they are those of the lengths last asked for.
 
     Parameters
     ----------
@@ -37,32 +45,62 @@ class LegBodies:
 
     def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
-        p = task.polygons
-        layout = task.team.layout
-        edges = layout.edges(p)
-        q, r = leg_directions(unit(edges), task.team.tension, task.team.topology)
-        following = p[:, layout.ends] + task.slack[..., None] * r
-        ends = np.stack([p[:, layout.starts], following], axis=2)
-        slopes = np.stack([q, -r], axis=2).reshape(J, 2 * n, 2)
-        self.base = np.concatenate([p, ends.reshape(J, 2 * n, 2)], axis=1).reshape(-1, 2)
-        self.slope = np.concatenate([np.zeros_like(p), slopes], axis=1).reshape(-1, 2)
+        layout, keep = task.team.layout, task.requirements.separation
+        self._task, self._turns = task, task.team.cable_density > 0.0
+        self.dimensions = 2 if task.level else 3
+        flat = np.zeros((J, layout.points, self.dimensions))
+        flat[..., :2] = task.polygons
+        self._points, self._slack = flat, task.slack
+        self._edges = unit(layout.edges(flat))
         cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
         self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
         self.count = layout.points + 2 * n
         drones = layout.points + np.arange(2 * n)
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
-        keep = task.requirements.separation
         self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
+        self.scale = np.ones((3, self.dimensions))
+        self.scale[SEPARATION, 2:] = keep.radius / keep.height
+        self._lay(task.reference)
         self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
 
+    def _lay(self, d: Array) -> None:
+        """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
+        task, team = self._task, self._task.team
+        layout, J = team.layout, len(d)
+        loads = None
+        if not task.level:
+            loads = clasp_loads(team, d, self._slack, task.roll)
+        q, r = leg_directions(self._edges, team.tension, team.topology, loads)
+        if self._turns:
+            sag = sag_factors(team, team.tension)
+            q, r = (
+                leg_vectors(np.ones_like(legs), direction, sag * legs**2)
+                for legs, direction in ((d, q), (self._slack - d, r))
+            )
+        following = self._points[:, layout.ends] + self._slack[..., None] * r
+        ends = np.stack([self._points[:, layout.starts], following], axis=2)
+        slopes = np.stack([q, -r], axis=2)
+        self.base, self.slope = (
+            np.concatenate([points, lines.reshape(J, -1, self.dimensions)], axis=1).reshape(
+                -1, self.dimensions
+            )
+            for points, lines in ((self._points, ends), (np.zeros_like(self._points), slopes))
+        )
+
     def nodes(self, d: Array) -> Array:
-        """Return the nodes' positions (J·count, 2) [m]."""
+        """Return the nodes' positions (J·count, 2 or 3) [m]."""
+        if self._turns:
+            self._lay(d)
         nodes: Array = self.base + self.slope * d.reshape(-1)[self.variable][:, None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
-        """Return the shortest vector of each pair, second body to first, (pairs, 2) [m]."""
-        return shortest_offset(differences(nodes[self.first], nodes[self.second]))
+        """Return the shortest vector of each pair, second body to first, (pairs, 2 or 3) [m].
+
+        Heights are scaled as the kinds of pairs have them.
+        """
+        between = differences(nodes[self.first], nodes[self.second])
+        return shortest_offset(between * self.scale[self.kind][:, None])
 
     def margin(self, task: LegTask, d: Array) -> float:
         """Return the smallest distance over its limit; crossings count up to their margin only."""
@@ -77,15 +115,18 @@ class LegBodies:
         """Return whether every drone is between the arena's upright walls."""
         if arena is None:
             return True
-        drones = self.nodes(d)[self.drones]
+        drones = self.nodes(d)[self.drones, :2]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
     def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
         """Find the pairs whose sweeps between two splits come within reach of their limits."""
         J = len(task.reference)
-        swept = np.stack([self.nodes(lower), self.nodes(upper)]).reshape(2, J, self.count, 2)
+        # From above nothing is farther than in space.
+        ends = [self.nodes(lower)[:, :2], self.nodes(upper)[:, :2]]
+        swept = np.stack(ends).reshape(2, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, J, -1, 2)
         cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff += SWAY if self._turns else 0.0
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
         frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
@@ -117,10 +158,11 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     nodes = bodies.nodes(d)
     offsets = bodies.offsets(nodes)
     middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    normal = unit(offsets, unit(middles, [1.0, 0.0]), 1e-9)
+    normal = unit(offsets, unit(middles, EAST[: bodies.dimensions]), 1e-9)
 
     pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
-    kind, nu = bodies.kind[pair], normal[pair]
+    kind = bodies.kind[pair]
+    nu = normal[pair] * bodies.scale[kind]
     limit = bodies.limits[kind]
     crossing = kind == CROSSING
     row = np.arange(len(pair))
@@ -161,7 +203,7 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
 
     Walls and crossings share the slack: out of reach, they must not leave the rest undecided.
     """
-    base, slope = bodies.base[bodies.drones], bodies.slope[bodies.drones]
+    base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
     entries = np.concatenate([slope, -slope], axis=1).T.ravel()
     least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
     # No leg length moves a drone along a parallel wall: such a row could only be infeasible.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Requirements
 
@@ -36,6 +37,7 @@ class LegTask:
     margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
     fixed: (J,), knots that keep their reference.
+    roll: (J, clasps) [rad], of the legs out of their plane; None for none.
     """
 
     team: Team
@@ -46,6 +48,12 @@ class LegTask:
     margin: float | Array
     roughness: float = 0.0
     fixed: NDArray[np.bool_] | None = None
+    roll: Array | None = None
+
+    @property
+    def level(self) -> bool:
+        """Whether all legs are level: they carry no weight and are not rolled."""
+        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
 
     @property
     def margins(self) -> Array:
@@ -65,9 +73,7 @@ class LegTask:
     @property
     def slack(self) -> Array:
         """(J, n) [m]: slack of each cable for its two legs."""
-        edges = self.team.layout.edges(self.polygons)
-        slack: Array = self.team.cable_length - np.linalg.norm(edges, axis=-1)
-        return slack
+        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,6 +47,7 @@ class Swarm(Team):
             "cable_friction": 0.0,
             "tension": none,
             "quadrotor": kinds_of(quadrotor, int(drones), "drone"),
+            "load": none,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

@@ -65,6 +65,17 @@ def kinds_of(
     return kinds
 
 
+def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
+    """Return what hangs at the clasps (clasps,) [kg].
+
+    An array of one value throughout holds for any number of clasps, so that a team can be copied
+    with another topology or number of robots.
+    """
+    if isinstance(given, np.ndarray) and given.size > 0 and np.all(given == given.flat[0]):
+        given = float(given.flat[0])
+    return per_robot("load", given, clasps, not_negative, "clasp")
+
+
 @dataclass(frozen=True, eq=False)
 class Team:
     """n catenary robots: two quadrotors each, on the ends of one cable.
@@ -79,6 +90,8 @@ class Team:
     tension: one, or one per robot (n,) [N].
     quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
         one per robot.
+    load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
+        hitch, at the inner points of a chain.
 
     Raises
     ------
@@ -92,6 +105,7 @@ class Team:
     cable_friction: float
     tension: NDArray[np.float64]
     quadrotor: tuple[Quadrotor, ...] = field(repr=False)
+    load: NDArray[np.float64] = field(repr=False)
 
     def __init__(
         self,
@@ -103,6 +117,7 @@ class Team:
         cable_friction: float = 0.0,
         tension: float | Sequence[float] | ArrayLike = 0.4,
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
+        load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         if topology not in TOPOLOGIES:
             raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
@@ -123,6 +138,7 @@ class Team:
             "cable_friction": not_negative("cable_friction", cable_friction),
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
+            "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -136,6 +152,11 @@ class Team:
     def has_cables(self) -> bool:
         """Whether the team has cables, as all teams but single drones."""
         return self.robots > 0
+
+    @property
+    def loaded(self) -> bool:
+        """Whether clasps carry weight: that of cables, or a load."""
+        return self.cable_density > 0.0 or bool(np.any(self.load))
 
     @property
     def layout(self) -> Layout:

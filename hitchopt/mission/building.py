@@ -89,7 +89,8 @@ def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
 def _limits(keys: MotionLimitsKeys) -> Limits:
     """Return the limits that ``keys`` describe, angles in rad."""
     values = keys.model_dump()
-    return Limits(tilt=math.radians(values.pop("tilt_deg")), **values)
+    tilt, rate = math.radians(values.pop("tilt_deg")), values.pop("body_rate_deg")
+    return Limits(tilt=tilt, body_rate=None if rate is None else math.radians(rate), **values)
 
 
 def _start(keys: StartKeys, team: Team, faults: Collector) -> Start | None:

@@ -19,6 +19,7 @@ from hitchopt.mission.schema import (
     SeparationKeys,
     StartKeys,
     TeamKeys,
+    section,
 )
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.keys import REQUIRED, TRIANGLE, Key, Section
@@ -97,10 +98,8 @@ class ProblemKeys(Keys):
     team: TeamKeys = FileField(
         description=str(TeamKeys.__doc__), examples=[{"robots": 3, "cable_length": 2.4}]
     )
-    limits: LimitsKeys = FileField(default_factory=LimitsKeys, description=str(LimitsKeys.__doc__))
-    separation: SeparationKeys = FileField(
-        default_factory=SeparationKeys, description=str(SeparationKeys.__doc__)
-    )
+    limits: LimitsKeys = section(LimitsKeys)
+    separation: SeparationKeys = section(SeparationKeys)
     arena: ArenaKeys | None = FileField(default=None, description=str(ArenaKeys.__doc__))
     start: StartKeys = FileField(
         description=str(StartKeys.__doc__),

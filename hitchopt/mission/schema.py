@@ -6,7 +6,7 @@ that ``loading`` makes of these models.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.requirements import Limits, Separation
-from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE
+from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, SHARING_TEXT, TRIANGLE
 
 MIN_QUANTITY = 1e-9
 """Smallest quantity, in SI units: smaller ones are typing errors and would only underflow."""
@@ -34,10 +34,23 @@ FAULT = "hitchopt"
 ONE, EACH = "<one>", "<each>"
 """Tags of the two forms of a value: once for all robots, or one per robot."""
 
+WORD, MAPPING = "<word>", "<mapping>"
+"""Tags of further forms of values."""
+
 
 def one_or_each(value: object) -> str:
     """Return the tag of a value that is given once, or as a list of one per robot."""
     return EACH if isinstance(value, list) else ONE
+
+
+def word_one_or_each(value: object) -> str:
+    """Return the tag of a value that is a word, given once, or a list."""
+    return WORD if isinstance(value, str) else one_or_each(value)
+
+
+def legs_form(value: object) -> str:
+    """Return the tag of legs that are a word, a list, or a mapping."""
+    return MAPPING if isinstance(value, dict | Keys) else one_or_each(value)
 
 
 def fault(bound: str, remedy: str) -> PydanticCustomError:
@@ -48,20 +61,57 @@ def fault(bound: str, remedy: str) -> PydanticCustomError:
 Number = Annotated[float, Field(ge=-MAX_QUANTITY, le=MAX_QUANTITY)]
 Positive = Annotated[float, Field(ge=MIN_QUANTITY, le=MAX_QUANTITY)]
 NotNegative = Annotated[float, Field(ge=0.0, le=MAX_QUANTITY)]
+Roll = Annotated[float, Field(gt=-90.0, lt=90.0)]
 Index = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
 Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Outline = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
+T = TypeVar("T")
 PerRobot = Annotated[
-    Annotated[Positive, Tag(ONE)]
-    | Annotated[list[Positive], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
+    Annotated[T, Tag(ONE)]
+    | Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
     Discriminator(one_or_each),
 ]
-Legs = Annotated[
+PerClasp = Annotated[
+    Annotated[NotNegative, Tag(ONE)]
+    | Annotated[list[NotNegative], Field(min_length=1, max_length=MAX_ROBOTS), Tag(EACH)],
+    Discriminator(one_or_each),
+]
+Sharing = Annotated[
     Annotated[Literal["balanced", "spread"], Tag(ONE)]
     | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
     Discriminator(one_or_each),
+]
+
+
+class Keys(BaseModel):
+    """A mapping of known keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RolledLegsKeys(Keys):
+    """Legs that are rolled out of their plane."""
+
+    sharing: Sharing = Field(default="spread", description=SHARING_TEXT)
+    roll_deg: Annotated[
+        Annotated[Literal["auto"], Tag(WORD)]
+        | Annotated[Roll, Tag(ONE)]
+        | Annotated[list[Roll], Field(min_length=1, max_length=MAX_ROBOTS), Tag(EACH)],
+        Discriminator(word_one_or_each),
+    ] = Field(
+        default="auto",
+        description="Roll of the legs about their clasps [°], q up and r down, one for all or one "
+        "per clasp; auto: none unless legs without it break a limit",
+    )
+
+
+Legs = Annotated[
+    Annotated[Literal["balanced", "spread"], Tag(ONE)]
+    | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)]
+    | Annotated[RolledLegsKeys, Tag(MAPPING)],
+    Discriminator(legs_form),
 ]
 
 KINDS: dict[str, Any] = {
@@ -78,12 +128,6 @@ KINDS: dict[str, Any] = {
     "TwoPoints": Annotated[list[Point2], Field(min_length=2, max_length=2)],
 }
 """Types of the keys of steps, by the names that ``hitchopt.steps.keys.Key`` gives them."""
-
-
-class Keys(BaseModel):
-    """A mapping of known keys."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def _without_null(schema: dict[str, Any]) -> None:
@@ -114,6 +158,11 @@ class OneKey(Keys):
             if value is None and key in cls.model_fields:
                 raise fault(f"a mapping, also after {key}", f"write {key}: {{…}} with its keys")
         return data
+
+
+def section(model: type[Keys]) -> Any:
+    """Return a field that holds a model's own defaults unless it is given."""
+    return Field(default_factory=model, description=str(model.__doc__))
 
 
 class QuadrotorKeys(Keys):
@@ -149,22 +198,23 @@ class TeamKeys(Keys):
     topology: Literal["closed", "open"] = Field(
         default="closed", description="closed: a polygon; open: a chain along a convex arc"
     )
-    cable_length: PerRobot = Field(
+    cable_length: PerRobot[Positive] = Field(
         description="Length of the cables [m], one for all or one per robot", examples=[2.4]
     )
     cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
+    load: PerClasp = Field(
+        default=0.0,
+        description="What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
+        "and inner point of a chain",
+    )
     cable_friction: NotNegative = Field(
         default=0.0,
         description="Friction at the clasps, a coefficient: legs lean against it as cables slide",
     )
-    tension: PerRobot = Field(
+    tension: PerRobot[Positive] = Field(
         default=0.4, description="Tension of the cables [N], one for all or one per robot"
     )
-    quadrotor: Annotated[
-        Annotated[QuadrotorKeys, Tag(ONE)]
-        | Annotated[list[QuadrotorKeys], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-        Discriminator(one_or_each),
-    ] = Field(
+    quadrotor: PerRobot[QuadrotorKeys] = Field(
         default_factory=QuadrotorKeys,
         description="Kind of quadrotor, one for all or a list of one per robot",
     )
@@ -178,6 +228,10 @@ class MotionLimitsKeys(Keys):
     jerk: Positive = Field(default=Limits.jerk, description="Of every drone [m/s³]")
     tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
         default=45.0, description="Largest angle of the thrust from vertical [°]"
+    )
+    body_rate_deg: Positive | None = Field(
+        default=None,
+        description="Largest turning rate of the thrust [°/s], or null for no limit",
     )
     duration: Positive | None = Field(
         default=Limits.duration, description="Of the whole plan [s], or null for no limit"

@@ -97,7 +97,8 @@ def _begun(
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         check_at_rest(hitch, requirements, "at the start (t = 0)")
         return _Begun(Situation.holding(hitch))
-    check_start(Situation(team, start.drones), requirements)  # drones have the file's names
+    named = Situation(team, start.drones)  # drones have the file's names
+    check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     if form is not None and form.assign == "auto":
         _tell(progress, "assigning robots to edges")

@@ -21,6 +21,7 @@ from hitchopt.mission.schema import (
     Positive,
     QuadrotorKeys,
     one_or_each,
+    section,
 )
 
 MAX_PRISMS = 1000
@@ -62,12 +63,8 @@ class SwarmKeys(Keys):
 
     title: str = Field(default="", max_length=MAX_TITLE, description="What to call the plan")
     team: SwarmTeamKeys = Field(description=str(SwarmTeamKeys.__doc__), examples=[{"drones": 2}])
-    limits: MotionLimitsKeys = Field(
-        default_factory=MotionLimitsKeys, description=str(MotionLimitsKeys.__doc__)
-    )
-    separation: EllipsoidKeys = Field(
-        default_factory=EllipsoidKeys, description=str(EllipsoidKeys.__doc__)
-    )
+    limits: MotionLimitsKeys = section(MotionLimitsKeys)
+    separation: EllipsoidKeys = section(EllipsoidKeys)
     arena: ArenaKeys | None = Field(default=None, description=str(ArenaKeys.__doc__))
     keep_out: Annotated[list[PrismKeys], Field(max_length=MAX_PRISMS)] = Field(
         default_factory=list, description="Prisms that the drones stay out of"

@@ -14,7 +14,7 @@ from hitchopt.errors import InputError
 from hitchopt.mission.faults import one_or_all
 from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.json_schema import entries_at, kind_schema
-from hitchopt.mission.schema import EACH, FAULT, MIN_QUANTITY, ONE, Keys
+from hitchopt.mission.schema import EACH, FAULT, MAPPING, MIN_QUANTITY, ONE, WORD, Keys
 from hitchopt.storage.plain import key_path
 
 Schema = dict[str, Any]
@@ -41,7 +41,7 @@ def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> Input
 
 
 def _translated(entry: Any, schema: Schema) -> InputError:
-    path = [part for part in entry["loc"] if part not in {ONE, EACH}]
+    path = [part for part in entry["loc"] if part not in {ONE, EACH, WORD, MAPPING}]
     value: object = entry["input"]
     kind: str = entry["type"]
     if kind == "missing":

@@ -72,7 +72,8 @@ def _key(build: Builder, choice: bool) -> str:
     """Return what a model depends on, in 32 hexadecimal digits."""
     made_of = repr((_version(), ca.CasadiMeta.version(), sys.platform, choice)).encode()
     with contextlib.suppress(OSError):  # in an archive, the version identifies the source
-        made_of = Path(build.__code__.co_filename).read_bytes() + made_of
+        for file in sorted(Path(build.__code__.co_filename).parent.glob("*.py")):
+            made_of += file.read_bytes()
     return hashlib.sha256(made_of).hexdigest()[:32]
 
 

@@ -9,8 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Team
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.layout import Layout
+from hitchopt.model.attitude import attitude_function
+from hitchopt.model.loaded_robot import loaded_robot_function
 from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
 
@@ -27,13 +29,15 @@ class FlatJets:
     Attributes
     ----------
     vertices: (J, points, 3, 4) [m]; n points of a closed hitch, n + 1 of a chain.
-    q_legs: (J, n, 4) [m]
+    q_legs: (J, n, 4) [m], lengths of cable.
     tensions: (J, n, 4) [N]
+    roll: (J, clasps, 4) [rad], or None where legs are not rolled.
     """
 
     vertices: Array
     q_legs: Array
     tensions: Array
+    roll: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,37 +49,93 @@ class DroneJets:
     positions: (J, 2n, 3, 4) [m] and derivatives by the parameter, in the order q0, r0, q1, ….
     cable_forces: (J, 2n, 3) [N], of the cable on the drone.
     thrusts: (J, 2n, 3) [N], with the parameter taken as time.
-    r_legs: (J, n, 4) [m], ``e_k`` and derivatives.
+    legs: (J, n, 2, 4) [m], distances of q_k and r_k from their vertices, and derivatives.
     """
 
     positions: Array
     cable_forces: Array
     thrusts: Array
-    r_legs: Array
+    legs: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes:
+    """Attitudes and their rates.
+
+    Attributes
+    ----------
+    quaternions: (…, 4), w, x, y, z, from the body's axes to the world's; with yaw 0 and a thrust
+        that points upward w is positive.
+    body_rates: (…, 3) [rad/s], angular velocity about the body's axes.
+    """
+
+    quaternions: Array
+    body_rates: Array
+
+
+def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:
+    """Return the attitudes that point thrusts (…, 3) [N] where they must, at a constant yaw.
+
+    Parameters
+    ----------
+    thrusts: (…, 3) [N] or any other unit.
+    thrust_rates: (…, 3), their derivatives by time.
+    yaw: [rad], as in ``model.attitude``.
+    """
+    columns = thrusts.size // 3
+    jets = np.stack([thrusts.reshape(columns, 3), thrust_rates.reshape(columns, 3)], axis=-1)
+    yaws = np.tile([[[yaw, 0.0]]], (columns, 1, 1))
+    quaternions, body_rates = _mapped(attitude_function(), [jets, yaws])
+    shape = thrusts.shape[:-1]
+    return Attitudes(quaternions.reshape(*shape, 4), body_rates.reshape(*shape, 3))
 
 
 def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     """Return drones, forces and thrusts for flat outputs; linear in J·n.
 
-    The paper's class is used where all tensions are equal, the general clasp elsewhere.
+    The paper's class is used where all tensions are equal, the general clasp elsewhere; where
+    clasps carry weight or legs are rolled, the clasp with loads. Values are nan where tensions
+    cannot carry them.
     """
     count, n = flat.q_legs.shape[:2]
-    stencil = flat.vertices[:, team.layout.stencil]
-    tensions = flat.tensions[:, team.layout.neighbours]
-    equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
-        flat.tensions[..., 1:]
-    )
-    columns = count * n
-    per_robot = (team.cable_length, team.mass[::2], team.cable_weight[::2])
-    q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
-        robot_function(equal),
-        [
-            stencil.reshape(columns, 12, JET),
-            flat.q_legs.reshape(columns, 1, JET),
-            tensions.reshape(columns, 3, JET),
-            *(np.tile(value, count).reshape(columns, 1, 1) for value in per_robot),
-        ],
-    )
+    columns, layout = count * n, team.layout
+    stencil = flat.vertices[:, layout.stencil].reshape(columns, 12, JET)
+    tensions = flat.tensions[:, layout.neighbours].reshape(columns, 3, JET)
+
+    def each(value: Array, rows: int = 1) -> Array:
+        """Return constants (n, rows) for every column."""
+        return np.tile(value.reshape(n, rows), (count, 1))[..., None]
+
+    if team.loaded or flat.roll is not None:
+        q, r, q_force, r_force, q_thrust, r_thrust, legs = _mapped(
+            loaded_robot_function(team.cable_density > 0.0),
+            [
+                stencil,
+                flat.q_legs[:, layout.neighbours].reshape(columns, 3, JET),
+                tensions,
+                _roll_at_ends(layout, flat).reshape(columns, 2, JET),
+                each(team.cable_length[layout.neighbours], 3),
+                each(_loads_at_ends(team), 6),
+                each(layout.has_leg.astype(np.float64), 2),
+                each(team.mass[::2]),
+                each(np.full(n, GRAVITY * team.cable_density)),
+            ],
+        )
+    else:
+        equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
+            flat.tensions[..., 1:]
+        )
+        q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
+            robot_function(equal),
+            [
+                stencil,
+                flat.q_legs.reshape(columns, 1, JET),
+                tensions,
+                each(team.cable_length),
+                each(team.mass[::2]),
+            ],
+        )
+        legs = np.concatenate([flat.q_legs.reshape(columns, 1, JET), r_leg], axis=1)
 
     def paired(a: Array, b: Array) -> Array:
         """Return (J, 2n, 3, width) of two (columns, 3, width), q and r alternating."""
@@ -85,36 +145,73 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
         paired(q, r),
         paired(q_force, r_force)[..., 0],
         paired(q_thrust, r_thrust)[..., 0],
-        r_leg.reshape(count, n, JET),
+        legs.reshape(count, n, 2, JET),
     )
 
 
+def _roll_at_ends(layout: Layout, flat: FlatJets) -> Array:
+    """Return the roll (J, n, 2, 4) [rad] at both points of every edge, 0 at a chain's ends."""
+    at_points = np.zeros((len(flat.q_legs), layout.points, JET))
+    if flat.roll is not None:
+        at_points[:, layout.clasps] = flat.roll
+    return at_points[:, np.column_stack([layout.starts, layout.ends])]
+
+
+def _loads_at_ends(team: Team) -> Array:
+    """Return the forces (n, 2, 3) [N] of what hangs at both points of every edge."""
+    at_points = np.zeros((team.layout.points, 3))
+    at_points[team.layout.clasps, 2] = -GRAVITY * team.load
+    return at_points[np.column_stack([team.layout.starts, team.layout.ends])]
+
+
 def slipping_drones(
-    layout: Layout, vertices: Array, legs: Array, tensions: Array, pulls: Array
+    team: Team,
+    vertices: Array,
+    legs: Array,
+    tensions: Array,
+    pulls: Array,
+    planned: Array | None = None,
 ) -> Array:
     """Return the jets of drones on legs whose pulls differ from their edges' tensions.
 
+    Clasps carry the team's loads and the weight of its cables.
+
     Parameters
     ----------
-    layout: the hitch's.
-    vertices: (J, points, 3, 4) [m], of a level hitch.
-    legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``.
+    team: whose cables.
+    vertices: (J, points, 3, 4) [m]
+    legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``, distances of drones from their vertices.
     tensions: (J, n, 4) [N], of the edges.
-    pulls: (J, n, 2, 4) [N], of the legs.
+    pulls: (J, n, 2, 4) [N], of the legs at their clasps.
+    planned: (J, 2n, 3, 4) [m], drones in balance without friction, in whose planes legs lean; None
+        of legs that are not rolled.
 
     Returns
     -------
     (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where no leaning of the
     legs lets it balance.
     """
+    layout = team.layout
     count, behind, ahead = len(vertices), layout.behind, layout.ahead
     around = [layout.starts[behind], layout.clasps, layout.ends[ahead]]
     columns = count * len(layout.clasps)
+    if planned is None:
+        sides = vertices[:, around[2]] - vertices[:, around[0]]
+    else:
+        sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
+    half = 0.5 * GRAVITY * team.cable_density
+    loads = np.zeros(sides.shape)
+    loads[:, :, 2] = half * (legs[:, ahead, 1] + legs[:, behind, 0])
+    whole = half * (team.cable_length[ahead] + team.cable_length[behind])
+    loads[:, :, 2, 0] -= whole + GRAVITY * team.load
     at_clasp = [
         vertices[:, np.column_stack(around)].reshape(columns, 9, JET),
         np.stack([legs[:, behind, 1], legs[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
         tensions[:, np.column_stack([behind, ahead])].reshape(columns, 2, JET),
         np.stack([pulls[:, behind, 1], pulls[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
+        sides.reshape(columns, 3, JET),
+        loads.reshape(columns, 3, JET),
+        np.full((columns, 1, 1), half),
     ]
     both = np.stack(_mapped(slipping_clasp_function(), at_clasp), axis=1)
     return both.reshape(count, len(layout.clasps), 2, 3, JET)

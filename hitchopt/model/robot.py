@@ -40,7 +40,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         ``vertices`` (12, 4): jets of ``p_{k-1}, p_k, p_{k+1}, p_{k+2}`` [m], three rows each,
         ``q_leg`` (1, 4): jet of ``d_k`` [m],
         ``tensions`` (3, 4): jets of ``T_{k-1}, T_k, T_{k+1}`` [N],
-        ``cable_length`` [m], ``mass`` [kg], ``cable_weight`` [N] that each drone carries,
+        ``cable_length`` [m], ``mass`` [kg],
     and outputs
         ``q``, ``r`` (3, 4): jets of the drones' positions [m],
         ``q_force``, ``r_force`` (3, 1): the cable's force on them [N],
@@ -53,7 +53,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
         ca.SX.sym("d", 1, JET),
         ca.SX.sym("T", 3, JET),
     )
-    length, mass, weight = ca.SX.sym("L"), ca.SX.sym("m"), ca.SX.sym("w")
+    length, mass = ca.SX.sym("L"), ca.SX.sym("m")
     flat = ca.vertcat(vertices, q_leg, tensions)
     before, here, there, after = ca.vertsplit(vertices[:, 0], 3)
     u = unit(here - before), unit(there - here), unit(after - there)
@@ -63,8 +63,7 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     q = jet_of(here + q_leg[0] * q_direction, flat)
     r = jet_of(there + r_leg * r_direction, flat)
     lift = ca.DM([0.0, 0.0, GRAVITY])
-    down = ca.vertcat(0.0, 0.0, -weight)
-    q_force, r_force = down - T * q_direction, down - T * r_direction
+    q_force, r_force = -T * q_direction, -T * r_direction
     outputs = {
         "q": q,
         "r": r,
@@ -76,9 +75,9 @@ def robot_function(equal_tensions: bool) -> ca.Function:
     }
     return ca.Function(
         "robot",
-        [vertices, q_leg, tensions, length, mass, weight],
+        [vertices, q_leg, tensions, length, mass],
         list(outputs.values()),
-        ["vertices", "q_leg", "tensions", "cable_length", "mass", "cable_weight"],
+        ["vertices", "q_leg", "tensions", "cable_length", "mass"],
         list(outputs),
         {"cse": True},
     )

@@ -4,8 +4,9 @@ Friction lets the tension step where a cable goes around a clasp: a leg that gro
 into it, pulls harder than its edge, one that grows shorter less, by up to ``e^{μ θ}`` for the angle
 θ that the cable wraps (the polygon's interior angle where tensions are equal). The clasp still
 balances where it is planned if its two legs lean accordingly: ``P_q q̂_k + P_r r̂_{k-1} = V``, a
-triangle with the sides ``P_q``, ``P_r`` and the known ``V = T_{k-1} u_{k-1} - T_k u_k``. With
-``P_q = T_k`` and ``P_r = T_{k-1}`` it is the clasp without friction.
+triangle with the sides ``P_q``, ``P_r`` and the known ``V = T_{k-1} u_{k-1} - T_k u_k - w_k``, in
+the plane that V and the planned leg span. With the tensions for pulls it is the clasp without
+friction.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from functools import lru_cache
 
 import casadi as ca
 
+from hitchopt.model.loaded_robot import closed_triangle
 from hitchopt.model.robot import JET, jet_of, unit
 
 
@@ -21,35 +23,42 @@ from hitchopt.model.robot import JET, jet_of, unit
 def slipping_clasp_function() -> ca.Function:
     """Return both drones of clasp k as a function of jets, for any pull of its legs.
 
-    Level hitches only, clockwise seen from above; the triangle must exist.
+    The triangle must exist.
 
     Returns
     -------
     Function with inputs
         ``vertices`` (9, 4): jets of ``p_{k-1}, p_k, p_{k+1}`` [m], three rows each,
-        ``legs`` (2, 4): jets of ``e_{k-1}, d_k`` [m],
+        ``legs`` (2, 4): jets of ``e_{k-1}, d_k`` [m], distances of the drones from ``p_k``,
         ``tensions`` (2, 4): jets of ``T_{k-1}, T_k`` [N], of the edges,
-        ``pulls`` (2, 4): jets of what the legs ``e_{k-1}, d_k`` pull with [N],
+        ``pulls`` (2, 4): jets of what the legs ``e_{k-1}, d_k`` pull with at the clasp [N],
+        ``planned`` (3, 4): jets of a vector on the side of V where q_k is [m],
+        ``load`` (3, 4): jets of the outside force on the clasp [N],
+        ``half``: half of a cable's weight per length [N/m],
     and outputs
         ``r``, ``q`` (3, 4): jets of the positions of ``r_{k-1}`` and ``q_k`` [m].
     """
     vertices, legs = ca.SX.sym("p", 9, JET), ca.SX.sym("l", 2, JET)
     tensions, pulls = ca.SX.sym("T", 2, JET), ca.SX.sym("P", 2, JET)
-    flat = ca.vertcat(vertices, legs, tensions, pulls)
+    planned, load, half = ca.SX.sym("x", 3, JET), ca.SX.sym("w", 3, JET), ca.SX.sym("h")
+    flat = ca.vertcat(vertices, legs, tensions, pulls, planned, load)
     before, here, there = ca.vertsplit(vertices[:, 0], 3)
-    V = tensions[0, 0] * unit(here - before) - tensions[1, 0] * unit(there - here)
-    size, outward = ca.norm_2(V), unit(V)
-    onward = ca.vertcat(outward[1], -outward[0], 0.0)  # where edge k goes, to the right of V
-    behind, ahead = pulls[0, 0], pulls[1, 0]
-    along = (size**2 + ahead**2 - behind**2) / (2.0 * size)
-    across = ca.sqrt(ahead**2 - along**2)
-    q = here + legs[1, 0] * (along * outward + across * onward) / ahead
-    r = here + legs[0, 0] * ((size - along) * outward - across * onward) / behind
+    u = unit(here - before), unit(there - here)
+    r_direction, q_direction = closed_triangle(
+        tensions[0, 0] * u[0] - tensions[1, 0] * u[1] - load[:, 0],
+        planned[:, 0],
+        ca.SX(0.0),
+        (pulls[0, 0], pulls[1, 0]),
+        (half * legs[0, 0], half * legs[1, 0]),
+    )
     return ca.Function(
         "slipping_clasp",
-        [vertices, legs, tensions, pulls],
-        [jet_of(r, flat), jet_of(q, flat)],
-        ["vertices", "legs", "tensions", "pulls"],
+        [vertices, legs, tensions, pulls, planned, load, half],
+        [
+            jet_of(here + legs[0, 0] * r_direction, flat),
+            jet_of(here + legs[1, 0] * q_direction, flat),
+        ],
+        ["vertices", "legs", "tensions", "pulls", "planned", "load", "half"],
         ["r", "q"],
         {"cse": True},
     )

@@ -172,13 +172,11 @@ class Motion:
         if np.all(wanted):
             return (self,)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
-        return tuple(
-            self._run(slice(int(first), int(last))) for first, last in edges.reshape(-1, 2)
-        )
-
-    def _run(self, pieces: slice) -> Motion:
         breaks = self.drones.breaks
-        return self.taken(pieces, self.overlapping(breaks[pieces.start], breaks[pieces.stop]))
+        return tuple(
+            self.taken(slice(first, last), self.overlapping(breaks[first], breaks[last]))
+            for first, last in edges.reshape(-1, 2).tolist()
+        )
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""

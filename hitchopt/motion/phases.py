@@ -32,16 +32,6 @@ class CableState(StrEnum):
     """Clasped cables are drawn out to their full length, or slackened again."""
     HITCHED = "hitched"
 
-    @classmethod
-    def of_label(cls, name: str, *, formed: bool) -> CableState:
-        """Return the state that goes with a planner's name for a phase.
-
-        Parameters
-        ----------
-        formed: whether the hitch exists.
-        """
-        return cls.HITCHED if formed else _STATES.get(name, cls.FREE)
-
 
 FREE_STATES = frozenset(
     {CableState.GROUND, CableState.FREE, CableState.CLASPING, CableState.TIGHTENING}
@@ -50,13 +40,6 @@ FREE_STATES = frozenset(
 
 HITCHED_STATE = frozenset({CableState.HITCHED})
 """The state in which the hitch exists, as a set."""
-
-
-_STATES = {
-    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
-    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
-    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
-}
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,14 @@ PER_ROBOT = ("cable_length", "tension")
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
+EARLIER_STATES = {
+    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
+    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
+    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
+}
+"""States of phases without a hitch by their names, for plan files from before states were stored;
+all others hang free."""
+
 
 def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     """Write the plan; the same plan gives the same bytes.
@@ -95,11 +103,7 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
     text = json.dumps(settings, allow_nan=False, default=_values_of)
     with path.open("wb") as file:
         np.savez(
-            file,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            settings=np.array(text),
-            **arrays,
+            file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
         )
 
 
@@ -235,7 +239,9 @@ def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
             raise InputError("phases", value, words, "do not edit them")
     allowed = [each for each in CableState if (each is CableState.NONE) is alone]
     if state is None:
-        state = CableState.of_label(phase.name, formed=formed is not False)
+        state = EARLIER_STATES.get(phase.name, CableState.FREE)
+        if formed is not False:
+            state = CableState.HITCHED
     elif formed is not None or state not in allowed:
         words = f"one of {', '.join(allowed)}, without formed"
         raise InputError("phases.state", state, words, "do not edit them")

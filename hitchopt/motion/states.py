@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.statics import cable_forces
+from hitchopt.hitch.statics import cable_force_rates, cable_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import tautness
 from hitchopt.trajectory import bernstein
@@ -25,6 +25,17 @@ MAX_SAMPLES = 50_000_000
 
 TIME_TOLERANCE = 1e-9
 """Distance by which a time may lie outside the plan [s]: the rounding of sums of durations."""
+
+
+AT_REST = (
+    "velocities",
+    "accelerations",
+    "jerks",
+    "cable_force_rates",
+    "body_rates",
+    "vertex_velocities",
+)
+"""Fields of states that are zero after a plan's end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +53,10 @@ class States:
         edge, at a chain's end), ``T_k`` but for friction, and half of the cable's weight; while
         there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
         to it, the one passes continuously into the other (``hitchopt.motion.tensions``).
+    cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
+    quaternions: (…, 2n, 4), w, x, y, z: attitude of each drone with yaw 0, from its axes to the
+        world's; its z axis points along the thrust (``hitchopt.model.attitude``).
+    body_rates: (…, 2n, 3) [rad/s], angular velocity of that attitude about the drone's own axes.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
@@ -55,6 +70,9 @@ class States:
     accelerations: Array
     jerks: Array
     cable_forces: Array
+    cable_force_rates: Array
+    quaternions: Array
+    body_rates: Array
     vertices: Array
     vertex_velocities: Array
     legs: Array
@@ -62,9 +80,19 @@ class States:
 
     def thrusts(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N] the thrust vectors ``m (a + g ẑ) - cable force``."""
-        upward = np.array([0.0, 0.0, GRAVITY])
-        thrusts: Array = team.mass[:, None] * (self.accelerations + upward) - self.cable_forces
-        return thrusts
+        return thrusts_of(team, self.accelerations, self.cable_forces)
+
+    def thrust_rates(self, team: Team | Swarm) -> Array:
+        """Return (…, 2n, 3) [N/s] the derivatives of the thrust vectors by time."""
+        rates: Array = team.mass[:, None] * self.jerks - self.cable_force_rates
+        return rates
+
+
+def thrusts_of(team: Team | Swarm, accelerations: Array, cable_forces: Array) -> Array:
+    """Return the thrust vectors ``m (a + g ẑ) - cable force``, (…, 2n, 3) [N]."""
+    upward = np.array([0.0, 0.0, GRAVITY])
+    thrusts: Array = team.mass[:, None] * (accelerations + upward) - cable_forces
+    return thrusts
 
 
 def sample_times(duration: float, rate: float) -> Array:
@@ -115,7 +143,7 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
         values = np.concatenate([getattr(block, field.name) for block in blocks])[back]
         states[field.name] = values.reshape((*times.shape, *values.shape[1:]))
     over = asked > motion.duration + TIME_TOLERANCE
-    for name in ("velocities", "accelerations", "jerks", "vertex_velocities"):
+    for name in AT_REST:
         states[name][over] = 0.0
     return States(**{**states, "t": asked})
 
@@ -125,8 +153,10 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
 
     A block lies within one piece, so that its values are one matrix product per quantity.
     """
+    from hitchopt.model.evaluation import attitudes  # casadi takes a while to import
+
     starts = motion.drones.breaks - motion.drones.breaks[0]
-    formed, taut = motion.formed, tautness(motion)
+    formed, taut, p = motion.formed, tautness(motion), motion.vertices.coefficients
     pulls = np.where(formed[:, None, None], motion.pulls.coefficients, 0.0)
     firsts = np.searchsorted(times, starts[1:-1], side="left")
     bounds = np.concatenate([[0], firsts, [len(times)]])
@@ -135,13 +165,24 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
         drones = [motion.drones.coefficients[piece]]
         for _ in range(3):
             drones.append(bernstein.differentiate(drones[-1]) / h)
-        vertices = motion.vertices.coefficients[piece]
         for first in range(bounds[piece], bounds[piece + 1], size):
             t = times[first : min(first + size, bounds[piece + 1])]
             x = np.clip((t - starts[piece]) / h, 0.0, 1.0)
             positions, velocities, accelerations, jerks = (_values(c, x) for c in drones)
-            p = _values(vertices, x)
-            pull, tautness_here = _values(pulls[piece], x), _values(taut[piece], x)
+            values = (positions, *(_values(part[piece], x) for part in (p, pulls, taut)))
+            rates = (
+                velocities,
+                *(
+                    _values(bernstein.differentiate(part[piece]) / h, x)
+                    for part in (p, pulls, taut)
+                ),
+            )
+            forces = cable_forces(motion.team, *values)
+            force_rates = cable_force_rates(motion.team, values, rates)
+            attitude = attitudes(
+                thrusts_of(motion.team, accelerations, forces),
+                motion.team.mass[:, None] * jerks - force_rates,
+            )
             yield States(
                 t,
                 np.full(len(t), formed[piece]),
@@ -149,9 +190,12 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
                 velocities,
                 accelerations,
                 jerks,
-                cable_forces(motion.team, positions, p, pull, tautness_here),
-                p,
-                _values(bernstein.differentiate(vertices) / h, x),
+                forces,
+                force_rates,
+                attitude.quaternions,
+                attitude.body_rates,
+                values[1],
+                rates[1],
                 _values(motion.legs.coefficients[piece], x),
                 _values(motion.tensions.coefficients[piece], x),
             )

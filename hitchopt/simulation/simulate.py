@@ -7,12 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.simulation.error_measures import (
-    Spread,
-    VertexErrors,
-    tracking_errors,
-    vertex_errors,
-)
+from hitchopt.simulation.error_measures import Spread, VertexErrors, tracking_errors, vertex_errors
 from hitchopt.simulation.flight_outcome import SUCCEEDED, Failure, Outcome, judge
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task

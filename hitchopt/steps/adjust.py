@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.hitch import Hitch
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import adjust
-from hitchopt.requirements import Requirements
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import LEGS_TEXT, Blend, Key, Seconds
+from hitchopt.steps.situation import StepTask
 from hitchopt.steps.slack_split import SlackSplit
 
 
@@ -31,7 +30,9 @@ class Adjust(ActionStep):
     duration: Seconds = None
     blend: Blend = False
 
-    def action(self, start: Hitch, requirements: Requirements) -> Action:
+    def action(self, task: StepTask) -> Action:
         """Return the action."""
-        wanted = split_hitch(start.team, start.polygon, start.altitude, self.legs, requirements)
+        start = task.hitch
+        altitude, requirements = start.altitude, task.requirements
+        wanted = split_hitch(start.team, start.polygon, altitude, self.legs, requirements)
         return adjust(start, wanted.q_legs)

@@ -13,7 +13,7 @@ from hitchopt.planners.path.blended_path import SAME, BlendedMorph, passing_time
 from hitchopt.steps.certified_motions import flying
 from hitchopt.steps.friction_lean import against_friction
 from hitchopt.steps.hitch_step import ShapeStep
-from hitchopt.steps.situation import StepPlan, StepTask
+from hitchopt.steps.situation import Situation, StepPlan, StepTask
 from hitchopt.steps.step import Step
 
 
@@ -30,8 +30,9 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     """
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
-        end = step.end(hitches[-1], requirements).hitch
-        step.check_end(end, i, requirements)
+        here = StepTask(Situation.holding(hitches[-1]), i, requirements)
+        end = step.end(here).hitch
+        step.check_end(end, here)
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
             raise InputError(
                 f"mission[{i}].{step.name}",
@@ -50,4 +51,4 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
         for j, step in enumerate(steps)
     ]
     plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
-    return against_friction(plan, requirements, timed=False)
+    return against_friction(plan, timed=False)

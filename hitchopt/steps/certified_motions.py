@@ -103,7 +103,7 @@ def _metres(check: Check, separation: Separation) -> str:
     """Return how far apart drones are and should be; a hitch's drones fly at one height."""
     if check.name != "separation":
         return ""
-    needed = 2.0 * separation.radius * check.limit
+    needed = 2.0 * separation.radius * check.number
     apart = check.bound * 2.0 * separation.radius
     return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 

@@ -16,7 +16,7 @@ from hitchopt.planners.actions.sliding import SLIDES
 from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest
-from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,26 @@ def split_hitch(
     requirements: Requirements,
 ) -> Hitch:
     """Return the hitch whose slack is split as ``legs`` says."""
-    if isinstance(legs, np.ndarray):
-        return Hitch(team, polygon, altitude, legs)
-    if legs == "balanced":
-        return Hitch.balanced(team, polygon, altitude)
-    return Hitch.spread(
-        team, polygon, altitude, limits=requirements.limits, separation=requirements.separation
-    )
+    roll, auto = None, False
+    if isinstance(legs, RolledLegs):
+        sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
+    else:
+        sharing = legs
+    if isinstance(sharing, str) and sharing == "spread":
+        return Hitch.spread(
+            team,
+            polygon,
+            altitude,
+            limits=requirements.limits,
+            separation=requirements.separation,
+            roll=roll,
+        )
+    given = 0.0 if roll is None else roll
+    if isinstance(sharing, str):
+        hitch = Hitch.balanced(team, polygon, altitude, given)
+    else:
+        hitch = Hitch(team, polygon, altitude, sharing, given)
+    return hitch.least_rolled(requirements) if auto else hitch
 
 
 def end_of_morph(
@@ -69,7 +82,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
         return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
     wanted = action.kept_legs
     try:
-        hitch = Hitch(start.team, polygon, start.altitude, wanted)
+        hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
     except InfeasibleError as error:
         reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
     else:
@@ -80,14 +93,16 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
     same = np.abs(nearest.q_legs - wanted) < SLIDES
     q_legs = np.where(same, wanted, nearest.q_legs)
-    return End(Hitch(start.team, polygon, start.altitude, q_legs), f"{reason} at the end")
+    end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
+    return End(end, f"{reason} at the end")
 
 
 def broken_on_the_way(
     path: ShapePath, s: float, altitude: float, requirements: Requirements
 ) -> str:
     """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
-    given = shapes_along(path, np.array([s])).legs[0]
+    shape = shapes_along(path, np.array([s]))
+    given, roll = shape.legs[0], 0.0 if shape.roll is None else shape.roll[0]
     legs = np.where(path.team.layout.has_leg, given, np.inf)
     place = f"at {s:.0%} of the path"
     if np.min(legs) <= 0.0:
@@ -97,7 +112,7 @@ def broken_on_the_way(
         short = Violation("legs", value, limit, "min", "m", (name,), place, "")
         return f"{_words(short)} {place}"
     points = path.vertices.at(s)[:, :2]
-    broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0]), requirements)
+    broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0], roll), requirements)
     return f"{broken} {place}" if broken else f"distances would all but reach their limits {place}"
 
 
@@ -127,4 +142,5 @@ def _nearest(
         limits=requirements.limits,
         separation=requirements.separation,
         arena=requirements.arena,
+        roll=start.roll,
     )

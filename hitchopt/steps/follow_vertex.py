@@ -11,19 +11,10 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import follow_vertex
-from hitchopt.requirements import Requirements
-from hitchopt.steps.edits import (
-    DECIMALS,
-    FORCES,
-    PLAN_DURATION,
-    RATES,
-    StepEdit,
-    Tunable,
-    points_scaled,
-)
+from hitchopt.steps.edits import FORCES, PLAN_DURATION, RATES, StepEdit, Tunable, points_scaled
 from hitchopt.steps.hitch_step import ActionStep
 from hitchopt.steps.keys import VERTEX, Key, LegsAtEnd
 from hitchopt.steps.situation import StepPlan, StepTask
@@ -88,15 +79,17 @@ class FollowVertex(ActionStep):
         points[self.vertex] = self.path[-1, 1:]
         return convex_outline(team, points, "path", self.path)
 
-    def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
+    def action(self, task: StepTask) -> Action:
         """Return the action."""
-        outline = self.polygon_after(start.team, start.polygon)
-        return follow_vertex(start, outline, self.vertex, self.path)
+        start = task.hitch
+        return follow_vertex(
+            start, self.polygon_after(start.team, start.polygon), self.vertex, self.path
+        )
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; there is no other route."""
-        end = self.end(task.hitch, task.requirements)
-        self.check_end(end.hitch, task.index, task.requirements)
+        end = self.end(task)
+        self.check_end(end.hitch, task)
         return task.ended(self.own_route(task, end).motion(), end.hitch)
 
     def advice(self, check: str) -> str:
@@ -105,19 +98,13 @@ class FollowVertex(ActionStep):
 
     def tunables(self) -> Iterator[Tunable]:
         """Yield the points' times."""
-        yield Tunable(
-            "path",
-            1.0,
-            "times",
-            self._stretched,
-            RATES | FORCES,
-            frozenset({PLAN_DURATION}),
-            "times of its points",
-        )
 
-    def _stretched(self, factor: float) -> StepEdit:
-        times = np.round(self.path[:, 0] * factor, DECIMALS)
-        return self._rewritten(times, self.path[:, 1:])
+        def put(factor: float) -> StepEdit:
+            return self._rewritten(points_scaled(times, factor, np.zeros(1)), points)
+
+        times, points = self.path[:, 0], self.path[:, 1:]
+        raises, lowers = RATES | FORCES, frozenset({PLAN_DURATION})
+        yield Tunable("path", 1.0, "times", put, raises, lowers, "times of its points")
 
     def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:
         """Return the edit that scales the points about the centre."""

@@ -25,7 +25,7 @@ from hitchopt.steps.free_cables import LEVEL, lasting, staged
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE, Key, Seconds, Section
 from hitchopt.steps.route_choice import Route, first_certified
 from hitchopt.steps.situation import Situation, StepPlan, StepTask
-from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying_site import lifted, tying_site
 from hitchopt.values import Array, coordinate
@@ -127,7 +127,7 @@ class Form(Step):
             checked(tying)  # no use to go there if nothing can be tied
         parts = [_approach(task, site.pre.drones, site.hitch), tying]
         if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
-            parts.append(lifted(site.hitch, wanted.altitude, "lower", i, requirements))
+            parts.append(lifted(site.hitch, wanted.altitude, "lower", task))
         senses = np.sign(site.pre.turns.rise)
         after = Situation(team, wanted.drones, wanted, senses, self.swap)
         return StepPlan(lasting(joined_motions(parts), self.duration, i, self.name), after)
@@ -140,7 +140,7 @@ class Form(Step):
         and are spread beyond that. Drones that stand close lose little of a distance that has
         downwash in it; the one to cables has nothing to spare for a gust as a hitch is drawn tight.
         """
-        legs = "spread" if self.legs is None else self.legs
+        legs: SlackSplit = "spread" if self.legs is None else self.legs
         spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
         if self.legs is not None:
             return spread
@@ -151,7 +151,8 @@ class Form(Step):
                 break
             separation = replace(requirements.separation, cable=margin * cable)
             wider = replace(requirements, separation=separation)
-            hitch = split_hitch(team, self.polygon, self.altitude, legs, wider)
+            same_roll = RolledLegs("spread", spread.roll)
+            hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
             if certificate_at_rest(hitch, wider).certified:
                 return hitch
         return spread

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,34 +10,36 @@ import numpy as np
 
 from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.tensions import tautness
 from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
+from hitchopt.planners.timing.turning_stretch import turning_stretch
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import checked, flying
-from hitchopt.steps.situation import Situation
+from hitchopt.steps.situation import Situation, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 
 LEVEL = 1e-9
 """Altitudes that differ by less are the same [m]."""
 
 
-def hovering(before: Situation, seconds: float, i: int, requirements: Requirements) -> Motion:
+def hovering(task: StepTask, seconds: float) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], before.drones)
-    motion = free_motion(Stage("parked", rest), before.team, i, requirements)
+    rest = PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
+    motion = free_motion(Stage("parked", rest, CableState.GROUND), task)
     (phase,) = motion.phases
     hanging = phase.state is CableState.FREE
     return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
 
 
-def check_start(before: Situation, requirements: Requirements) -> None:
+def check_start(task: StepTask) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     try:
-        checked(hovering(before, 1.0, 0, requirements), "at the start (t = 0)")
+        checked(hovering(task, 1.0), "at the start (t = 0)")
     except InfeasibleError as error:
-        found = [_span(v, before) if v.constraint == "span" else v for v in error.violations]
+        found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
         raise InfeasibleError(found, error.note) from None
 
@@ -76,15 +79,15 @@ def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirem
 
 def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
     """Return the motion of a stage."""
-    phase = Phase(stage.name, i, 0.0, stage.drones.duration, stage.remark, stage.state)
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
     curves = Flight(stage.drones, stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch))
     return _raised(flying(curves, hitch.team, requirements, [phase]))
 
 
-def free_motion(stage: Stage, team: Team, i: int, requirements: Requirements) -> Motion:
+def free_motion(stage: Stage, task: StepTask) -> Motion:
     """Return the motion of drones on free cables, of which no hitch is made."""
-    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
-    return _raised(Motion.single(team, requirements, stage.drones, [phase]))
+    phase = Phase(stage.name, task.index, 0.0, stage.drones.duration, state=stage.state)
+    return _raised(Motion.single(task.before.team, task.requirements, stage.drones, [phase]))
 
 
 def _raised(motion: Motion) -> Motion:
@@ -94,8 +97,20 @@ def _raised(motion: Motion) -> Motion:
     """
     (phase,) = motion.phases
     if phase.state is CableState.GROUND and above_ground(motion):
-        return replace(motion, phases=(replace(phase, state=CableState.FREE),))
-    return motion
+        motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
+    return _turning_slowly(motion)
+
+
+def _turning_slowly(motion: Motion) -> Motion:
+    """Return the motion, from rest to rest, slowed until no thrust turns faster than allowed."""
+    limit = motion.requirements.limits.body_rate
+    if limit is None:
+        return motion
+    breaks = motion.drones.breaks
+    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    forces = (PiecewisePolynomial(breaks, c) for c in (pulls, tautness(motion)))
+    factor = turning_stretch(motion.team, limit, (motion.drones, motion.vertices, *forces))
+    return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 
 def lasting(motion: Motion, duration: float | None, i: int, name: str) -> Motion:

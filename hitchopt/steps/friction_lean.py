@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.friction.leaning import leaning, worth_leaning
-from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certified
 from hitchopt.steps.situation import StepPlan
 
@@ -23,7 +22,7 @@ LONGER = 1.5
 """Most times as long as without friction that a step may last for legs to lean so far."""
 
 
-def against_friction(planned: StepPlan, requirements: Requirements, *, timed: bool) -> StepPlan:
+def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     """Return the plan with legs that lean against friction as far as limits allow.
 
     It is the given one where the team's cables have no friction or none of them slides, and where
@@ -33,18 +32,17 @@ def against_friction(planned: StepPlan, requirements: Requirements, *, timed: bo
     Parameters
     ----------
     planned: from rest to rest, of a hitch.
-    requirements: what the plan must satisfy.
     timed: whether the step's own time is given.
     """
-    motion = planned.motion
+    motion, limits = planned.motion, planned.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
         return planned
-    slower = not timed and requirements.limits.duration is None
+    slower = not timed and limits.duration is None
     most = 1.0
     for share in SHARES:
         if share > most:
             continue
-        found = leaning(motion, requirements.limits, share, slower=slower)
+        found = leaning(motion, limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"

@@ -36,17 +36,15 @@ class HitchStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, its legs leaning against friction."""
-        return against_friction(
-            self.fly(task), task.requirements, timed=self.given_duration is not None
-        )
+        return against_friction(self.fly(task), timed=self.given_duration is not None)
 
     @abstractmethod
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan as if cables had no friction."""
 
-    def check_end(self, end: Hitch, index: int, requirements: Requirements) -> None:
+    def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError where the hitch after the step breaks a limit at rest."""
-        check_at_rest(end, requirements, f"at the end of step {index} ({self.name})")
+        check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
 
     def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
         """Return the motion of a flight, or of a rest where nothing moves."""
@@ -64,7 +62,7 @@ class ShapeStep(HitchStep):
     legs: SlackSplit | None
 
     @abstractmethod
-    def end(self, start: Hitch, requirements: Requirements) -> End:
+    def end(self, task: StepTask) -> End:
         """Return the hitch after the step."""
 
     @abstractmethod
@@ -73,8 +71,8 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        end = self.end(task.hitch, task.requirements)
-        self.check_end(end.hitch, task.index, task.requirements)
+        end = self.end(task)
+        self.check_end(end.hitch, task)
         routes: list[Planner[object, Certified]] = [self.own_route(task, end)]
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
         if task.optimiser:
@@ -100,16 +98,16 @@ class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
     @abstractmethod
-    def action(self, start: Hitch, requirements: Requirements) -> Action:
+    def action(self, task: StepTask) -> Action:
         """Return the action."""
 
-    def end(self, start: Hitch, requirements: Requirements) -> End:
+    def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
-        return end_of_action(self.action(start, requirements), self.legs, requirements)
+        return end_of_action(self.action(task), self.legs, task.requirements)
 
     def own_route(self, task: StepTask, end: End) -> Route[Flying]:
         """Return the route of the action to the hitch that it ends with."""
-        action = self.action(task.hitch, task.requirements)
+        action = self.action(task)
 
         def motion_of(found: Flying) -> Motion:
             remark = self._remark(action, end, found, task.requirements)
@@ -122,15 +120,15 @@ class ActionStep(ShapeStep):
         """Return which drones move that the paper does not name, and why."""
         parts = []
         if found.turning:
-            parts.append(
-                f"{_all_of(found.turning, 'turn')} as well: tensions differ, so legs turn with "
-                "both edges at their vertex"
-            )
+            reason = "tensions differ, so legs turn with both edges at their vertex"
+            if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
+                reason = "clasps carry weight, so legs rise as it changes"
+            parts.append(f"{_all_of(found.turning, 'turn')} as well: {reason}")
         if found.sliding:
             reasons = ["legs are to change"] if self.legs is not None else []
             reasons += [end.reason] if end.reason else []
             if found.worst is not None:
-                path = action.path(end.hitch.q_legs)
+                path = action.path(end.hitch)
                 altitude = action.start.altitude
                 reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
             parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")

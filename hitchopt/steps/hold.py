@@ -40,8 +40,7 @@ class Hold(HitchStep):
         """Return the plan in which a hitch, or drones on free cables, stay."""
         if task.before.hitch is not None:
             return super().plan(task)
-        hover = hovering(task.before, self.seconds, task.index, task.requirements)
-        return StepPlan(hover, task.before)
+        return StepPlan(hovering(task, self.seconds), task.before)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch stays."""

@@ -13,7 +13,8 @@ OUTLINE_TEXT = (
     "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
     "of the convex arc of an open chain"
 )
-LEGS_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
+SHARING_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
+LEGS_TEXT = f"{SHARING_TEXT}; or that as sharing, with a roll_deg"
 DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 """Points [m] of an example."""

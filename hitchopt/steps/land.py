@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from hitchopt.motion.phases import CableState
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.steps.free_cables import free_motion, lasting
@@ -33,6 +34,6 @@ class Land(Step):
         down = before.drones.copy()
         down[:, 2] = requirements.floor
         flight = straight(before.team, requirements.limits, before.drones, down)
-        motion = free_motion(Stage("land", flight), before.team, task.index, requirements)
+        motion = free_motion(Stage("land", flight, CableState.GROUND), task)
         after = replace(before, drones=down)
         return StepPlan(lasting(motion, self.duration, task.index, self.name), after)

@@ -9,11 +9,10 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.requirements import Requirements
 from hitchopt.steps.edits import StepEdit, outline_edit
 from hitchopt.steps.end_hitch import End, end_of_morph
 from hitchopt.steps.hitch_step import ShapeStep
@@ -93,9 +92,9 @@ class Morph(ShapeStep):
         """Return the step's polygon."""
         return fitting_polygon(team, self.polygon)
 
-    def end(self, start: Hitch, requirements: Requirements) -> End:
+    def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
-        return end_of_morph(start, self.polygon, self.legs, requirements)
+        return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
     def own_route(self, task: StepTask, end: End) -> Route[Flight | None]:
         """Return the route along straight lines."""

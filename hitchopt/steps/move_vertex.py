@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import move_vertex
-from hitchopt.requirements import Requirements
 from hitchopt.steps.hitch_step import MoveStep
 from hitchopt.steps.keys import VERTEX, Blend, By, Key, LegsAtEnd, Seconds
+from hitchopt.steps.situation import StepTask
 from hitchopt.steps.step import check_index, check_within
 from hitchopt.values import Array
 
@@ -48,6 +48,7 @@ class MoveVertex(MoveStep):
         check_within("vertex", self.vertex, count)
         return [self.vertex]
 
-    def action(self, start: Hitch, requirements: Requirements) -> Action:  # noqa: ARG002
+    def action(self, task: StepTask) -> Action:
         """Return the action."""
+        start = task.hitch
         return move_vertex(start, self.polygon_after(start.team, start.polygon), self.vertex)

@@ -43,7 +43,7 @@ class Release(Step):
         stages = undone(tied(site.pre, site.hitch, requirements.limits, before.swap))
         parts = [staged(stages, site.hitch, task.index, requirements)]
         if abs(site.hitch.altitude - hitch.altitude) > LEVEL:
-            parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task.index, requirements))
+            parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task))
         after = Situation(before.team, site.pre.drones, swap=before.swap)
         motion = lasting(joined_motions(parts), self.duration, task.index, self.name)
         return StepPlan(motion, after)

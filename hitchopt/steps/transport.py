@@ -76,8 +76,8 @@ class Transport(HitchStep):
         start, limits = task.hitch, task.requirements.limits
         path = RigidPath(start, self.to, self.yaw)
         outline = self.polygon_after(start.team, start.polygon)
-        end = Hitch(start.team, outline, float(self.to[2]), start.q_legs)
-        self.check_end(end, task.index, task.requirements)
+        end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
+        self.check_end(end, task)
         if path.still:
             return task.ended(self.motion(task, None, end), end)
         check_loads(path, limits)

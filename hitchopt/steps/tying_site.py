@@ -16,6 +16,7 @@ from hitchopt.planners.timing.fly_path import fly
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import flying
 from hitchopt.steps.free_cables import LEVEL
+from hitchopt.steps.situation import StepTask
 from hitchopt.values import Array
 
 TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -52,29 +53,20 @@ def tying_site(
     if senses is not None:
         pre = replace(pre, turns=pre.turns.with_senses(senses))
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
-    altitude = max(
-        hitch.altitude,
-        floor + clearance + pre.measures.lowest,
-        *(
-            hover_altitude(
-                hitch.team, pre.drones + share * (hitch.drones - pre.drones), floor, clearance
-            )
-            for share in TIGHTENING
-        ),
-    )
+    drawn = (pre.drones + share * (hitch.drones - pre.drones) for share in TIGHTENING)
+    hanging = (hover_altitude(hitch.team, drones, floor, clearance) for drones in drawn)
+    altitude = max(hitch.altitude, floor + clearance + pre.measures.lowest, *hanging)
     by = altitude - hitch.altitude
     if by <= LEVEL:
         return TyingSite(hitch, pre)
-    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs)
+    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
     return TyingSite(high, replace(pre, turns=pre.turns.raised(by)))
 
 
-def lifted(
-    hitch: Hitch, altitude: float, name: str, index: int, requirements: Requirements
-) -> Motion:
+def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     """Return the motion of the hitch straight up or down, as one phase of a step."""
     to = np.append(hitch.polygon.centroid, altitude)
-    flight = fly(RigidPath(hitch, to, 0.0), requirements.limits)
+    flight = fly(RigidPath(hitch, to, 0.0), task.requirements.limits)
     remark = "cables that hang need more room over the ground than the hitch"
-    phase = Phase(name, index, 0.0, flight.duration, remark)
-    return flying(flight, hitch.team, requirements, [phase])
+    phase = Phase(name, task.index, 0.0, flight.duration, remark)
+    return flying(flight, hitch.team, task.requirements, [phase])

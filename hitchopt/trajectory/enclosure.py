@@ -53,6 +53,36 @@ def direction(vectors: Array, noise: float = 0.0) -> Enclosure:
     Coefficients (…, 3, degree + 1 + DIRECTION_ORDER) and radius (…).
     """
     y, scale = _scaled(vectors)
+    w, error = _inverse_lengths(y, scale, noise)
+    unit = bernstein.multiply(y, w[..., None, :])
+    return Enclosure(unit, error)
+
+
+def inverse_norm(vectors: Array, noise: Array | float = 0.0) -> Enclosure:
+    """Enclose 1 / |y|; the radius is infinite where y may be zero.
+
+    Parameters
+    ----------
+    vectors: (…, 3, degree + 1), coefficients of y.
+    noise: (…), by how much y itself may be off, in its unit.
+
+    Returns
+    -------
+    Coefficients (…, 1, DIRECTION_ORDER + 1) and radius (…).
+    """
+    y, scale = _scaled(vectors)
+    w, error = _inverse_lengths(y, scale, noise)
+    # | w - 1/|y| | = | |y| w - 1 | / |y|, and 1/|y| <= max w / (1 - error).
+    size = np.max(np.abs(w), axis=-1)
+    known = error < 1.0
+    left = np.where(known, 1.0 - error, 1.0)
+    safe = np.where(scale > 0.0, scale, 1.0)
+    radius = np.where(known, error * size / left / safe, np.inf)
+    return Enclosure((w / safe[..., None])[..., None, :], radius)
+
+
+def _inverse_lengths(y: Array, scale: Array, noise: Array | float) -> tuple[Array, Array]:
+    """Return w (…, DIRECTION_ORDER + 1) and a bound (…) of ``| |y| w - 1 |``; 0 and 1 if none."""
     lengths = _lengths(y, DIRECTION_ORDER)
     known = np.min(lengths, axis=-1) > 0.0
     w = bernstein.interpolate(1.0 / np.where(known[..., None], lengths, 1.0))
@@ -65,9 +95,7 @@ def direction(vectors: Array, noise: float = 0.0) -> Enclosure:
     error = residual / (1.0 + least)
     error = error + 2.0 * noise / np.where(scale > 0.0, scale, 1.0) * size / least
     known &= (scale > 0.0) & (error < 1.0)
-    w = np.where(known[..., None], w, 0.0)
-    unit = bernstein.multiply(y, w[..., None, :])
-    return Enclosure(unit, np.where(known, error, 1.0))
+    return np.where(known[..., None], w, 0.0), np.where(known, error, 1.0)
 
 
 def norm(vectors: Array) -> Enclosure:

@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array
-
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 RELATIVE = 1e-4
 """Largest gap between the answer and an attained value, relative to that value."""
@@ -78,13 +76,9 @@ class Cells:
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:
         """Return the chosen cells."""
-        return Cells(
-            tuple(block[index] for block in self.blocks),
-            self.item[index],
-            self.start[index],
-            self.end[index],
-            self.margin[index],
-        )
+        blocks = tuple(block[index] for block in self.blocks)
+        start, end = self.start[index], self.end[index]
+        return Cells(blocks, self.item[index], start, end, self.margin[index])
 
     def halves(self) -> Cells:
         """Return all first halves, then all second halves."""
@@ -105,13 +99,9 @@ class Cells:
 
 def joined_cells(parts: Sequence[Cells]) -> Cells:
     """Return the cells of all parts, in a row."""
-    return Cells(
-        tuple(np.concatenate(blocks) for blocks in zip(*(p.blocks for p in parts), strict=True)),
-        np.concatenate([p.item for p in parts]),
-        np.concatenate([p.start for p in parts]),
-        np.concatenate([p.end for p in parts]),
-        np.concatenate([p.margin for p in parts]),
-    )
+    columns = zip(*((*p.blocks, p.item, p.start, p.end, p.margin) for p in parts), strict=True)
+    *blocks, item, start, end, margin = map(np.concatenate, columns)
+    return Cells(tuple(blocks), item, start, end, margin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +154,7 @@ class Search:
     bound: gives lower bounds.
     relative, absolute: how tight ``worst`` has to be.
     target: where all values reach this, cells are halved until ``worst`` does too.
+    known: only smaller values matter; the item is -1 where there are none.
     """
 
     def __init__(
@@ -173,12 +164,13 @@ class Search:
         relative: float = RELATIVE,
         absolute: float = ABSOLUTE,
         target: float = -np.inf,
+        known: float = np.inf,
     ) -> None:
         self.bound = bound
         self.relative = relative
         self.absolute = absolute
         self.target = target
-        self.value = np.inf
+        self.value = known
         self.item = -1
         self.time = 0.0
         self.floor = np.inf  # smallest bound of the cells that are done with
@@ -234,7 +226,7 @@ class Search:
         lost = np.isnan(estimate.value) | np.isnan(estimate.bound)
         values = np.where(lost, -np.inf, estimate.value)
         best = int(np.argmin(values))
-        if values[best] < self.value or self.item < 0:
+        if values[best] < self.value or (self.item < 0 and np.isinf(self.value)):
             self.value = float(values[best])
             self.item = int(batch.item[best])
             x = float(estimate.x[best])

@@ -35,6 +35,8 @@ MAX_NAMED = 30
 WIDTH = 430.0
 """Approximate width of the axes [points]."""
 
+Colours = str | list[str]
+
 HALO = (withStroke(linewidth=2.5, foreground="white"),)
 
 
@@ -74,7 +76,8 @@ def _draw_hitches(axes: Axes, motion: Motion, states: States) -> list[Artist]:
     _draw_lines(axes, end, _colours(n), thin, 3)
     for order, (which, colour) in enumerate(((0, START_COLOUR), (-1, INK)), start=4):
         _draw_drones(axes, points[which], colour, _marker_size(states), order)
-    _draw_ellipsoids(axes, motion.requirements, points[-1], "none", "0.45", 0.3 * thin, 4)
+    radius = motion.requirements.separation.radius
+    _draw_ellipsoids(axes, radius, points[-1], "none", "0.45", 0.3 * thin, 4)
     if n <= MAX_NUMBERED and states.formed[-1]:
         _number_vertices(axes, layout, states.vertices[-1][:, :2])
     begin = [Line2D([], [], color=START_COLOUR, linestyle=START_DASHES, label="start")]
@@ -96,8 +99,8 @@ def _draw_single_drones(
     thin = float(np.clip(6.0 / np.sqrt(n), 0.4, 1.4))  # [points]
     colours = [COLOURS[i % len(COLOURS)] for i in range(n)]
     _draw_lines(axes, np.moveaxis(points, 0, 1), colours, thin, 2)
-    _draw_ellipsoids(axes, requirements, points[0], "white", colours, 0.8, 3)
-    _draw_ellipsoids(axes, requirements, points[-1], colours, colours, 0.8, 4)
+    _draw_ellipsoids(axes, requirements.separation.radius, points[0], "white", colours, 0.8, 3)
+    _draw_ellipsoids(axes, requirements.separation.radius, points[-1], colours, colours, 0.8, 4)
     for name, (x, y) in zip(names, points[-1], strict=True) if n <= MAX_NAMED else ():
         axes.annotate(
             name, (float(x), float(y)), ha="center", va="center", color="white", fontsize=6,
@@ -128,7 +131,7 @@ def _draw_single_drones(
 
 
 def _draw_lines(
-    axes: Axes, lines: Array, colours: str | list[str], width: float, order: int, **style: Any
+    axes: Axes, lines: Array, colours: Colours, width: float, order: int, **style: Any
 ) -> None:
     """Draw lines (m, points, 2)."""
     axes.add_collection(
@@ -137,19 +140,13 @@ def _draw_lines(
 
 
 def _draw_ellipsoids(
-    axes: Axes,
-    requirements: Requirements,
-    centres: Array,
-    fill: str | list[str],
-    edge: str | list[str],
-    width: float,
-    order: int,
+    axes: Axes, radius: float, points: Array, fill: Colours, edge: Colours, width: float, order: int
 ) -> None:
-    """Draw the drones' ellipsoids at ``centres`` (N, 2)."""
-    diameter = [2.0 * requirements.separation.radius]
+    """Draw the drones' ellipsoids about ``points`` (N, 2)."""
+    diameter = [2.0 * radius]
     axes.add_collection(
         EllipseCollection(
-            diameter, diameter, [0.0], units="xy", offsets=centres,
+            diameter, diameter, [0.0], units="xy", offsets=points,
             offset_transform=axes.transData, facecolors=fill, edgecolors=edge, linewidths=width,
             zorder=order,
         )

@@ -146,7 +146,7 @@ def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None
     """Return time and value of the certificate's worst, in the panel's unit, if it has one."""
     for check in certificate.checks:
         if check.name == panel.rule.name:
-            factor = panel.factor if math.isfinite(panel.factor) else 1.0 / check.limit
+            factor = panel.factor if math.isfinite(panel.factor) else 1.0 / check.number
             value = check.bound * factor
             return (check.time, value) if abs(value) < ENDLESS else None
     return None

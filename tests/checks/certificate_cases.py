@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
@@ -55,8 +56,9 @@ def moving(
     limits: Limits | None = None,
     separation: Separation | None = None,
     arena: Arena | None = None,
+    roll: ArrayLike | None = None,
 ) -> Motion:
-    """Return the motion of the paper's class through polygons (times) -> (times, n, 2)."""
+    """Return the motion of the clasps' law through polygons (times) -> (times, n, 2)."""
     breaks = np.linspace(0.0, seconds, pieces + 1)
     d = np.asarray(q_legs, dtype=np.float64)
 
@@ -74,19 +76,24 @@ def moving(
         edges: Array = np.linalg.norm(np.roll(p, -1, axis=1) - p, axis=-1)
         return edges
 
+    def chords(t: Array) -> tuple[Array, Array]:
+        p, T = vertices(t), tensions(t)
+        edges = np.roll(p, -1, axis=1) - p
+        slack = cable_slack_of(team, edges, T)
+        given = np.broadcast_to(d, slack.shape)
+        loads = clasp_loads(team, given, slack, roll)
+        q_dir, r_dir = leg_directions(edges / lengths(t)[..., None], T, loads=loads)
+        sag = sag_factors(team, T)
+        return leg_vectors(given, q_dir, sag), leg_vectors(slack - given, r_dir, sag)
+
     def legs(t: Array) -> Array:
-        e = team.cable_length - lengths(t) - d
-        return np.stack([np.broadcast_to(d, e.shape), e], axis=-1)
+        both: Array = np.linalg.norm(np.stack(chords(t), axis=2), axis=-1)
+        return both
 
     def drones(t: Array) -> Array:
-        p = vertices(t)
+        p, (q, r) = vertices(t), chords(t)
         following = np.roll(p, -1, axis=1)
-        u = (following - p) / lengths(t)[..., None]
-        q_dir, r_dir = leg_directions(u, tensions(t))
-        both = legs(t)
-        q = p + both[..., :1] * q_dir
-        r = following + both[..., 1:] * r_dir
-        return np.stack([q, r], axis=2).reshape(len(t), -1, 3)
+        return np.stack([p + q, following + r], axis=2).reshape(len(t), -1, 3)
 
     return Motion(
         team,

@@ -82,8 +82,21 @@ def _forces(motion: Motion, times: Array) -> dict[str, float]:
         force[:, k] = T_k * q_hat + T_k * u[:, k] + T_before * r_hat - T_before * u[:, k - 1]
         thrust[:, 2 * k] = T_k * q_hat
         thrust[:, 2 * k - 1] = T_before * r_hat
+    rho, L = 9.81 * motion.team.cable_density, motion.team.cable_length
+    for k in range(n):
+        d = np.linalg.norm(x[:, 2 * k] - p[:, k], axis=-1)
+        e_behind = np.linalg.norm(x[:, 2 * k - 1] - p[:, k], axis=-1)
+        e = np.linalg.norm(x[:, 2 * k + 1] - p[:, (k + 1) % n], axis=-1)
+        d_behind = np.linalg.norm(x[:, 2 * k - 2] - p[:, k - 1], axis=-1)
+        weight = 0.5 * rho * (L[k] - e + L[k - 1] - d_behind) + 9.81 * motion.team.load[k]
+        force[:, k, 2] -= weight
+        for drone, leg in ((2 * k, d), (2 * k - 1, e_behind)):
+            climb = x[:, drone] - p[:, k]
+            grown = 0.5 * rho * climb[:, 2] / leg
+            thrust[:, drone] += grown[:, None] * climb
+            thrust[:, drone, 2] += 0.5 * rho * leg
+            force[:, k] += grown[:, None] * climb
     thrust += motion.team.mass[:, None] * (a + np.array([0.0, 0.0, 9.81]))
-    thrust[..., 2] += motion.team.cable_weight
     norm = np.linalg.norm(thrust, axis=-1)
     lean = np.degrees(np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2]))
     residual = np.linalg.norm(force, axis=-1) / np.minimum(T, np.roll(T, 1, axis=1))
@@ -101,7 +114,7 @@ def _shape(motion: Motion, times: Array) -> dict[str, float]:
     edge = np.roll(p, -1, axis=1) - p
     d = np.linalg.norm(x[:, 0::2] - p, axis=-1)
     e = np.linalg.norm(x[:, 1::2] - np.roll(p, -1, axis=1), axis=-1)
-    total = np.abs(np.linalg.norm(edge, axis=-1) + d + e - L)
+    total = np.abs(np.linalg.norm(edge, axis=-1) + d + e + _sag(motion, times) - L)
     stored = np.abs(motion.legs.at(times) - np.stack([d, e], axis=-1))
     heading = np.arctan2(edge[..., 1], edge[..., 0])
     exterior = np.roll(heading, 1, axis=1) - heading
@@ -115,6 +128,18 @@ def _shape(motion: Motion, times: Array) -> dict[str, float]:
         walls = np.minimum(x - motion.requirements.arena.lower, motion.requirements.arena.upper - x)
         found["arena"] = float(np.min(walls))
     return found
+
+
+def _sag(motion: Motion, times: Array) -> Array:
+    """By how much cables (times, n) are longer than their straight spans [m]."""
+    x, p = motion.drones.at(times), motion.vertices.at(times)
+    ratio = 9.81 * motion.team.cable_density / motion.tensions.at(times)
+    after = np.roll(p, -1, axis=1)
+    longer = np.zeros(ratio.shape)
+    for a, b in ((p, x[:, 0::2]), (p, after), (after, x[:, 1::2])):
+        level = np.hypot(b[..., 0] - a[..., 0], b[..., 1] - a[..., 1])
+        longer += ratio**2 * np.linalg.norm(b - a, axis=-1) * level**2 / 24.0
+    return longer
 
 
 def point_to_segment(x: Array, a: Array, b: Array) -> Array:

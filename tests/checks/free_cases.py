@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.plan_file import EARLIER_STATES
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -23,9 +24,13 @@ def free_motion(
 ) -> Motion:
     """Phases of those names, one per piece (the last name for all that follow)."""
     named = [*names, *[names[-1]] * (drones.pieces - len(names))]
-    states = [*formed, *[False] * (drones.pieces - len(formed))]
+    hitched = [*formed, *[False] * (drones.pieces - len(formed))]
+    states = [
+        CableState.HITCHED if there else EARLIER_STATES.get(name, CableState.FREE)
+        for name, there in zip(named, hitched, strict=True)
+    ]
     phases = tuple(
-        Phase(name, 0, float(a), float(b), state=CableState.of_label(name, formed=state))
+        Phase(name, 0, float(a), float(b), state=state)
         for name, a, b, state in zip(
             named, drones.breaks[:-1], drones.breaks[1:], states, strict=True
         )

@@ -148,7 +148,11 @@ def _lengths(motion: Motion, times: Array) -> dict[str, float]:
         d = np.linalg.norm(x[:, 2 * k] - p[:, k], axis=-1)
         e = np.linalg.norm(x[:, 2 * k + 1] - p[:, k + 1], axis=-1)
         edge = np.linalg.norm(p[:, k + 1] - p[:, k], axis=-1)
-        off = [d + edge + e - length[k], stored[:, k, 0] - d, stored[:, k, 1] - e]
+        sag = (9.81 * motion.team.cable_density / motion.team.tension[k]) ** 2 / 24.0
+        spans = [p[:, k] - x[:, 2 * k], p[:, k + 1] - p[:, k], x[:, 2 * k + 1] - p[:, k + 1]]
+        level = [np.linalg.norm(s[:, :2], axis=-1) for s in spans]
+        arcs = sag * sum(s * h**2 for s, h in zip((d, edge, e), level, strict=True))
+        off = [d + edge + e + arcs - length[k], stored[:, k, 0] - d, stored[:, k, 1] - e]
         used.append(_largest(np.abs(off)) / length[k])
         legs += [_smallest(d)] if k > 0 else []
         legs += [_smallest(e)] if k < n - 1 else []
@@ -165,8 +169,9 @@ def _forces(motion: Motion, times: Array) -> dict[str, float]:
         own, other = (k + 1, k) if is_r else (k, k + 1)
         from_point = p[:, own if 0 < own < n else other]
         lift = team.mass[drone] * (a[:, drone] + [0.0, 0.0, 9.81])
-        lift = lift + T[:, k, None] * _unit(x[:, drone] - from_point)
-        lift[:, 2] += 0.5 * 9.81 * team.cable_density * team.cable_length[k]
+        half, span = 0.5 * 9.81 * team.cable_density, x[:, drone] - from_point
+        lift = lift + (T[:, k] + half * span[:, 2])[:, None] * _unit(span)
+        lift[:, 2] += half * np.linalg.norm(span, axis=-1)
         size = np.linalg.norm(lift, axis=-1)
         thrust.append(_largest(size) / team.max_thrust[drone])
         lean.append(_largest(np.degrees(np.arccos(lift[:, 2] / size))))
@@ -174,6 +179,15 @@ def _forces(motion: Motion, times: Array) -> dict[str, float]:
         here, ahead, behind = p[:, k], T[:, k, None], T[:, k - 1, None]
         force = ahead * (_unit(x[:, 2 * k] - here) + _unit(p[:, k + 1] - here))
         force = force + behind * (_unit(x[:, 2 * k - 1] - here) + _unit(p[:, k - 1] - here))
+        half = 0.5 * 9.81 * team.cable_density
+        for drone in (2 * k, 2 * k - 1):
+            span = x[:, drone] - here
+            force += half * span[:, 2:] * _unit(span)
+        e = np.linalg.norm(x[:, 2 * k + 1] - p[:, k + 1], axis=-1)
+        d_behind = np.linalg.norm(x[:, 2 * k - 2] - p[:, k - 1], axis=-1)
+        # A cable's ends at the chain's ends stand on their points, wrong plans or not.
+        e, d_behind = e * (k + 1 < n), d_behind * (k > 1)
+        force[:, 2] -= half * (team.cable_length[k] - e + team.cable_length[k - 1] - d_behind)
         ratio = np.linalg.norm(force, axis=-1) / np.minimum(ahead, behind)[:, 0]
         balance.append(_largest(ratio))
     return {"thrust": max(thrust), "tilt": max(lean), "equilibrium": max(balance)}

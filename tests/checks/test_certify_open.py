@@ -19,7 +19,8 @@ def check_against_samples(motion: Motion, count: int) -> None:
     certificate = certify(motion)
     samples = sampled_chain(motion, np.linspace(0.0, motion.duration, count))
     limit = dict(zip(motion.team.drone_names, motion.team.max_thrust, strict=True))
-    assert set(samples) | {"continuity", "tension"} == {check.name for check in certificate.checks}
+    names = {check.name for check in certificate.checks if check.limit is not None}
+    assert set(samples) | {"continuity", "tension"} == names
     for name, sample in samples.items():
         check = certificate[name]
         worst = check.bound

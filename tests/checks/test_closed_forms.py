@@ -185,13 +185,21 @@ def test_thrust_counts_what_each_drone_can_give() -> None:
 
 
 def test_half_of_the_cable_s_weight_hangs_on_each_drone() -> None:
-    team = Team(3, [2.4, 2.5, 2.6], cable_density=0.02)
-    certificate = certify(still(team, TRIANGLE, LEGS))
-    upward = 9.81 * (0.132 + 0.5 * 0.02 * 2.6)
-    assert certificate["thrust"].worst == pytest.approx(math.hypot(upward, 0.4), rel=1e-9)
-    lightest = 9.81 * (0.132 + 0.5 * 0.02 * 2.4)
-    lean = math.degrees(math.atan2(0.4, lightest))
-    assert certificate["tilt"].worst == pytest.approx(lean, rel=1e-9)
+    """A regular hitch shares all weight alike: drones carry it, and the rest of the pull leans."""
+    angles = 2.0 * math.pi * np.arange(6) / 6
+    hexagon = np.array([1.0, -2.0]) + np.column_stack([np.cos(angles), -np.sin(angles)])
+    team = Team(6, 2.0, cable_density=0.01, tension=0.5, load=0.004)
+    d = 0.5 * (2.0 - 1.0 - (0.0981 / 0.5) ** 2 / 24.0)
+    certificate = certify(still(team, hexagon, np.full(6, d)))
+    rise = 0.5 * (9.81 * (0.004 + 0.01 * (1.0 + d)))  # of each leg's pull: half of a clasp's load
+    upward = 9.81 * (0.132 + 0.5 * 0.01 * d) + rise
+    pull = 0.5 + 0.5 * 0.0981 * d * rise / 0.5
+    level = math.sqrt(pull**2 - rise**2)
+    assert certificate["thrust"].worst == pytest.approx(math.hypot(upward, level), rel=2e-4)
+    lean = math.degrees(math.atan2(level, upward))
+    assert certificate["tilt"].worst == pytest.approx(lean, rel=2e-4)
+    assert certificate["equilibrium"].bound < 1e-3
+    assert certificate["cable_length"].bound < 1e-9
 
 
 @pytest.mark.parametrize("fall", [5.0, 9.81, 20.0])

@@ -5,6 +5,7 @@ import pytest
 from test_interlacing import FEW, motion_of, stages_of
 
 from hitchopt.checks import certify
+from hitchopt.motion.phases import CableState
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.tying_stages import Stage
 from hitchopt.requirements import Limits
@@ -18,7 +19,7 @@ def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     drones = hitch.drones
     farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
     out = [
-        Stage("tighten", straight(hitch.team, Limits(), first, last))
+        Stage("tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING)
         for first, last in ((drones, farther), (farther, drones))
     ]
     torn = certify(motion_of(hitch, [*stages[:3], *out, stages[3]]))

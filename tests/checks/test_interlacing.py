@@ -16,7 +16,7 @@ from hitchopt.checks.bounds import chord_crossings as chord_crossings_module
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.checks.bounds.strands import entered
 from hitchopt.hitch import Hitch, Team
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.turns import SwapSettings, swap
@@ -86,7 +86,7 @@ def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
 @pytest.mark.parametrize("n", FEW)
 def test_turning_back_in_the_second_swap_holds_nothing(n: int) -> None:
     hitch, stages = stages_of(n)
-    back = Stage("swap 2", stages[0].drones.reversed())
+    back = Stage("swap 2", stages[0].drones.reversed(), CableState.CLASPING)
     everywhere = {f"p{k}" for k in range(n)}
     assert wrong(motion_of(hitch, [stages[0], back, *stages[2:]])) == everywhere
 
@@ -96,7 +96,8 @@ def test_swapping_only_once_holds_nothing(n: int) -> None:
     """Drones go straight from half a turn to their places in the hitch; or wrongly, stay there."""
     hitch, stages = stages_of(n)
     here = stages[0].drones.coefficients[-1, ..., -1]
-    on = Stage("tighten", straight(hitch.team, Limits(), here, hitch.drones))
+    flight = straight(hitch.team, Limits(), here, hitch.drones)
+    on = Stage("tighten", flight, CableState.TIGHTENING)
     everywhere = {f"p{k}" for k in range(n)}
     assert wrong(motion_of(hitch, [stages[0], on, stages[3]])) == everywhere
     assert wrong(motion_of(hitch, [stages[0], stages[3]])) == everywhere
@@ -120,7 +121,7 @@ def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
             for drone in (2 * k, 2 * ((k - 1) % 5) + 1):
                 c[:, drone] = stages[0].drones.coefficients[0, drone, :, :1]
         drones = PiecewisePolynomial(stage.drones.breaks, c)
-        changed.append(Stage(stage.name, drones))
+        changed.append(Stage(stage.name, drones, stage.state))
     found = wrong(motion_of(hitch, [*changed, *stages[2:]]))
     assert found == {f"p{k}" for k in left_out}
 
@@ -130,13 +131,13 @@ def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     pre = find_prehitch(hitch, Separation(), SwapSettings())
     senses = np.ones(5)
     senses[3] = -1.0
-    first = Stage("swap 1", swap(pre.turns, Limits(), 0, None))
-    second = Stage("swap 2", swap(pre.turns.with_senses(senses), Limits(), 1, None))
+    first = Stage("swap 1", swap(pre.turns, Limits(), 0, None), CableState.CLASPING)
+    turned = pre.turns.with_senses(senses)
+    second = Stage("swap 2", swap(turned, Limits(), 1, None), CableState.CLASPING)
     rest = tied(pre, hitch, Limits(), SwapSettings())[2:]
     assert wrong(motion_of(hitch, [first, second, *rest])) == {"p3"}
     both = [
-        Stage(f"swap {i + 1}", swap(pre.turns.with_senses(senses), Limits(), i, None))
-        for i in (0, 1)
+        Stage(f"swap {i + 1}", swap(turned, Limits(), i, None), CableState.CLASPING) for i in (0, 1)
     ]
     assert not wrong(motion_of(hitch, [*both, *rest]))  # mixed senses hold as well
 

@@ -26,7 +26,7 @@ def every(i: np.ndarray, _: np.ndarray) -> np.ndarray:
 
 
 def all_of_them(
-    a: np.ndarray, b: np.ndarray, pairs: Pairs, margin: float
+    a: np.ndarray, b: np.ndarray, pairs: Pairs, margin: float, _: object
 ) -> tuple[np.ndarray, np.ndarray]:
     """Every piece of every pair."""
     assert (len(a), margin) == (len(b), 0.0)

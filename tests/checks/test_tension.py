@@ -148,8 +148,10 @@ def forces_by_hand(motion: Motion, t: Array) -> Array:
         hanging = 9.81 * DENSITY * Catenary.between(q, r, team.cable_length[k]).pull(q, r)
         for end, vertex in ((0, k), (1, (k + 1) % team.robots)):
             leg = x[:, 2 * k + end] - p[:, vertex]
-            pull = -T[:, k, None] * leg / np.linalg.norm(leg, axis=1, keepdims=True)
-            pull[:, 2] -= share[:, k] * 9.81 * DENSITY * team.cable_length[k] / 2.0
+            size = np.linalg.norm(leg, axis=1)
+            half = share[:, k] * 9.81 * DENSITY / 2.0
+            pull = -((T[:, k] + half * leg[:, 2]) / size)[:, None] * leg
+            pull[:, 2] -= half * size
             found[:, 2 * k + end] = pull + (1.0 - share[:, k, None]) * hanging[:, end]
     return found
 
@@ -162,9 +164,9 @@ def test_the_certificate_and_the_setpoints_follow_one_law(name: str) -> None:
     expected = forces_by_hand(motion, t)
     np.testing.assert_allclose(states.cable_forces, expected, atol=1e-8)
     assert np.max(np.abs(np.diff(motion.tensions.at(t), axis=0))) > 0.0
-    weight = states.cable_forces[..., 2].reshape(len(t), 3, 2).sum(axis=2)
-    own = np.broadcast_to(-9.81 * DENSITY * motion.team.cable_length, weight.shape)
-    np.testing.assert_allclose(weight, own, atol=1e-8)  # legs are level: all of it is carried
+    weight = states.cable_forces[..., 2].sum(axis=1)
+    own = -9.81 * DENSITY * np.sum(motion.team.cable_length)
+    np.testing.assert_allclose(weight, own, rtol=2e-4)  # but for what legs are longer by sagging
     pieces = np.flatnonzero(
         (motion.drones.breaks[:-1] > t[0] - 1e-6) & (motion.drones.breaks[1:] < t[-1] + 1e-3)
     )

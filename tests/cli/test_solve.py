@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -89,7 +90,13 @@ def test_a_plan_is_found_by_its_file_too(place: Path) -> None:
     assert checked.exit_code == 0, checked.output
     assert checked.stdout.splitlines()[-1] == "certified; recomputed from out/plan.npz"
     (place / "mine.npz").write_bytes((place / "out" / "plan.npz").read_bytes())
-    assert run("check", "mine.npz").exit_code == 0
+    wider = run("check", "mine.npz", "--gamma", "2.5")
+    assert wider.exit_code == 0
+    assert re.search(r"tracking_radius +[0-9.e-]+ +γ = 2.5 ", wider.stdout)
+    assert re.search(r"tracking_radius +[0-9.e-]+ +γ = 1 ", checked.stdout)
+    refused = run("check", "mine.npz", "--gamma", "-1")
+    assert refused.exit_code == 2
+    assert "gamma = -1" in refused.stderr
     exported = run("export", "out/plan.npz", "--format", "csv")
     assert exported.exit_code == 0, exported.output
     assert (place / "out-csv").is_dir()

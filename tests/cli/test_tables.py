@@ -17,6 +17,7 @@ CERTIFICATE = Certificate(
         Check.of("separation", 1.0625, 1.0, "min", "ratio", 3.25, ("q11", "r3")),
         Check.of("cable_clearance", 0.0875, 0.1, "min", "m", 4.5, ("q11", "cable 10")),
         Check.of("crossing", float("inf"), 0.05, "min", "m", 0.0, ()),
+        Check.of("tracking_radius", 0.0125, None, "min", "m", 3.5, ("q0", "r1"), gamma=1.5),
         Check.of("interlacing", 2, 0, "max", "1", 1.5, tuple(f"cable {k}" for k in range(99))),
     ),
 )
@@ -50,6 +51,7 @@ def test_checks_are_shown_with_value_limit_place_and_verdict() -> None:
     assert ["separation", "1.0625", "≥ 1", "ratio", "q11, r3", "3.250 s", "yes"] in rows
     assert ["cable_clearance", "0.0875", "≥ 0.1", "m", "q11, cable 10", "4.500 s", "NO"] in rows
     assert ["crossing", "–", "≥ 0.05", "m", "yes"] in rows
+    assert ["tracking_radius", "0.0125", "γ = 1.5", "m", "q0, r1", "3.500 s", "yes"] in rows
     assert "and 95 more" in table
 
 

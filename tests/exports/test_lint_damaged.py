@@ -17,7 +17,7 @@ from exported_plans import exported, swarm_plan
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
 from hitchopt.exports.formats.known_formats import HOMES
-from hitchopt.exports.formats.skybrush_show import drones_of_show
+from hitchopt.exports.formats.skybrush_show import read_show
 from hitchopt.exports.lint.linting import lint
 
 ODD = (
@@ -164,7 +164,7 @@ def test_a_member_that_all_refer_to_is_read_once(
         return opened(self, name, *rest, **more)
 
     monkeypatch.setattr(zipfile.ZipFile, "open", counted)
-    curves = drones_of_show(path)
+    curves = read_show(path).curves
     assert len(curves) == 300
     assert sorted(read) == ["one.json", "show.json"]
 
@@ -190,7 +190,7 @@ def test_cubics_are_those_of_their_control_points(tmp_path: Path) -> None:
         [k + 1, place, controls]
         for k, (place, controls) in enumerate(zip(places[1:], inner, strict=True))
     ]
-    curve = drones_of_show(show(tmp_path / "a.skyc", trajectory={"points": points}))["d0"]
+    curve = read_show(show(tmp_path / "a.skyc", trajectory={"points": points})).curves["d0"]
     for k, controls in enumerate(inner):
         row = np.array([places[k], *controls, places[k + 1]])
         while len(row) > 1:  # de Casteljau at 0.3

@@ -91,7 +91,12 @@ def test_a_plan_comes_back_bit_by_bit(motion: Motion, path: Path) -> None:
 def test_every_field_of_a_team_comes_back(motion: Motion, tmp_path: Path) -> None:
     """A field that is added to the team is in the file too, or this fails."""
     plain = Team(motion.team.robots, 2.0, topology="closed")
-    given = dataclasses.replace(motion, team=dataclasses.replace(motion.team, cable_friction=0.2))
+    given = dataclasses.replace(
+        motion,
+        team=dataclasses.replace(
+            motion.team, cable_friction=0.2, load=np.full(len(motion.team.layout.clasps), 0.002)
+        ),
+    )
     for field in dataclasses.fields(Team):
         value, default = getattr(given.team, field.name), getattr(plain, field.name)
         assert field.name in {"robots", "topology"} or not np.array_equal(value, default)

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_plan
+from hitchopt.exports.formats.attitude_in_frame import attitudes_of
 from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.formats.ros2_messages import Messages, bag_recording
-from hitchopt.exports.formats.ros2bag import attitudes_of
 from hitchopt.exports.plan_export import export_motion
 from hitchopt.exports.verification import verify
 from hitchopt.hitch import GRAVITY
@@ -85,8 +85,19 @@ def test_an_independent_reader_sees_the_plan(tmp_path: Path) -> None:
             specific = vector(setpoint.acc) + np.array([0.0, 0.0, GRAVITY])
             np.testing.assert_allclose(motion.team.mass[i] * specific, thrust, atol=1e-9)
             q = setpoint.pose.orientation
-            upward = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.0, 0.0, 1.0])
+            turned = Rotation.from_quat([q.x, q.y, q.z, q.w])
+            upward = turned.apply([0.0, 0.0, 1.0])
             np.testing.assert_allclose(upward, thrust / np.linalg.norm(thrust), atol=1e-9)
+            # Body rates here, the same about the frame's axes in the trajectory.
+            point = trajectory.points[k]
+            same = point.transforms[0].rotation
+            assert (same.x, same.y, same.z, same.w) == (q.x, q.y, q.z, q.w)
+            turning = vector(point.velocities[0].angular)
+            rates = vector(setpoint.twist.angular)
+            np.testing.assert_allclose(turned.apply(rates), turning, atol=1e-12)
+            np.testing.assert_allclose(
+                np.linalg.norm(rates[:2]), np.linalg.norm(states.body_rates[k, i, :2]), atol=1e-9
+            )
 
 
 def test_sqlite_holds_the_same(tmp_path: Path) -> None:
@@ -155,11 +166,14 @@ def test_attitudes_turn_as_their_rates_say() -> None:
     t, h = np.array([0.21, 0.4, 1.9]), 1e-5
     now = attitudes_of(task, states_at(motion, t))
     before, after = (attitudes_of(task, states_at(motion, t + d)) for d in (-h, h))
-    flat = [Rotation.from_quat(a.quaternions.reshape(-1, 4)) for a in (before, after)]
+    flat = [
+        Rotation.from_quat(a.quaternions.reshape(-1, 4), scalar_first=True) for a in (before, after)
+    ]
     turned = (flat[0].inv() * flat[1]).as_rotvec() / (2 * h)
-    np.testing.assert_allclose(turned, now.rates.reshape(-1, 3), atol=2e-4)
-    assert np.max(np.abs(now.rates)) > 0.05
-    ahead = Rotation.from_quat(now.quaternions.reshape(-1, 4)).apply([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(turned, now.body_rates.reshape(-1, 3), atol=2e-4)
+    assert np.max(np.abs(now.body_rates)) > 0.05
+    turned_now = Rotation.from_quat(now.quaternions.reshape(-1, 4), scalar_first=True)
+    ahead = turned_now.apply([1.0, 0.0, 0.0])
     np.testing.assert_allclose(np.arctan2(ahead[:, 1], ahead[:, 0]), task.frame.heading, atol=1e-9)
 
 

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from exported_plans import exported, hitch_plan, swarm_of, swarm_plan, task_of
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.formats.csv_table import read_csv, write_csv
@@ -92,6 +93,16 @@ def test_what_other_libraries_read_is_the_plan(name: str, tmp_path: Path) -> Non
     # The feed-forward: m (a_ff + g up) is the thrust, with up = -z here.
     thrust = motion.team.mass[:, None] * (column("ff_x") - np.array([0.0, 0.0, GRAVITY]))
     np.testing.assert_allclose(thrust, ned(states.thrusts(motion.team)), atol=1e-8)
+    # Attitudes from forward, right, down to north, east, down: of the plan's axes, turned by the
+    # yaw, then exchanged; so are the rates.
+    first = COLUMNS.index("qw")
+    found = Rotation.from_quat(values[..., first : first + 4].reshape(-1, 4), scalar_first=True)
+    planned = Rotation.from_quat(states.quaternions.reshape(-1, 4), scalar_first=True).as_matrix()
+    expected = np.stack([ned(planned[..., i]) for i in range(3)], axis=-1) * [1.0, -1.0, -1.0]
+    np.testing.assert_allclose(found.as_matrix(), expected, atol=1e-9)
+    rates = states.body_rates * [1.0, -1.0, -1.0]
+    np.testing.assert_allclose(column("rate_x"), rates, atol=1e-8)
+    assert np.max(np.abs(rates)) > 0.1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -209,7 +220,7 @@ def test_damaged_files_are_reported(name: str, how: str, tmp_path: Path) -> None
         ),
         (lambda s: s.replace(",d2,", ",d2,nonsense", 1), "could not convert"),
         (lambda s: s.partition("\n")[0], "holds no rows"),
-        (lambda s: s.partition("\n")[0] + "\nnan,d0" + ",0" * 19, "a time is nan or infinite"),
+        (lambda s: s.partition("\n")[0] + "\nnan,d0" + ",0" * 26, "a time is nan or infinite"),
         (lambda s: s.replace("\n", "\n\n"), "a line is empty"),
     ],
 )

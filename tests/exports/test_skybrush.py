@@ -24,7 +24,7 @@ from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.formats.known_formats import format_of
 from hitchopt.exports.formats.skybrush import write_show
 from hitchopt.exports.formats.skybrush_csv import HEADER, lines_of, read_zip
-from hitchopt.exports.formats.skybrush_show import drones_of_show, storage_scale, stored
+from hitchopt.exports.formats.skybrush_show import read_show, storage_scale, stored
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
@@ -136,7 +136,7 @@ def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -
     with zipfile.ZipFile(path) as archive:
         _, pieces = as_stored(json.loads(archive.read(FIRST))["points"])
     assert np.array_equal(np.rint(1e3 * pieces[0]).T, numbers.reshape(3, 4))
-    curve = stored(drones_of_show(path)["d0"])
+    curve = stored(read_show(path).curves["d0"])
     assert (storage_scale(curve), storage_scale(curve, 2e-3)) == (1, 2)
     np.testing.assert_allclose(curve.coefficients[0], points[0, 0], rtol=0.0, atol=1e-9)
 
@@ -144,7 +144,7 @@ def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -
 def test_segments_are_long_enough_for_whole_millimetres(tmp_path: Path) -> None:
     """A unit of a control point is 3 mm over the duration of velocity: 150 mm/s at 20 ms."""
     (part,) = exported(hitch_plan(), "skybrush", tmp_path)
-    drones = drones_of_show(tmp_path / "show.skyc")
+    drones = read_show(tmp_path / "show.skyc").curves
     assert min(float(np.min(curve.durations)) for curve in drones.values()) >= 0.05
     assert part.verdict.velocity.worst <= 0.04
 
@@ -230,7 +230,7 @@ def test_lines_parabolas_late_starts_and_inline_trajectories_are_read(tmp_path: 
         inline = {"version": 1, "takeoffTime": 3.0, "points": points}
         files["show.json"]["swarm"]["drones"][0]["settings"]["trajectory"] = inline
 
-    curve = drones_of_show(edited(tmp_path, edit))["d0"]
+    curve = read_show(edited(tmp_path, edit)).curves["d0"]
     np.testing.assert_allclose(curve.at([0.0, 3.0, 4.0]), [[0, 0, 1], [0, 0, 1], [1, 0, 1]])
     middle = 0.25 * np.array([2, 0, 1]) + 0.5 * np.array([4, 0, 1]) + 0.25 * np.array([4, 2, 1])
     np.testing.assert_allclose(curve.at(6.0), middle)
@@ -254,7 +254,7 @@ def test_damaged_shows_are_reported(
     edit: Callable[[dict[str, Any]], object], reported: str, tmp_path: Path
 ) -> None:
     with pytest.raises(FileError, match=reported):
-        drones_of_show(edited(tmp_path, edit))
+        read_show(edited(tmp_path, edit))
 
 
 def test_a_truncated_zip_is_reported(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_a_truncated_zip_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "show.skyc"
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(FileError, match=r"show\.skyc: is no Skybrush show"):
-        drones_of_show(path)
+        read_show(path)
     with pytest.raises(FileError, match="no zip"):
         read_zip(path)
 

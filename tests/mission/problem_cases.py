@@ -49,6 +49,7 @@ def triangle() -> dict[str, object]:
             "acceleration": 1.9,
             "jerk": 19,
             "tilt_deg": 40,
+            "body_rate_deg": 150,
             "vertex_speed": 0.4,
             "leg": 0.16,
             "duration": 60,

@@ -66,6 +66,7 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     assert (limits.speed, limits.acceleration, limits.jerk) == (0.9, 1.9, 19.0)
     assert (limits.vertex_speed, limits.leg, limits.duration) == (0.4, 0.16, 60.0)
     assert limits.tilt == pytest.approx(40 * math.pi / 180, rel=1e-15)
+    assert limits.body_rate == pytest.approx(150 * math.pi / 180, rel=1e-15)
     separation = problem.separation
     assert (separation.radius, separation.height) == (0.11, 0.29)
     assert (separation.cable, separation.crossing) == (0.09, 0.0)
@@ -75,7 +76,7 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
     start = hitch_start(problem)
     assert start.polygon.vertices.tolist() == [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
     assert start.altitude == 1.3
-    assert np.array_equal(start.legs, [0.4, 0.7, 0.45])
+    assert np.asarray(start.legs).tolist() == [0.4, 0.7, 0.45]
     first, second, third = problem.mission[:3]
     assert isinstance(first, Morph)
     assert isinstance(third, Morph)
@@ -98,7 +99,7 @@ def test_every_value_of_the_actions_arrives_where_it_belongs() -> None:
     assert (edge.edge, edge.to.tolist(), edge.by) == (1, [[1.6, 1.7], [2.4, 1.75]], None)
     assert (edge.legs, edge.duration, edge.blend) == (None, None, True)
     assert isinstance(adjust, Adjust)
-    assert np.array_equal(adjust.legs, [0.5, 0.6, 0.45])
+    assert np.asarray(adjust.legs).tolist() == [0.5, 0.6, 0.45]
     assert (adjust.duration, adjust.blend) == (None, False)
     assert isinstance(follow, FollowVertex)
     assert (follow.vertex, follow.legs, follow.duration) == (0, None, 3.5)
@@ -128,6 +129,7 @@ def test_defaults_are_those_of_the_interface() -> None:
         "vertex_speed": 0.5,
         "leg": 0.15,
         "duration": None,
+        "body_rate": None,
     }
     assert vars(problem.separation) == {
         "radius": 0.12,

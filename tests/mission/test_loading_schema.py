@@ -77,7 +77,10 @@ def test_defaults_are_shown_and_valid_themselves() -> None:
     [
         (
             ["limits"],
-            {"speed", "acceleration", "jerk", "tilt_deg", "vertex_speed", "leg", "duration"},
+            {
+                *("speed", "acceleration", "jerk", "tilt_deg", "body_rate_deg"),
+                *("vertex_speed", "leg", "duration"),
+            },
         ),
         (["team", "quadrotor"], {"mass", "max_thrust", "stiffness", "integral", "feed_forward"}),
         (["team", "quadrotor", 4], {"mass", "max_thrust", "stiffness", "integral", "feed_forward"}),

@@ -33,8 +33,12 @@ VALUES: dict[str, Any] = {
         Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k if k else None, k == 1, k != 2)
         for k in range(4)
     ),
+    "load": [0.001, 0.002, 0.003],
 }
-"""One value for every field of a team, none its default; those per robot all differ."""
+"""One value for every field of a team, none its default; those per robot or clasp all differ."""
+
+AT_PLACES = "load"
+"""The field of what hangs at the hitch's inner points, whichever robots hold them."""
 
 ARC = [[-1.0, 0.0], [-0.5, 0.9], [0.5, 1.1], [1.4, 0.7], [1.7, -0.3]]
 
@@ -44,12 +48,12 @@ def team() -> Team:
 
 
 def per_robot(name: str) -> bool:
-    return isinstance(VALUES[name], list | tuple)
+    return isinstance(VALUES[name], list | tuple) and name != AT_PLACES
 
 
-def assert_fields(found: Team, expected: Team, *, but: str = "") -> None:
+def assert_fields(found: Team, expected: Team, *, but: tuple[str, ...] = ()) -> None:
     for field in fields(Team):
-        if field.name == but:
+        if field.name in but:
             continue
         value = getattr(found, field.name)
         np.testing.assert_array_equal(value, getattr(expected, field.name), err_msg=field.name)
@@ -64,6 +68,7 @@ def test_values_are_given_for_every_field_and_none_is_a_default() -> None:
         assert not np.array_equal(value, default), field.name
         if per_robot(field.name):
             assert len(value) == len(set(value)) == 4, field.name
+    assert len(set(VALUES[AT_PLACES])) == 3
 
 
 def test_replacing_one_field_keeps_all_others() -> None:
@@ -75,10 +80,17 @@ def test_replacing_one_field_keeps_all_others() -> None:
         "cable_friction": 0.3,
         "tension": 0.9,
         "quadrotor": Quadrotor(),
+        "load": 0.0,
     }
     for field in fields(Team):
-        changed = replace(team(), **{field.name: changes[field.name]})
-        assert_fields(changed, team(), but=field.name)
+        # A closed hitch has one clasp more than a chain: loads alike fit both.
+        given = replace(team(), load=np.full(3, 0.001)) if field.name == "topology" else team()
+        changed = replace(given, **{field.name: changes[field.name]})
+        if field.name == "topology":
+            np.testing.assert_array_equal(changed.load, [0.001] * 4)
+            assert_fields(changed, team(), but=("topology", "load"))
+            continue
+        assert_fields(changed, team(), but=(field.name,))
 
 
 def test_a_reloaded_plan_has_every_field(tmp_path: Path) -> None:
@@ -128,7 +140,7 @@ def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], chan
     problem = Problem(team(), start, (Hold(2.0),), Limits(), Separation(), None, "")
     found = edit(problem).problem
     assert found is not problem
-    assert_fields(found.team, team(), but=changed)
+    assert_fields(found.team, team(), but=(changed,))
     if changed:
         value = getattr(found.team, changed)
         assert not np.array_equal(value, getattr(team(), changed))

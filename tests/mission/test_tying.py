@@ -278,8 +278,15 @@ def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
     pairs = free.cable_forces.reshape(3, 2, 3)
     np.testing.assert_allclose(pairs.sum(axis=1), np.outer(np.ones(3), [0, 0, -weight]), atol=1e-12)
     assert np.all(pairs[:, 0, 0] * np.sign(free.positions[1::2, 0] - free.positions[0::2, 0]) > 0)
-    level = np.linalg.norm(taut.cable_forces[:, :2], axis=1)
-    np.testing.assert_allclose(level, 0.4, atol=1e-9)
+    # Of the whole weight drones carry all; a leg pulls with its tension and what that grows by.
+    down = np.sum(taut.cable_forces[:, 2])
+    assert down == pytest.approx(-3.0 * weight, rel=1e-3)
+    legs = taut.positions - taut.vertices[np.array([0, 1, 1, 2, 2, 0])]
+    lengths = np.linalg.norm(legs, axis=1)
+    pull = taut.cable_forces + np.outer(0.5 * 9.81 * 0.008 * lengths, [0.0, 0.0, 1.0])
+    expected = 0.4 + 0.5 * 9.81 * 0.008 * legs[:, 2]
+    np.testing.assert_allclose(np.linalg.norm(pull, axis=1), expected, atol=1e-9)
+    assert np.min(legs[:, 2]) > 0.01
     assert certify(plan.motion).certified
 
 

@@ -31,7 +31,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         "tensions": team.tension,
     }
     phases = tuple(
-        Phase(f"part {i}", 0, a, b, state=CableState.of_label("", formed=f))
+        Phase(f"part {i}", 0, a, b, state=CableState.HITCHED if f else CableState.FREE)
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
     constant = {name: PiecewisePolynomial.constant(BREAKS, x) for name, x in parts.items()}
@@ -206,6 +206,7 @@ def test_a_swarm_is_certified_by_the_checks_of_drones() -> None:
         "tilt",
         "arena",
         "continuity",
+        "tracking_radius",
     ]
     assert certificate["separation"].worst == pytest.approx(1.0 / 0.24)
     assert certificate["arena"].worst == pytest.approx(0.5)

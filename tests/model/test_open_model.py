@@ -19,7 +19,7 @@ def chain(seed: int, n: int, *, equal: bool) -> Hitch:
     outline = ConvexArc(polygon.vertices[: n + 1])
     length = outline.edge_lengths + rng.uniform(0.5, 1.0, n)
     tension = 0.5 if equal else rng.uniform(0.4, 0.6, n)
-    team = Team(n, length, topology="open", tension=tension, cable_density=0.01)
+    team = Team(n, length, topology="open", tension=tension)
     return Hitch.balanced(team, outline, 0.8)
 
 
@@ -50,7 +50,7 @@ def test_drones_forces_and_legs_are_those_of_the_hitch(seed: int, n: int, equal:
     jets = bending(h, seed)
     np.testing.assert_allclose(jets.positions[2, ..., 0], h.drones, atol=1e-9)
     np.testing.assert_allclose(jets.cable_forces[2], h.cable_forces, atol=1e-9)
-    np.testing.assert_allclose(jets.r_legs[2, :, 0], h.legs[:, 1], atol=1e-12)
+    np.testing.assert_allclose(jets.legs[2, :, :, 0], h.legs, atol=1e-12)
     x, p = jets.positions[2, ..., 0], h.vertices
     used = np.linalg.norm(x - np.repeat(p, 2, axis=0)[1:-1], axis=-1).reshape(n, 2).sum(axis=1)
     used += np.linalg.norm(np.diff(p, axis=0), axis=-1)

@@ -1,5 +1,7 @@
 """The casadi model: derivatives by finite differences, values by the hitch's own formulas."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from hypothesis import strategies as st
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, drone_jets
+from hitchopt.model.loaded_robot import loaded_planar_function, loaded_robot_function
 from hitchopt.model.robot import planar_function, robot_function
+from hitchopt.model.slipping import slipping_clasp_function
 from problems.random_morph import random_convex_polygon
 
 
@@ -19,7 +23,7 @@ def hitch(seed: int, n: int, *, equal: bool) -> Hitch:
     polygon = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
     tension = 0.5 if equal else rng.uniform(0.4, 0.6, n)
     lengths = float(np.max(polygon.edge_lengths)) + rng.uniform(0.5, 1.0, n)
-    team = Team(n, lengths, tension=tension, cable_density=0.01)
+    team = Team(n, lengths, tension=tension)
     slack = team.cable_length - polygon.edge_lengths
     return Hitch(team, polygon, 0.8, slack * rng.uniform(0.3, 0.7, n))
 
@@ -47,10 +51,16 @@ def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJet
 
 
 def functions() -> list[ca.Function]:
-    return [f(equal) for f in (robot_function, planar_function) for equal in (True, False)]
+    found = [f(equal) for f in (robot_function, planar_function) for equal in (True, False)]
+    loaded = (loaded_robot_function, loaded_planar_function)
+    found += [f(weighty) for f in loaded for weighty in (True, False)]
+    return [*found, slipping_clasp_function()]
 
 
-NAMES = ["equal tensions", "any tensions", "from above, equal", "from above, any"]
+NAMES = [
+    *("equal tensions", "any tensions", "from above, equal", "from above, any"),
+    *("heavy cables", "loads alone", "heavy, from above", "loads, from above", "slipping"),
+]
 
 
 @pytest.mark.parametrize("function", functions(), ids=NAMES)
@@ -63,15 +73,29 @@ def test_every_derivative_of_every_output_by_finite_differences(
     rng = np.random.default_rng(seed)
     polygon = random_convex_polygon(5, 1.2, rng)
     points = np.column_stack([polygon.vertices, rng.normal(scale=0.05, size=5)])
-    if function.name() == "planar":
-        given_values = [polygon.vertices[:4].ravel(), 0.4, np.array([0.4, 0.5, 0.45]), 2.2]
-    else:
-        jets = rng.normal(scale=0.3, size=(12, 4))
-        jets[:, 0] = points[:4].ravel()
-        leg = np.array([[0.4, 0.1, -0.2, 0.3]])
-        tensions = rng.normal(scale=0.05, size=(3, 4))
-        tensions[:, 0] = [0.4, 0.5, 0.45]
-        given_values = [jets, leg, tensions, 2.2, 0.13, 0.1]
+    jets = rng.normal(scale=0.3, size=(12, 4))
+    jets[:, 0] = points[:4].ravel()
+    legs = np.array([[0.4, 0.1, -0.2, 0.3], [0.35, 0.0, 0.1, 0.2], [0.45, 0.2, 0.1, -0.1]])
+    tensions = rng.normal(scale=0.05, size=(3, 4))
+    tensions[:, 0] = [0.8, 0.9, 0.85]
+    roll = np.array([[0.3, 0.1, -0.2, 0.1], [-0.4, 0.2, 0.1, 0.0]])
+    lengths = [2.1, 2.2, 2.3]
+    loads = [0.01, 0.02, -0.06, -0.01, 0.0, -0.05]
+    level = polygon.vertices[:4].ravel()
+    sides = rng.normal(scale=0.02, size=(3, 4))
+    sides[:, 0] = points[2] - points[0]
+    weights = rng.normal(scale=0.02, size=(3, 4))
+    inputs: dict[str, list[Any]] = {
+        "planar": [level, 0.4, tensions[:, 0], 2.2],
+        "robot": [jets, legs[:1], tensions, 2.2, 0.13],
+        "loaded_robot": [jets, legs, tensions, roll, lengths, loads, [1.0, 1.0], 0.13, 0.1],
+        "loaded_planar": [level, legs[:, 0], tensions[:, 0], lengths, roll[:, 0], loads, 0.1],
+        "slipping_clasp": [
+            *(jets[:9], legs[:2], tensions[:2], 1.02 * tensions[:2], sides, weights),
+            0.05,
+        ],
+    }
+    given_values = inputs[function.name()]
     flat = np.concatenate([np.asarray(v, dtype=float).ravel(order="F") for v in given_values])
     shapes = [function.size_in(i) for i in range(function.n_in())]
     symbol = ca.MX.sym("x", len(flat))
@@ -100,7 +124,7 @@ def test_jets_are_the_derivatives_along_a_curve(seed: int, n: int, equal: bool) 
     step = 1e-3
     t = step * np.arange(-2.0, 3.0)
     jets = drone_jets(h.team, curve(h, seed, t, tensions_move=not equal))
-    for values in (jets.positions, jets.r_legs):
+    for values in (jets.positions, jets.legs):
         for order in range(3):
             f = values[..., order]
             difference = (f[0] - 8 * f[1] + 8 * f[3] - f[4]) / (12 * step)
@@ -116,7 +140,7 @@ def test_values_are_the_hitchs_own(seed: int, n: int, equal: bool) -> None:
     jets = drone_jets(h.team, flat)
     np.testing.assert_allclose(jets.positions[0, ..., 0], h.drones, atol=1e-12)
     np.testing.assert_allclose(jets.cable_forces[0], h.cable_forces, atol=1e-12)
-    np.testing.assert_allclose(jets.r_legs[0, :, 0], h.legs[:, 1], atol=1e-12)
+    np.testing.assert_allclose(jets.legs[0, :, :, 0], h.legs, atol=1e-12)
     p, x = flat.vertices[..., 0], jets.positions[..., 0]
     ends = np.roll(p, -1, axis=1)
     pieces = x[:, 0::2] - p, ends - p, x[:, 1::2] - ends

@@ -38,8 +38,8 @@ def still(values: Array) -> Array:
 
 def drones_at(h: Hitch, pulls: Array) -> Array:
     """(clasps, 2, 3): r_{k-1} and q_k for pulls (n, 2)."""
-    layout, T = h.team.layout, h.team.tension
-    found = slipping_drones(layout, still(h.vertices), still(h.legs), still(T), still(pulls))
+    T = h.team.tension
+    found = slipping_drones(h.team, still(h.vertices), still(h.legs), still(T), still(pulls))
     return found[0, ..., 0]
 
 
@@ -105,7 +105,7 @@ def test_by_how_much_legs_of_a_regular_hitch_lean() -> None:
 def test_derivatives_are_those_of_differences() -> None:
     rng = np.random.default_rng(11)
     h = hitch(11, 5)
-    n, layout, step = 5, h.team.layout, 1e-3
+    n, step = 5, 1e-3
     base = [h.vertices, h.legs, h.team.tension, np.repeat(h.team.tension[:, None], 2, axis=1)]
     slopes = [
         scale * rng.normal(size=(3, *value.shape))
@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_differences() -> None:
                 6 * c,
             ]
             jets.append(np.stack(rows, axis=-1)[None])
-        drones: Array = slipping_drones(layout, *jets)[0]
+        drones: Array = slipping_drones(h.team, *jets)[0]
         return drones
 
     before, here, after = at(-step), at(0.0), at(step)

@@ -66,11 +66,10 @@ def test_thrust_holds_weight_pull_and_acceleration_on_the_climb() -> None:
     team = START.team
     leg = state.positions - np.repeat(state.vertices, 2, axis=1)
     leg[:, 1::2] = state.positions[:, 1::2] - np.roll(state.vertices, -1, axis=1)
-    outward = leg / np.linalg.norm(leg, axis=-1, keepdims=True)
-    weight = 9.81 * (team.mass + np.repeat(0.5 * 0.003 * team.cable_length, 2))
-    thrust = (
-        team.mass[:, None] * state.accelerations + np.repeat(team.tension, 2)[:, None] * outward
-    )
+    length, half = np.linalg.norm(leg, axis=-1), 0.5 * 9.81 * 0.003
+    pull = np.repeat(team.tension, 2) + half * leg[..., 2]  # tension grows with height
+    weight = 9.81 * team.mass + half * length
+    thrust = team.mass[:, None] * state.accelerations + (pull / length)[..., None] * leg
     thrust[..., 2] += weight
     largest = float(np.max(np.linalg.norm(thrust, axis=-1)))
     assert plan.certificate["thrust"].worst == pytest.approx(largest, rel=1e-3)

@@ -94,7 +94,8 @@ def test_all_stages_keep_the_limits_and_follow_one_another(density: float) -> No
     hitch = pentagon(density=density)
     _, stages = stages_of(hitch)
     assert [s.name for s in stages] == ["swap 1", "swap 2", "tighten", "tension"]
-    assert [s.formed for s in stages] == [False, False, False, True]
+    assert [s.pull is not None for s in stages] == [False, False, False, True]
+    assert [str(s.state) for s in stages] == ["clasping"] * 2 + ["being tightened", "hitched"]
     for before, after in pairwise(stages):
         np.testing.assert_allclose(sampled(before)[-1], sampled(after)[0], atol=1e-12)
     np.testing.assert_allclose(sampled(stages[-1])[-1], hitch.drones, atol=1e-12)

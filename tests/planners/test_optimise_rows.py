@@ -157,7 +157,7 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
     bounds = search(None, 1.05, (1.2, 1.01))
     table = way.table()
-    found = rows_between(way, bounds, places, 0.3)
+    found = rows_between(way, bounds, parts, 0.3)
     nodes = way.at(places / 5.0).table()[:, columns.nodes]
     pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
     excess = np.full(len(pairs.enforced), np.inf)
@@ -229,7 +229,7 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     bounds = search(
         None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
     )
-    rows = rows_between(way, bounds, places, 0.0)  # of no pair: their limits are next to none
+    rows = rows_between(way, bounds, 4, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH
     excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
@@ -248,7 +248,7 @@ def test_rows_between_knots_follow_the_chord_between_moved_knots(seed: int, part
     path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
     places = instants(steps, parts)
     asked = search(None, 1.05, (1.2, 1.01), Requirements(ho.Limits(leg=float(np.min(path.q_legs)))))
-    rows = rows_between(path, asked, places, 0.3)
+    rows = rows_between(path, asked, parts, 0.3)
     change = rng.normal(size=path.table().shape)
     change[[0, -1]] = 0.0  # the ends are given
     knots = np.arange(steps + 1.0)
@@ -305,12 +305,20 @@ def test_rows_at_knots_are_the_slopes_of_distances_along_their_normals() -> None
 def test_the_static_tension_is_where_drones_that_carry_their_cables_reach_a_limit(
     binding: dict[str, float],
 ) -> None:
-    """A hitch at rest with heavy cables: thrust and tilt of the model itself, at that tension."""
+    """A hitch at rest: thrust and tilt of the model itself, at that tension.
+
+    Exactly where legs are level; those of heavy cables rise, which the estimate leaves out.
+    """
+    for density, accuracy in ((0.0, 1e-9), (0.02, 0.03)):
+        check_static_tension(binding, density, accuracy)
+
+
+def check_static_tension(binding: dict[str, float], density: float, accuracy: float) -> None:
     tilt = binding["tilt"]
-    quadrotor = ho.Quadrotor(0.132, binding["max_thrust"])
-    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=quadrotor, cable_density=0.02)
+    kinds = [ho.Quadrotor(0.132 + 0.01 * k, binding["max_thrust"]) for k in range(4)]
+    team = Team(4, [2.2, 2.4, 2.2, 2.4], tension=0.4, quadrotor=kinds, cable_density=density)
     largest = static_tension(team, tilt)
-    assert largest[0] != largest[1]  # the longer cable weighs more
+    assert len(set(largest)) == 4
     for k in range(4):
         same = replace(team, tension=np.full(4, largest[k]))
         hitch = ho.Hitch.balanced(same, regular_polygon(4, 1.2))
@@ -318,7 +326,7 @@ def test_the_static_tension_is_where_drones_that_carry_their_cables_reach_a_limi
         level = np.hypot(thrust[:, 0], thrust[:, 1])
         by_thrust = np.linalg.norm(thrust, axis=1) / binding["max_thrust"]
         by_tilt = np.arctan2(level, thrust[:, 2]) / tilt
-        assert max(np.max(by_thrust), np.max(by_tilt)) == pytest.approx(STATIC_SHARE, rel=1e-9)
+        assert max(np.max(by_thrust), np.max(by_tilt)) == pytest.approx(STATIC_SHARE, rel=accuracy)
 
 
 def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> None:

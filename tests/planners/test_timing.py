@@ -222,7 +222,7 @@ def test_the_flight_is_smooth_at_rest_at_its_ends_and_follows_the_model() -> Non
     np.testing.assert_allclose(p, first + s[..., None] * along, atol=1e-9)
     exact = drones_along(path, np.clip(s[:, 0], 0.0, 1.0))
     np.testing.assert_allclose(flight.drones.at(t), exact.positions[..., 0], atol=2e-6)
-    np.testing.assert_allclose(flight.legs.at(t)[..., 1], exact.r_legs[..., 0], atol=2e-6)
+    np.testing.assert_allclose(flight.legs.at(t), exact.legs[..., 0], atol=2e-6)
 
 
 def test_a_duration_is_met_exactly_or_refused() -> None:

@@ -33,6 +33,7 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
         coefficients = values[..., None] + drift[:, None] * shares
         return PiecewisePolynomial(np.array([0.0, 0.53]), coefficients[None])
 
+    state = CableState.HITCHED if formed else CableState.FREE
     return Motion(
         team,
         Requirements(Limits(), Separation(), None),
@@ -40,7 +41,7 @@ def made(topology: str = "closed", *, formed: bool = True) -> Motion:
         drifting(hitch.vertices),
         PiecewisePolynomial.constant([0.0, 0.53], hitch.legs, 1),
         PiecewisePolynomial.constant([0.0, 0.53], team.tension, 1),
-        (Phase("hold", 0, 0.0, 0.53, state=CableState.of_label("hold", formed=formed)),),
+        (Phase("hold", 0, 0.0, 0.53, state=state),),
     )
 
 

@@ -16,6 +16,7 @@ from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.checks.bounds.hanging_clearance import above_ground
 from hitchopt.checks.cable_length import LIMIT
 from hitchopt.geometry.broadphase import Indices
+from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
@@ -126,10 +127,13 @@ def _not_clasped(motion: Motion) -> Indices:
 def _taut_share(motion: Motion) -> float:
     """Return the share of time in which cables are not seen to be slack around the vertices."""
     legs, edges = (
-        np.linalg.norm(bernstein.evaluate(vectors[None], PROBES[:, None, None, None]), axis=-1)
+        bernstein.evaluate(vectors[None], PROBES[:, None, None, None])
         for vectors in (leg_vectors(motion), edge_vectors(motion))
     )
-    lengths = legs.reshape(*edges.shape, 2).sum(axis=-1) + edges  # (probes, pieces, n)
+    sag = sag_factors(motion.team, motion.team.tension)
+    lengths = cable_of(edges, sag)  # (probes, pieces, n)
+    for end in (0, 1):
+        lengths = lengths + cable_of(legs[:, :, end::2], sag)
     weights, full = motion.team.tension, motion.team.cable_length
     slack = 1.0 - lengths @ weights / float(full @ weights)
     taut = np.max(slack, axis=0) <= LIMIT

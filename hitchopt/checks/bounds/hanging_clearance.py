@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from hitchopt.checks.bounds.hanging_links import LINKS, chains, cut, drone_cable
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
 from hitchopt.checks.certificate import within
 from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.catenary import SERIES, level_length, steepness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
@@ -20,6 +23,10 @@ from hitchopt.values import Array
 TOLERANCE = 1e-3
 """[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
 off it: catenaries are no polynomials, and are closed in on only with the length of a cell."""
+
+SHIFT = 1.12
+"""How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
+its shares in their level and upward parts differ by up to a half."""
 
 
 def above_ground(motion: Motion) -> bool:
@@ -93,3 +100,34 @@ def _attained(q: Array, r: Array, drones: Array, length: Array) -> float:
     distances, index = tree.query(drones @ half, k=count)
     apart = index // (LINKS + 1) != (np.arange(len(drones)) // 2)[:, None]
     return float(np.min(np.where(apart, distances, np.inf)))
+
+
+def moved_by(motion: Motion) -> Callable[[float], float]:
+    """Return how much nearer [m] drones and hanging cables come if every drone is off by r [m].
+
+    A point of a cable (at μ, see ``hitchopt.hitch.catenary``) moves with its two ends, across by
+    shares ``(1 ± μ)/2`` of them, upward by ``(1 ± sinh μσ / sinh σ)/2``, and by ¼ (L + |h|) per
+    change of σ at most. That follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change
+    by 2r at most.
+    """
+    drones, L = cut(motion.drones).coefficients, motion.team.cable_length
+    offset = drones[:, 1::2] - drones[:, 0::2]
+    level = offset[:, :, :2]
+    middle = level @ bernstein.basis(np.array(0.5), bernstein.degree(level))
+    along = unit(middle)
+    nearest = np.min(np.einsum("pci,pcin->pcn", along, level), axis=-1)
+    farthest = np.max(np.linalg.norm(level, axis=2), axis=-1)
+    height = np.max(np.abs(offset[:, :, 2]), axis=-1)
+
+    def moved(radius: float) -> float:
+        closer, higher = nearest - 2.0 * radius, height + 2.0 * radius
+        if np.any(closer <= 0.0) or np.any(higher >= L):
+            return np.inf
+        flattest = steepness(level_length(higher, L) / (farthest + 2.0 * radius))
+        if np.any(flattest < SERIES):  # nearly taut: how deep it hangs changes without a bound
+            return np.inf
+        ratio = np.log(nearest / closer) + np.log(level_length(height, L) / level_length(higher, L))
+        steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
+        return radius + SHIFT * radius + float(np.max(0.25 * (L + higher) * steeper))
+
+    return moved

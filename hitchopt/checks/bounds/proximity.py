@@ -25,9 +25,10 @@ from hitchopt.geometry.broadphase import (
     close_pairs,
     few_close_pairs,
 )
+from hitchopt.geometry.vectors import length
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.distance import distance_bound
-from hitchopt.trajectory.extremum import Cells, Extremum, Search
+from hitchopt.trajectory.extremum import Bound, Cells, Extremum, Search
 from hitchopt.values import Array
 
 Allowed = Callable[[Indices, Indices], NDArray[np.bool_]]
@@ -70,6 +71,25 @@ class Bodies:
         return int(self.corners.shape[1])
 
 
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """A measure of how near bodies are that grows with their distance.
+
+    Attributes
+    ----------
+    bound: lower bounds on cells, as ``distance_bound`` gives them.
+    measured: returns the measure (…) of shortest offsets (…, 3).
+    reach: returns the distance from which on the measure is at least the given one.
+    """
+
+    bound: Bound
+    measured: Callable[[Array], Array]
+    reach: Callable[[float], float]
+
+
+DISTANCE = Metric(distance_bound, length, lambda measure: measure)
+
+
 def every_pair(first: Indices, _: Indices) -> NDArray[np.bool_]:
     """Allow all pairs."""
     return np.ones(len(first), dtype=np.bool_)
@@ -82,8 +102,10 @@ def smallest_distance(
     allowed: Allowed,
     margin: float,
     target: float = -np.inf,
+    metric: Metric = DISTANCE,
+    known: float = np.inf,
 ) -> Extremum:
-    """Return the smallest distance of allowed pairs over all of the time.
+    """Return the smallest distance, or other measure, of allowed pairs over all of the time.
 
     Parameters
     ----------
@@ -91,13 +113,14 @@ def smallest_distance(
     first, second: two groups of bodies, or one whose pairs among themselves are meant.
     allowed: which pairs count; symmetric where there is one group.
     margin: taken off to cover rounding [m].
-    target: as of a Search [m].
+    target, known: as of a Search [m].
+    metric: by which pairs are near.
 
     Returns
     -------
     Its ``item`` is ``i * len(second) + j`` (or ``len(first)``, where there is one group).
     """
-    search = Search(distance_bound, target=target)
+    search = Search(metric.bound, target=target, known=known)
     count = len(first) if second is None else len(second)
     pairs = len(first) * (len(first) - 1) // 2 if second is None else len(first) * count
     if pairs <= FEW:
@@ -108,10 +131,10 @@ def smallest_distance(
             a = first.corners[start : start + group]
             b = a if second is None else second.corners[start : start + group]
             times = breaks[start : start + group + 1]
-            piece, pair = _near(a, b, every, margin)
+            piece, pair = _near(a, b, every, margin, metric)
             search.add(_cells(times, a, b, piece, every.take(pair), count, margin))
         return _not_negative(search.finish())
-    for span in _spans(breaks, first, second, search, allowed, margin):
+    for span in _spans(breaks, first, second, search, allowed, margin, metric):
         a, b = span.first, span.second if span.second is not None else span.first
         for start in range(0, len(span.pairs), CHUNK):
             chunk = span.pairs.take(slice(start, start + CHUNK))
@@ -139,6 +162,7 @@ def _spans(
     search: Search,
     allowed: Allowed,
     margin: float,
+    metric: Metric,
 ) -> Iterator[_Span]:
     """Give spans that cover all of the time; the cutoff falls as the search goes on."""
     bodies = len(first) + (0 if second is None else len(second))
@@ -147,8 +171,8 @@ def _spans(
         stack = [(breaks[piece : piece + 2], first.corners[piece], b, 0)]
         while stack:
             times, a, b, depth = stack.pop()
-            attained = min(search.value, _attained(a, b, allowed))
-            cutoff = attained * (1.0 + SLACK) + margin
+            attained = min(search.value, _attained(a, b, allowed, metric))
+            cutoff = metric.reach(attained + margin) * (1.0 + SLACK)
             drift = np.mean(a, axis=(0, 1))  # what all do together changes no distance
             boxes = Boxes.around(a - drift)
             others = None if b is None else Boxes.around(b - drift)
@@ -169,7 +193,9 @@ def _spans(
             yield _Span(times, a, b, pairs)
 
 
-def _near(a: Array, b: Array, pairs: Pairs, margin: float) -> tuple[Indices, Indices]:
+def _near(
+    a: Array, b: Array, pairs: Pairs, margin: float, metric: Metric
+) -> tuple[Indices, Indices]:
     """Return (piece, pair) of those that some other one's distance does not rule out.
 
     By the boxes over each piece of (pieces, bodies, 1 or 2, 3, degree + 1), held against what the
@@ -190,8 +216,8 @@ def _near(a: Array, b: Array, pairs: Pairs, margin: float) -> tuple[Indices, Ind
         offsets = shortest_offset(
             differences((a @ half)[each, i[closest]], (b @ half)[each, j[closest]])
         )
-        attained = np.min(np.linalg.norm(offsets, axis=-1))
-        piece, pair = np.nonzero(~(gaps > attained * (1.0 + SLACK) + margin))
+        cutoff = metric.reach(np.min(metric.measured(offsets)) + margin) * (1.0 + SLACK)
+        piece, pair = np.nonzero(~(gaps > cutoff))
     return piece, pair
 
 
@@ -212,8 +238,8 @@ def _cells(
     )
 
 
-def _attained(a: Array, b: Array | None, allowed: Allowed) -> float:
-    """Return a distance that some pair has in the middle of the span; near the smallest then."""
+def _attained(a: Array, b: Array | None, allowed: Allowed, metric: Metric) -> float:
+    """Return a measure that some pair has in the middle of the span; near the smallest then."""
     half = bernstein.basis(np.array(0.5), a.shape[-1] - 1)
     here = a @ half
     there = here if b is None else b @ half
@@ -226,7 +252,7 @@ def _attained(a: Array, b: Array | None, allowed: Allowed) -> float:
     if len(i) == 0:
         return np.inf
     offsets = shortest_offset(differences(here[i], there[j]))
-    return float(np.min(np.linalg.norm(offsets, axis=-1)))
+    return float(np.min(metric.measured(offsets)))
 
 
 def _halves(corners: Array) -> tuple[Array, Array]:

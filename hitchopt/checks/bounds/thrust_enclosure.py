@@ -1,7 +1,8 @@
 """The thrust that every drone needs, enclosed: what the checks thrust and tilt have in common.
 
-It is ``m (a + g ẑ)`` less the cable's force, which is ``-T`` along the leg (at a chain's end, along
-the edge) and down by half of the cable's weight. That direction is no polynomial; it is enclosed by
+It is ``m (a + g ẑ)`` less the cable's force, which is the pull of the leg (at a chain's end, of the
+edge) toward its vertex, and half of its weight (see ``hitchopt.hitch.statics.cable_forces``).
+Neither the direction nor the length of a leg is a polynomial; both are enclosed by
 one. A cable that hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ)
 / 2`` more than half of it (w its weight per length; see ``hitchopt.hitch.catenary``): enclosed by
 the range of its steepness σ. While a cable is drawn taut that part fades with its tautness, a
@@ -10,6 +11,7 @@ polynomial (see ``hitchopt.motion.tensions``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +22,7 @@ from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.tensions import tautness
+from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells
 from hitchopt.values import Array
@@ -40,11 +42,8 @@ def thrust_cells(motion: Motion, unit: Array) -> Cells:
     free = motion.drones.differentiated(2).coefficients * mass[..., None]
     free[:, :, 2] += mass * GRAVITY
     if motion.team.has_cables:
-        free[:, :, 2] += (motion.team.cable_weight / unit)[:, None]
         legs = pull_vectors(motion)
-        # Without a hitch there is no leg, whatever the plan says that it pulls with.
-        pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
-        tension = lowered(pulls / unit[:, None])
+        tension = lowered(chord_pulls(motion) / unit[:, None])
     else:  # no cable, no pull, whichever way it points
         legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
         tension = np.zeros((*free.shape[:2], 1))
@@ -53,31 +52,28 @@ def thrust_cells(motion: Motion, unit: Array) -> Cells:
     slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
     blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
     if motion.team.has_cables and motion.team.cable_density > 0.0:
-        blocks += _hanging_blocks(motion, unit)
+        blocks += _weight_blocks(motion, unit)
     return Cells.over(motion.drones.breaks, blocks)
 
 
-def _hanging_blocks(motion: Motion, unit: Array) -> list[Array]:
-    """Return, per piece and drone, its partner's offset, its cable's weight per length, and length.
+def _weight_blocks(motion: Motion, unit: Array) -> list[Array]:
+    """Return, per piece and drone, the weight per length of taut cable that it carries, halved.
 
-    The weight is that of the share that still hangs free. Nothing is returned where no cable does.
+    Then what hangs free: its partner's offset, its cable's weight per length, and length. The
+    weights are those of the shares that are taut and that hang; nothing is returned of the latter
+    where no cable hangs.
     """
     c, team = motion.drones.coefficients, motion.team
+    taut = np.repeat(lowered(tautness(motion)), 2, axis=1)
+    whole = (GRAVITY * team.cable_density / unit)[:, None]
+    blocks = [(0.5 * taut * whole)[:, :, None]]
+    if np.all(taut == 1.0):
+        return blocks
     across = c.reshape(len(c), team.robots, 2, *c.shape[2:])
     partner = across[:, :, ::-1].reshape(c.shape) - c
-    hanging = np.repeat(1.0 - lowered(tautness(motion)), 2, axis=1)
-    if not np.any(hanging):
-        return []
-    weight = hanging * (GRAVITY * team.cable_density / unit)[:, None]
+    weight = (1.0 - taut) * whole
     length = np.broadcast_to(np.repeat(team.cable_length, 2), weight.shape[:2])
-    return [partner, weight[:, :, None], length[..., None, None]]
-
-
-def lowered(coefficients: Array) -> Array:
-    """Return constants written in degree 0, anything else as it is: products get cheaper."""
-    if np.all(coefficients == coefficients[..., :1]):
-        return coefficients[..., :1]
-    return coefficients
+    return [*blocks, partner, weight[:, :, None], length[..., None, None]]
 
 
 def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclosure:
@@ -93,24 +89,60 @@ def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclo
     pull = bernstein.multiply(along.coefficients, tension)
     parts = [free, pull]
     radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
-    if len(blocks) > 4:
-        hanging = _hanging_weight(*blocks[4:])
-        parts.append(hanging.coefficients)
-        radius = radius + hanging.radius
+    for weight in _weights(blocks, noise):
+        parts.append(weight.coefficients)
+        radius = radius + weight.radius
     order = max(bernstein.degree(part) for part in parts)
     thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
     return enclosure.Enclosure(thrust, radius)
 
 
+def _weights(blocks: tuple[Array, ...], noise: float) -> Iterator[enclosure.Enclosure]:
+    """Yield what the weights of taut and of hanging cables add to the thrust (cells, 3)."""
+    if len(blocks) > 4:
+        legs, weight = blocks[1], blocks[4][:, 0]
+        sizes = enclosure.norm(legs)
+        lift = bernstein.multiply(weight, sizes.coefficients)
+        upward = np.stack([np.zeros_like(lift), np.zeros_like(lift), lift], axis=1)
+        radius = np.max(np.abs(weight), axis=-1) * (sizes.radius + 2.0 * noise)
+        yield enclosure.Enclosure(upward, radius)
+    if len(blocks) > 5:
+        yield _hanging_weight(*blocks[5:])
+
+
 def _hanging_weight(partner: Array, weight: Array, length: Array) -> enclosure.Enclosure:
-    """Enclose what free cables add to the thrust (cells, 3), half of their weight left out."""
+    """Enclose what free cables add to the thrust (cells, 3): half of their weight, and their pull.
+
+    Parameters
+    ----------
+    partner: (cells, 3, degree + 1) [m], offset of the cable's other end.
+    weight: (cells, 1, degree + 1), per length.
+    length: (cells, 1, 1) [m]
+    """
     lower, upper = steepness_range(partner, length[:, 0, 0])
     most, least = (np.array(pull_terms(sigma)) for sigma in (lower, upper))  # both fall with σ
+    return pulled(partner, weight, least, most, length)
+
+
+def pulled(
+    offset: Array, weight: Array, least: Array, most: Array, length: Array | float = 0.0
+) -> enclosure.Enclosure:
+    """Enclose ``-w/2 (k x, k y, l z - L)`` for an offset (x, y, z) and k, l between bounds.
+
+    Parameters
+    ----------
+    offset: (cells, 3, degree + 1)
+    weight: (cells, 1, degree + 1), w.
+    least, most: (2, cells), k and l.
+    length: (cells, 1, 1), L.
+    """
     middle, spread = 0.5 * (most + least), 0.5 * (most - least)
     factors = np.stack([-middle[0], -middle[0], -middle[1]], axis=1)
-    size = np.max(np.abs(partner), axis=-1)
+    size = np.max(np.abs(offset), axis=-1)
     radius = spread[0] * np.hypot(size[:, 0], size[:, 1]) + spread[1] * size[:, 2]
-    pull = bernstein.multiply(weight, 0.5 * factors[..., None] * partner)
+    scaled = factors[..., None] * offset
+    scaled[:, 2:] += length
+    pull = bernstein.multiply(weight, 0.5 * scaled)
     return enclosure.Enclosure(pull, 0.5 * np.max(np.abs(weight), axis=(-2, -1)) * radius)
 
 
@@ -135,6 +167,8 @@ def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
     known = length > NO_DIRECTION
     pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
     if len(blocks) > 4:
-        there = [bernstein.evaluate(block, x[:, None])[..., None] for block in blocks[4:]]
+        free[:, 2] += bernstein.evaluate(blocks[4], x[:, None])[:, 0] * length[:, 0]
+    if len(blocks) > 5:
+        there = [bernstein.evaluate(block, x[:, None])[..., None] for block in blocks[5:]]
         free = free + _hanging_weight(*there).coefficients[..., 0]
     return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

@@ -15,27 +15,17 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.compressed_bytes import (
-    DEGREE,
-    LONGEST,
-    MILLI,
-    decoded,
-    encoded,
-    most_segments,
-)
+from hitchopt.exports.formats.compressed_bytes import KIND, MILLI, decoded, encoded, most_segments
 from hitchopt.exports.formats.crazyflie_memory import BYTES, CrazyflieFormat
 from hitchopt.exports.formats.format import Candidate, Task, writer_of
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, refitted
+from hitchopt.exports.refit.piece_fitting import Scale, breaks_within, fitted
 from hitchopt.exports.refit.point_rounding import Keeping, rounded, settled, settling_times
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import states_at
 from hitchopt.storage.atomic import Writer
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-
-KIND = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=LONGEST)
-"""Durations are whole milliseconds."""
 
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
@@ -115,7 +105,7 @@ def compressed(task: Task, bound: float, accuracy: float) -> dict[str, bytes]:
     breaks = breaks_within(curves, KIND, bound)
     if breaks is None:  # only a limited number of pieces can be too small
         raise FileError("compressed: the plan has no pieces")
-    placed = task.frame.placed(refitted(curves, breaks, KIND))
+    placed = task.frame.placed(fitted(curves, breaks, KIND))
     rounding = rounded(placed, MILLI, SCALE)
     whole = settled(rounding, placed, MILLI, keeping_of(task, breaks, accuracy))
     durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)

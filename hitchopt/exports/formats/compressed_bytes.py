@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
+from hitchopt.exports.refit.piece_fitting import Kind
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -36,6 +37,9 @@ LONGEST = 65.535
 
 MILLI = 1e-3
 """Unit of durations [s] and control points [m]."""
+
+KIND = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=LONGEST)
+"""Segments that are written; their durations are whole milliseconds."""
 
 HEADER_BYTES, START_BYTES = 3, 8
 

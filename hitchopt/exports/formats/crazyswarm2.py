@@ -28,7 +28,7 @@ from hitchopt.exports.formats.crazyswarm2_start import fly_script, note_text, se
 from hitchopt.exports.formats.file_reading import read_text
 from hitchopt.exports.formats.format import Candidate, Task, writer_of
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, best_breaks, refitted
+from hitchopt.exports.refit.piece_fitting import Kind, Scale, best_breaks, fitted
 from hitchopt.storage.atomic import Writer
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
@@ -200,7 +200,7 @@ class Crazyswarm2(CrazyflieFormat):
             return
         if len(breaks) <= LEAST:
             breaks = np.array([0.0, KIND.quantum * (breaks[-1] // (2 * KIND.quantum)), breaks[-1]])
-        curves = task.frame.placed(refitted(task.motion.drones, breaks, KIND))
+        curves = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
         durations = curves.durations
         powers = np.zeros((curves.pieces, len(task.names), 4, KIND.degree + 1))
         powers[:, :, :3] = to_powers(curves.coefficients, durations)

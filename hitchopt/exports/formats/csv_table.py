@@ -11,16 +11,7 @@ import numpy as np
 from hitchopt.errors import FileError
 from hitchopt.exports.formats.file_reading import column_places, read_numbers, reading
 from hitchopt.exports.formats.format import Task
-from hitchopt.exports.formats.long_table import (
-    COLUMNS,
-    FLOWN,
-    Rows,
-    Table,
-    blocks_of,
-    columns_told,
-    read_rows,
-    spread_out,
-)
+from hitchopt.exports.formats.long_table import COLUMNS, Rows, Table, blocks_of, read_rows, told_in
 from hitchopt.exports.recording import Recording
 from hitchopt.exports.setpoints import lines_of
 
@@ -65,8 +56,8 @@ def read_csv(path: Path, frame: str = "") -> Recording:
 def _rows(path: Path) -> Iterator[Rows]:
     with reading(path, "readable text in UTF-8"), path.open(encoding="utf-8", newline="") as file:
         header = file.readline().rstrip("\r\n")
-        told = columns_told(header.split(","))
-        wanted = ("t", "drone", *(FLOWN[i] for i in told))
+        told = told_in(header.split(","))
+        wanted = ("t", "drone", *told)
         t, drone, *numbers = column_places(header, wanted, HEADER, str(path))
         line = 2
         while lines := list(islice(file, READ)):
@@ -74,11 +65,13 @@ def _rows(path: Path) -> Iterator[Rows]:
             cells = [text.split(",", drone + 1) for text in lines]
             if not all(map(str.strip, lines)):
                 raise FileError(f"{place}: a line is empty; it is truncated or damaged")
+            if lines[-1].count(",") != header.count(","):
+                raise FileError(f"{place}: the last line is not whole; it is truncated")
             values = read_numbers(lines, (t, *numbers), place)
             if min(map(len, cells)) <= drone:
                 raise FileError(f"{place}: a row names no drone; it is truncated or damaged")
             names = [row[drone] for row in cells]
-            yield Rows(values[:, 0], names, spread_out(values[:, 1:], told))
+            yield Rows.telling(values[:, 0], names, values[:, 1:], told)
             line += len(lines)
 
 

@@ -71,28 +71,30 @@ def read_json(path: Path) -> Recording:
         head = _head(file)
     names = tuple(str(name) for name in head["drones"])
     frame = str(head.get("frame"))
-    return recording_of_samples(names, lambda: _samples(path, len(names)), frame, SMOOTH)
+    shape = (len(names), len(head["columns"]))
+    return recording_of_samples(names, lambda: _samples(path, shape), frame, SMOOTH)
 
 
 def _head(file: IO[str]) -> dict[str, Any]:
     head = parsed_json(file.readline(MAX_LINE).rstrip().removesuffix(",") + "}")
-    known = head["format"] == FORMAT and head["columns"] == list(COLUMNS)
+    known = head["format"] == FORMAT and head["columns"][: len(FLOWN)] == list(FLOWN)
     if not (known and isinstance(head["drones"], list) and head["drones"]):
         raise FileError(f"its format is not {FORMAT} with the columns that hitchopt writes")
     return dict(head)
 
 
-def _samples(path: Path, drones: int) -> Iterator[Samples]:
+def _samples(path: Path, row: tuple[int, int]) -> Iterator[Samples]:
+    """Yield the samples, each of ``row`` (drones, columns) numbers."""
     with reading(path, WHAT), path.open(encoding="utf-8") as file:
         _head(file)
         if file.readline(MAX_LINE).strip() != START:
             raise FileError(f"its second line is not {START}")
         lines = iter(lambda: file.readline(MAX_LINE).strip(), END)
-        while some := list(islice(lines, max(1, 20 * ROWS // drones))):
+        while some := list(islice(lines, max(1, 20 * ROWS // row[0]))):
             samples = [parsed_json(line.removesuffix(",")) for line in some]
             t = np.array([float(sample["t"]) for sample in samples])
             rows = np.array([sample["rows"] for sample in samples], dtype=np.float64)
-            if rows.shape[1:] != (drones, len(COLUMNS)):
+            if rows.shape[1:] != row:
                 raise FileError(f"from t = {t[0]:g} s on its rows are not one per drone")
             yield Samples.of_rows(t, rows[..., : len(FLOWN)])
 

@@ -2,7 +2,9 @@
 
 ``ff_*`` is the acceleration to feed forward to a controller that adds gravity itself:
 ``a_ff = a - F / m`` with the cable's force F on the drone, so that the thrust is
-``m (a_ff + g ẑ)``.
+``m (a_ff + g ẑ)``. ``q*`` is the attitude that points the thrust so, from the body's axes to the
+file's, and ``rate_*`` its angular velocity about the body's axes
+(``hitchopt.exports.formats.attitude_in_frame``).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.formats.attitude_in_frame import attitudes_of
 from hitchopt.exports.formats.format import Candidate, Format, Task
 from hitchopt.exports.recording import Recording, Samples, check_times, recording_of_samples
 from hitchopt.exports.reference_frame import AXES
@@ -30,8 +33,11 @@ GROUPS = {
     "yaw": ("yaw",),
     "cable_forces": ("cable_x", "cable_y", "cable_z"),
     "feed_forward": ("ff_x", "ff_y", "ff_z"),
+    "quaternions": ("qw", "qx", "qy", "qz"),
+    "body_rates": ("rate_x", "rate_y", "rate_z"),
 }
-"""Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N], [m/s²]."""
+"""Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N], [m/s²], 1,
+[rad/s]."""
 
 COLUMNS = tuple(name for group in GROUPS.values() for name in group)
 """Names of the numbers of a row, after ``t`` and ``drone``."""
@@ -45,8 +51,8 @@ PLACED = ("t", "drone", *FLOWN[:3])
 SMOOTH = 2
 """Positions, velocities and accelerations are in the table: quintics run through them."""
 
-ROWS = 100_000
-"""Rows that are held at a time: 16 MB of numbers."""
+ROWS = 50_000
+"""Rows that are held at a time: 12 MB of numbers."""
 
 
 class Table(Format):
@@ -113,6 +119,7 @@ def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
     for states in iterate_states(task.motion, times, max(1, rows // drones)):
         frame = task.frame
         positions, velocities, forward = task.setpoints(states)
+        attitudes = attitudes_of(task, states)
         parts = (
             positions,
             velocities,
@@ -121,6 +128,8 @@ def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
             np.full((len(states.t), drones, 1), frame.heading),
             frame.vectors(states.cable_forces),
             forward,
+            attitudes.quaternions,
+            attitudes.body_rates,
         )
         yield Block(states.t, np.concatenate(parts, axis=-1) + 0.0)  # no negative zeros
 
@@ -140,20 +149,21 @@ class Rows:
     drones: Sequence[str]
     values: Array
 
+    @classmethod
+    def telling(cls, t: Array, drones: Sequence[str], values: Array, told: Sequence[str]) -> Rows:
+        """Return rows of the told columns (rows, …), zero where a table tells nothing."""
+        whole = np.zeros((len(values), len(FLOWN)))
+        whole[:, [FLOWN.index(name) for name in told]] = values
+        return cls(t, drones, whole)
 
-def columns_told(header: Collection[str]) -> list[int]:
-    """Return which of FLOWN a table with these columns tells, as indices.
+
+def told_in(header: Collection[str]) -> list[str]:
+    """Return which of FLOWN a table with these columns tells.
 
     Positions are always among them; velocities and accelerations are, where they are whole.
     """
-    return [i for i in range(9) if i < 3 or set(FLOWN[i // 3 * 3 : i // 3 * 3 + 3]) <= set(header)]
-
-
-def spread_out(values: Array, told: Sequence[int]) -> Array:
-    """Return the told columns (rows, …) as (rows, 9), zero where a table tells nothing."""
-    whole = np.zeros((len(values), len(FLOWN)))
-    whole[:, told] = values
-    return whole
+    vectors = [FLOWN[:3], *(v for v in (FLOWN[3:6], FLOWN[6:]) if set(v) <= set(header))]
+    return [name for vector in vectors for name in vector]
 
 
 def read_rows(path: Path, rows: Callable[[Path], Iterator[Rows]], frame: str) -> Recording:

@@ -1,8 +1,8 @@
 """Format npz: ``setpoints.npz``, arrays over samples and drones, none of them held as a whole.
 
 ``t`` (S,), ``drones`` (D,), ``frame``, and for every group of columns an array: ``positions``,
-``velocities``, ``accelerations``, ``jerks``, ``cable_forces``, ``feed_forward`` (S, D, 3), and
-``yaw`` (S, D, 1).
+``velocities``, ``accelerations``, ``jerks``, ``cable_forces``, ``feed_forward``, ``body_rates``
+(S, D, 3), ``quaternions`` (S, D, 4), w, x, y, z, and ``yaw`` (S, D, 1).
 """
 
 from __future__ import annotations

@@ -19,9 +19,8 @@ from hitchopt.exports.formats.long_table import (
     Rows,
     Table,
     blocks_of,
-    columns_told,
     read_rows,
-    spread_out,
+    told_in,
 )
 from hitchopt.exports.recording import Recording
 from hitchopt.storage.archive import refuse_expansion
@@ -100,14 +99,14 @@ def _opened(path: Path) -> Any:
 
 def _rows(path: Path) -> Iterator[Rows]:
     with reading(path, WHAT, needed("pyarrow").ArrowException), _opened(path) as file:
-        told = columns_told(file.schema_arrow.names)
-        wanted = ["t", "drone", *(FLOWN[i] for i in told)]
+        told = told_in(file.schema_arrow.names)
+        wanted = ["t", "drone", *told]
         for batch in file.iter_batches(columns=wanted):
             values = np.column_stack([batch[name].to_numpy(False) for name in wanted[2:]])
             t = batch["t"].to_numpy(False).astype(np.float64)
             if len(t):
                 names = [str(name) for name in batch["drone"].to_pylist()]
-                yield Rows(t, names, spread_out(values.astype(np.float64), told))
+                yield Rows.telling(t, names, values, told)
 
 
 class ParquetTable(Table):

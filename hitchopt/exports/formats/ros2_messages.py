@@ -60,23 +60,29 @@ class Messages:
     def full_state(
         self, t: float, place: Array, turned: Array, velocity: Array, rates: Array, acc: Array
     ) -> Any:
-        """Return a full-state setpoint; ``turned`` is a quaternion x, y, z, w."""
+        """Return a full-state setpoint; ``turned`` is a quaternion w, x, y, z."""
         twist = self._of("geometry_msgs/msg/Twist", self._vector(velocity), self._vector(rates))
         pose = self._pose(place, turned)
         return self._of(self.FULL_STATE, self._header(t), pose, twist, self._vector(acc))
 
-    def trajectory(self, name: str, t: Array, derivatives: Array, heading: float) -> Any:
-        """Return the trajectory of one drone: positions, velocities, accelerations (3, S, 3)."""
-        turned = self._of("geometry_msgs/msg/Quaternion", *_upright(heading).tolist())
+    def trajectory(self, name: str, t: Array, table: Array) -> Any:
+        """Return the trajectory of one drone.
+
+        Parameters
+        ----------
+        table: (S, 16), positions, velocities, accelerations, angular velocities in the frame's
+            axes, and quaternions w, x, y, z.
+        """
         still = self._vector(np.zeros(3))
         points = []
-        for i, at in enumerate(t.tolist()):
-            place, *rates = (self._vector(d[i]) for d in derivatives)
+        for at, row in zip(t.tolist(), table, strict=True):
+            place, velocity, acceleration, turning = map(self._vector, np.split(row[:12], 4))
+            twists = ((velocity, turning), (acceleration, still))
             points.append(
                 self._of(
                     "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
-                    [self._of("geometry_msgs/msg/Transform", place, turned)],
-                    *([self._of("geometry_msgs/msg/Twist", rate, still)] for rate in rates),
+                    [self._of("geometry_msgs/msg/Transform", place, self._quaternion(row[12:]))],
+                    *([self._of("geometry_msgs/msg/Twist", *twist)] for twist in twists),
                     self._stamp("builtin_interfaces/msg/Duration", at),
                 )
             )
@@ -99,8 +105,11 @@ class Messages:
 
     def _pose(self, place: Array, turned: Array) -> Any:
         point = self._of("geometry_msgs/msg/Point", *place.tolist())
-        quaternion = self._of("geometry_msgs/msg/Quaternion", *turned.tolist())
-        return self._of("geometry_msgs/msg/Pose", point, quaternion)
+        return self._of("geometry_msgs/msg/Pose", point, self._quaternion(turned))
+
+    def _quaternion(self, turned: Array) -> Any:
+        w, x, y, z = turned.tolist()
+        return self._of("geometry_msgs/msg/Quaternion", x, y, z, w)
 
     def _header(self, t: float) -> Any:
         stamp = self._stamp("builtin_interfaces/msg/Time", t)
@@ -111,7 +120,7 @@ class Messages:
 
 
 def _upright(heading: float) -> Array:
-    return np.array([0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading)])
+    return np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
 
 
 def bag_recording(path: Path) -> Recording:

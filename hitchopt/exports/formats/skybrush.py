@@ -23,9 +23,9 @@ import numpy as np
 
 from hitchopt.exports.formats.compressed import keeping_of
 from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.formats.skybrush_show import MILLI, drones_of_show, storage_scale, stored
+from hitchopt.exports.formats.skybrush_show import MILLI, read_show, storage_scale, stored
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, refitted
+from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, fitted
 from hitchopt.exports.refit.point_rounding import rounded, settled
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -72,7 +72,7 @@ class SkybrushShow(Format):
             breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
             if breaks is None:
                 continue
-            fit = task.frame.placed(refitted(task.motion.drones, breaks, KIND))
+            fit = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
             quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
             keeping = keeping_of(task, breaks, self.accuracy)
             for rounding in _roundings(fit, quantum):
@@ -89,7 +89,7 @@ class SkybrushShow(Format):
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the show as Skybrush's server stores them."""
-        drones = drones_of_show(folder / FILE)
+        drones = read_show(folder / FILE).curves
         curves = [stored(curve) for curve in drones.values()]
         return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
 

@@ -46,16 +46,6 @@ class Show:
     validation: Mapping[str, Any]
 
 
-def drones_of_show(path: Path) -> dict[str, PiecewisePolynomial]:
-    """Return the positions (3,) [m] of every drone over the show's time, by name.
-
-    Raises
-    ------
-    FileError: as of ``read_show``.
-    """
-    return read_show(path).curves
-
-
 def read_show(path: Path) -> Show:
     """Return the show; each file in the zip is read once, however many drones refer to it.
 

@@ -74,14 +74,15 @@ class Scale(NamedTuple):
 
 
 def fitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
-    """Return the curves (D, 3) on few pieces.
+    """Return the curves (D, 3) on few pieces, at rest after their own end.
 
     Parameters
     ----------
-    curves: from t = 0 to at least the last break.
+    curves: from t = 0.
     breaks: (pieces + 1,) [s], the new ones.
     kind: kind of the new pieces.
     """
+    curves = lasted(curves, float(breaks[-1]))
     ends = np.stack([curves.at(breaks, order) for order in range(kind.match)])
     hermite = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
     coefficients = np.array(bernstein.elevate(hermite.coefficients, kind.degree))
@@ -235,8 +236,3 @@ def breaks_within(
     some = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
     error = SpanErrors(lasted(some, end), kind, scale or Scale())
     return greedy_breaks(error, float(curves.breaks[-1]), kind, bound, most)
-
-
-def refitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
-    """Return the curves on these pieces, at rest after their own end."""
-    return fitted(lasted(curves, float(breaks[-1])), breaks, kind)

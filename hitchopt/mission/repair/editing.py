@@ -52,7 +52,8 @@ def _as_written(kind: Quadrotor) -> dict[str, float | bool | None]:
 def with_bound(problem: Problem, key: str, value: float) -> Edited:
     """Return the problem with another limit or distance to keep; key and unit are the file's."""
     section, name = key.split(".")
-    changed = {"tilt": math.radians(value)} if name == "tilt_deg" else {name: value}
+    angle = name.removesuffix("_deg")
+    changed = {name: value} if angle == name else {angle: math.radians(value)}
     part: Any = replace(getattr(problem, section), **changed)
     return Edited(replace(problem, **{section: part}), (Edit(key, value),))
 

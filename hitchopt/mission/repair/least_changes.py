@@ -51,6 +51,11 @@ def limit_kinds(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
         key, most = "limits.tilt_deg", STEEPEST / degrees - 1.0
         tilt = Quantity(key, degrees, "deg", partial(with_bound, problem, key))
         yield Kind(tilt, 1, TIMES | {"tilt"}, needed(violations, "tilt"), most, relaxes=True)
+    if problem.limits.body_rate is not None:
+        key, covers = "limits.body_rate_deg", TIMES | {"body_rate"}
+        degrees = round(math.degrees(problem.limits.body_rate), 9)
+        rate = Quantity(key, degrees, "deg/s", partial(with_bound, problem, key))
+        yield Kind(rate, 1, covers, needed(violations, "body_rate"), relaxes=True)
     yield lowered(bound_quantity(problem, "limits.leg", "m"), frozenset({"legs"}), relaxes=True)
 
 

@@ -16,7 +16,7 @@ from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.editing import with_step_edit
 from hitchopt.steps.edits import SPACE, StepEdit
 from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.slack_split import SlackSplit
+from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 
 COVERS = SPACE | {"crossing", "arena"}
 
@@ -40,7 +40,8 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
             edited = with_step_edit(problem, i, StepEdit("legs", "spread", {"legs": "spread"}))
             places.append((edited.edits[0].key, legs, outline, edited))
     for key, legs, shape, edited in places:
-        if isinstance(legs, str) and legs == "spread":
+        sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+        if isinstance(sharing, str) and sharing == "spread":
             continue
         try:
             relative = _farthest(problem, shape, legs)
@@ -53,6 +54,7 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
 def _farthest(problem: Problem, outline: Outline, legs: SlackSplit) -> float:
     """Return how far a leg is from the spread ones at most, over its cable's length."""
     team = problem.team
-    given = legs if isinstance(legs, np.ndarray) else balanced_legs(team, outline)
+    lengths = legs.sharing if isinstance(legs, RolledLegs) else legs
+    given = balanced_legs(team, outline) if isinstance(lengths, str) else lengths
     spread = split_hitch(team, outline, 0.0, "spread", problem.requirements)
     return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

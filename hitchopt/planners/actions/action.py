@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, roll_between
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -61,17 +61,18 @@ class Action:
         end = np.column_stack([points, np.full(len(points), start.altitude)])
         return PiecewisePolynomial(WHOLE, np.stack([start.vertices, end], axis=-1)[None])
 
-    def path(self, q_legs: Array | None = None) -> ShapePath:
-        """Return the path that ends with ``q_legs`` (n,) [m], those kept if None.
+    def path(self, end: Hitch | None = None) -> ShapePath:
+        """Return the path that ends with a hitch's legs and roll, those kept if None.
 
         What they differ by from the kept ones is made up along the path.
         """
-        deviation = np.zeros_like(self.length) if q_legs is None else q_legs - self.kept_legs
+        deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.kept_legs
         grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
         length = (self.length[:, None] + deviation[:, None] * grown)[None]
         share = PiecewisePolynomial.constant(WHOLE, self.share)
         law = LegLaw(PiecewisePolynomial(WHOLE, length), share)
-        return ShapePath(self.start.team, self.vertices, law)
+        roll = roll_between(self.start, self.start if end is None else end, tuple(grown))
+        return ShapePath(self.start.team, self.vertices, law, roll=roll)
 
 
 def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +67,7 @@ class ActionFlight:
 
         Raises InfeasibleError as that of StraightMorph.
         """
-        path = self.action.path(self.end.q_legs)
+        path = self.action.path(self.end)
         _check_outline(path)
         clear = cleared(path, self.requirements, at_rest=self.action.seconds is not None)
         check_shapes(clear.path)
@@ -124,7 +124,7 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
 def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
     """Return drones, vertices and legs over s on one piece, halved until they fit the model."""
     track = path.vertices.taken(slice(piece, piece + 1))
-    own = ShapePath(path.team, track, path.legs)
+    own = replace(path, vertices=track)
     count = 1
     while True:
         breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)

@@ -40,7 +40,7 @@ def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array, tuple[str, ...]
     closed, n = start.team.layout.closed, start.team.robots
     length, share = start.q_legs.copy(), np.zeros(n)
     if closed or vertex < n:
-        length[vertex], share[vertex] = -start.legs[vertex, 1], 1.0
+        length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
     q, r = [vertex, vertex + 1], [vertex - 1, vertex - 2]
     if not closed:
         r += [0] if vertex == 0 else []
@@ -60,7 +60,7 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
     length[edge], share[edge] = 0.0, start.fractions[edge]
     after = edge + 1
     if start.team.layout.closed or after < n:
-        length[after % n], share[after % n] = -start.legs[after % n, 1], 1.0
+        length[after % n], share[after % n] = -start.r_legs[after % n], 1.0
     q, r = [edge, edge + 1], [edge, edge - 1]
     if _turned(start, polygon, edge - 1):
         r.append(edge - 2)

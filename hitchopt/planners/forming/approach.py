@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.motion.phases import CableState
 from hitchopt.planners.forming.clock import SHARE, accelerations
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.straight import STILL, straight
@@ -56,13 +57,17 @@ class Approach:
     goal: Array
     requirements: Requirements
 
-    def line(self, name: str, start: Array, end: Array) -> Stage:
+    def line(
+        self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
+    ) -> Stage:
         """Return the stage of all drones on straight lines."""
-        return Stage(name, straight(self.team, self.requirements.limits, start, end))
+        return Stage(name, straight(self.team, self.requirements.limits, start, end), state)
 
-    def needed(self, name: str, start: Array, end: Array) -> list[Stage]:
+    def needed(
+        self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
+    ) -> list[Stage]:
         """Return the stage of all drones on straight lines; none where they are there."""
-        return [] if np.max(np.abs(end - start)) < STILL else [self.line(name, start, end)]
+        return [] if np.max(np.abs(end - start)) < STILL else [self.line(name, start, end, state)]
 
     def risen(self, *others: Array) -> Array:
         """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
@@ -124,12 +129,9 @@ class DirectApproach(Approach):
         Drones that come closer together let their cable hang lower than at both ends.
         """
         here, goal = self.risen(), self.goal
-        rise = self.needed("take-off", self.start, here)
+        rise = self.needed("take-off", self.start, here, CableState.GROUND)
         if np.max(np.abs(goal - here)) < STILL:
-            return [
-                *rise,
-                Stage("approach", straight(self.team, self.requirements.limits, here, goal)),
-            ]
+            return [*rise, self.line("approach", here, goal)]
         drones = separate(self.problem).drones
         clearance = self.requirements.separation.cable
         at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
@@ -168,10 +170,8 @@ class GatheredApproach(Approach):
         """The flight of the robots as discs: no one may pass over another's hanging cable."""
         own, height = self.requirements.separation, float(np.max(self.team.cable_length))
         discs = replace(own, radius=self.pairs.radius + own.radius, height=height)
-        start, goal = (
-            self.pairs.centres.copy(),
-            _spaced(self.pairs.goals, 2.0 * ROOM * discs.radius),
-        )
+        start = self.pairs.centres.copy()
+        goal = _spaced(self.pairs.goals, 2.0 * ROOM * discs.radius)
         start[:, 2] = goal[:, 2] = self.gathered[0, 2]
         places = np.stack([self.risen(self.gathered, self.goal), self.gathered])
         names = tuple(f"cable {k}" for k in range(self.team.robots))
@@ -185,7 +185,7 @@ class GatheredApproach(Approach):
         opened = self.goal.copy()
         opened[:, 2] = np.maximum(opened[:, 2], task.goal[:1, 2])
         return [
-            *self.needed("take-off", self.start, here),
+            *self.needed("take-off", self.start, here, CableState.GROUND),
             self.line("gather", here, self.gathered),
             Stage("turn", turned(self.team, wheels, limits)),
             Stage("approach", wheels.carried(separate(task).drones)),

@@ -16,13 +16,7 @@ import numpy as np
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.planners.forming.turns import (
-    APART,
-    SwapSettings,
-    Turns,
-    half_that_clears,
-    rise_that_clears,
-)
+from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears
 from hitchopt.requirements import Separation
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
@@ -158,7 +152,7 @@ def _turns(
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
-    chord = q - r
+    chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at one height, however legs rise in the hitch
     lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)
@@ -169,7 +163,7 @@ def _turns(
         middles,
         along,
         math.cos(tilt) * up - math.sin(tilt) * outward,
-        np.maximum(0.5 * share * lengths, half_that_clears(separation, settings.radius)),
+        np.maximum(0.5 * share * lengths, max(settings.radius, APART * separation.radius)),
         np.full(len(along), rise_that_clears(separation, tilt, settings.radius)),
         alone + (scale - 1.0) * (alone - centre),
         hitch.vertices,
@@ -207,10 +201,7 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     clear = np.full(len(turns.half), np.inf)
-    for drone, cable in (
-        (q[:, layout.ahead], layout.behind),
-        (r[:, layout.behind], layout.ahead),
-    ):
+    for drone, cable in ((q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
         clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
     along = unit(layout.edges(turns.vertices))

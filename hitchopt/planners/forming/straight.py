@@ -55,12 +55,7 @@ def straight(
 
 
 def tightened(
-    team: Team,
-    limits: Limits,
-    separation: Separation,
-    start: Array,
-    end: Array,
-    least: float = 0.0,
+    team: Team, limits: Limits, separation: Separation, start: Array, end: Array, least: float = 0.0
 ) -> list[PiecewisePolynomial]:
     """Return the flights (2n, 3) [m] out to the hitch: one if drones keep apart on it, else two.
 

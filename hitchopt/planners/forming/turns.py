@@ -88,10 +88,7 @@ class Turns:
         """Return the same ellipses higher up [m]."""
         up = np.array([0.0, 0.0, by])
         return replace(
-            self,
-            centres=self.centres + up,
-            ends=self.ends + up,
-            vertices=self.vertices + up,
+            self, centres=self.centres + up, ends=self.ends + up, vertices=self.vertices + up
         )
 
     def with_senses(self, senses: Array) -> Turns:
@@ -112,11 +109,6 @@ def rise_that_clears(separation: Separation, tilt: float, least: float) -> float
     """
     w = np.array([0.0, np.sin(tilt), np.cos(tilt)])
     return max(least, APART / float(np.linalg.norm(2.0 * separation.scale * w)))
-
-
-def half_that_clears(separation: Separation, least: float) -> float:
-    """Return the smallest half chord [m] that clears the pair's ellipsoids side by side."""
-    return max(least, APART * separation.radius)
 
 
 def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:

@@ -37,13 +37,13 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
     flights = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
     rest = PiecewisePolynomial.constant([0.0, PULL_SECONDS], hitch.drones)
     return [
-        Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds)),
-        Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds)),
+        Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds), CableState.CLASPING),
+        Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds), CableState.CLASPING),
         *(
-            Stage("tighten", flight, points=points)
+            Stage("tighten", flight, CableState.TIGHTENING, points=points)
             for flight, points in zip(flights, _clasps(pre, hitch, flights), strict=True)
         ),
-        Stage("tension", rest, SMOOTH[None]),
+        Stage("tension", rest, CableState.HITCHED, SMOOTH[None]),
     ]
 
 
@@ -117,34 +117,24 @@ class Stage:
     ----------
     name: the plan's phase.
     drones: of shape (2n, 3) [m], in the order q0, r0, q1, …, from t = 0, at rest at both ends.
+    state: that cables are meant to be in.
     pull: (pieces, m + 1): Bernstein coefficients of the factor of the team's tensions over the
         drones' pieces; None while there is no hitch.
-    remark: the phase's remark.
     points: of shape (points, 3) [m]: where the clasps may lie while the drones draw them out; None
         for the hitch's vertices.
     """
 
     name: str
     drones: PiecewisePolynomial
+    state: CableState = CableState.FREE
     pull: Array | None = None
-    remark: str = ""
     points: PiecewisePolynomial | None = None
-
-    @property
-    def formed(self) -> bool:
-        """Whether the hitch exists."""
-        return self.pull is not None
-
-    @property
-    def state(self) -> CableState:
-        """The state that cables are meant to be in."""
-        return CableState.of_label(self.name, formed=self.formed)
 
     def reversed(self, name: str) -> Stage:
         """Return the stage backward in time, exactly, under another name."""
         pull = None if self.pull is None else self.pull[::-1, ::-1]
         points = None if self.points is None else self.points.reversed()
-        return Stage(name, self.drones.reversed(), pull, self.remark, points)
+        return Stage(name, self.drones.reversed(), self.state, pull, points)
 
     def vertices(self, hitch: Hitch) -> PiecewisePolynomial:
         """Return the vertices (points, 3) [m]: present, future or past ones."""
@@ -154,7 +144,8 @@ class Stage:
 
     def legs(self, hitch: Hitch) -> PiecewisePolynomial:
         """Return the legs (n, 2) [m]; zero while there is no hitch."""
-        return PiecewisePolynomial.constant(self.drones.breaks, hitch.legs * float(self.formed))
+        there = float(self.state is CableState.HITCHED)
+        return PiecewisePolynomial.constant(self.drones.breaks, there * hitch.legs)
 
     def tensions(self, hitch: Hitch) -> PiecewisePolynomial:
         """Return the tensions (n,) [N]: the team's by the pull."""

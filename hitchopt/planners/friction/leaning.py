@@ -55,7 +55,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
 
     Parameters
     ----------
-    motion: of a level hitch, from rest to rest, formed all of the time.
+    motion: from rest to rest, formed all of the time.
     limits: that the leaning drones satisfy, by going slower.
     share: of the friction that is counted on, in (0, 1].
     slower: whether it may last longer; else None is returned where it would have to. So it is where
@@ -101,7 +101,7 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
     pulls = np.repeat(T[:, :, None], 2, axis=2)
     pulls[:, layout.behind, 1] = jets.product(grown[:, :, 0], T[:, layout.behind])
     pulls[:, layout.ahead, 0] = jets.product(grown[:, :, 1], T[:, layout.ahead])
-    found = slipping_drones(layout, p, lengths, T, pulls)
+    found = slipping_drones(motion.team, p, lengths, T, pulls, d)
     if not np.all(np.isfinite(found)):
         return None
     places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]

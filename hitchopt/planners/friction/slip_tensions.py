@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Separation
@@ -71,7 +72,7 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
 
     Parameters
     ----------
-    motion: of a level hitch, from rest to rest, formed all of the time.
+    motion: from rest to rest, formed all of the time.
     share: of the friction that legs can bear, in (0, 1].
     """
     layout = motion.team.layout
@@ -126,7 +127,13 @@ class _Clasps:
         T = motion.tensions.at(t)
         tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
         V = tensions[..., :1] * behind - tensions[..., 1:] * ahead
-        legs = _at_clasps(layout, motion.legs.at(t))
+        both = motion.legs.at(t)
+        legs, team = _at_clasps(layout, both), motion.team
+        if team.loaded:
+            half = 0.5 * GRAVITY * team.cable_density
+            rest = team.cable_length - both[..., ::-1].swapaxes(-1, -2)  # L - e, L - d
+            V[..., 2] += half * (rest[:, 0, layout.ahead] + rest[:, 1, layout.behind])
+            V[..., 2] += GRAVITY * team.load
         return cls(length(V), tensions, legs, motion.requirements.separation)
 
     @cached_property
@@ -138,7 +145,7 @@ class _Clasps:
     def wrapped(self) -> Array:
         """(J, clasps, 2) [rad], the angles that both cables wrap: V halves them.
 
-        0 where the cables run on straight, and no leg can lean.
+        Nearly so where clasps carry weight. 0 where the cables run on straight: no leg can lean.
         """
         return np.nan_to_num(2.0 * self.upright)
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
 from hitchopt.trajectory import PiecewisePolynomial
@@ -71,6 +72,7 @@ class KnotPath:
     polygons: (J + 1, n, 2) [m]
     q_legs: (J + 1, n) [m]
     tensions: (J + 1, n) [N]
+    roll: (J + 1, clasps) [rad], or None where legs are not rolled.
     """
 
     name: str
@@ -79,13 +81,23 @@ class KnotPath:
     polygons: Array
     q_legs: Array
     tensions: Array
+    roll: Array | None = None
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
         """Return the path through polygons (J + 1, n, 2) on which fractions change evenly."""
         s = np.linspace(0.0, 1.0, len(polygons))[:, None]
         tensions = np.tile(start.team.tension, (len(polygons), 1))
-        bare = cls(name, start.team, start.altitude, polygons, np.zeros_like(tensions), tensions)
+        roll = start.roll + s * (end.roll - start.roll)
+        bare = cls(
+            name,
+            start.team,
+            start.altitude,
+            polygons,
+            np.zeros_like(tensions),
+            tensions,
+            roll if np.any(roll) else None,
+        )
         fractions = start.fractions + s * (end.fractions - start.fractions)
         return replace(bare, q_legs=fractions * bare.slack)
 
@@ -102,8 +114,7 @@ class KnotPath:
     @property
     def slack(self) -> Array:
         """(J + 1, n) [m]: what each cable has left for its two legs."""
-        slack: Array = self.team.cable_length - np.linalg.norm(self.edges, axis=-1)
-        return slack
+        return cable_slack_of(self.team, self.edges, self.tensions)
 
     def path(self) -> ShapePath:
         """Return the smooth path through the knots."""
@@ -114,6 +125,7 @@ class KnotPath:
             _knot_spline(np.concatenate([self.polygons, level], axis=-1)),
             LegLaw.of_fractions(_knot_spline(self.q_legs / self.slack)),
             None if steady else _knot_spline(self.tensions),
+            None if self.roll is None else _knot_spline(self.roll),
         )
 
     def resampled(self, count: int) -> KnotPath:
@@ -125,7 +137,9 @@ class KnotPath:
         path = self.path()
         shapes, tensions = shapes_along(path, s), path.flat(s).tensions[..., 0]
         q_legs = shapes.legs[..., 0]
-        return replace(self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions)
+        return replace(
+            self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll
+        )
 
     @property
     def columns(self) -> Columns:
@@ -135,10 +149,13 @@ class KnotPath:
     def table(self) -> Array:
         """Return the table (knots, size) of all columns."""
         edges = self.edges
-        q, r = leg_directions(edges / np.linalg.norm(edges, axis=-1, keepdims=True), self.tensions)
+        loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
+        u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+        q, r = leg_directions(u, self.tensions, loads=loads)
         r_legs = self.slack - self.q_legs
-        q_drones = self.polygons + self.q_legs[..., None] * q
-        r_drones = np.roll(self.polygons, -1, axis=1) + r_legs[..., None] * r
+        sag = sag_factors(self.team, self.tensions)
+        q_drones = self.polygons + leg_vectors(self.q_legs, q, sag)[..., :2]
+        r_drones = np.roll(self.polygons, -1, axis=1) + leg_vectors(r_legs, r, sag)[..., :2]
         drones = np.stack([q_drones, r_drones], axis=2)
         parts = [self.polygons, self.q_legs, r_legs, drones, self.tensions]
         return np.concatenate([part.reshape(len(edges), -1) for part in parts], axis=1)
@@ -146,12 +163,8 @@ class KnotPath:
     def with_table(self, table: Array) -> KnotPath:
         """Return the path with the vertices, q-legs and tensions of a table (knots, size)."""
         columns = self.columns
-        return replace(
-            self,
-            polygons=table[:, columns.vertices],
-            q_legs=table[:, columns.q_legs],
-            tensions=table[:, columns.tensions],
-        )
+        polygons, q_legs = table[:, columns.vertices], table[:, columns.q_legs]
+        return replace(self, polygons=polygons, q_legs=q_legs, tensions=table[:, columns.tensions])
 
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:

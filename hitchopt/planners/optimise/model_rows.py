@@ -9,16 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.parts import SEPARATION
+from hitchopt.model.loaded_robot import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
-from hitchopt.planners.optimise.separating_rows import (
-    instants,
-    near_pairs,
-    rows_at_knots,
-    rows_between,
-)
+from hitchopt.planners.optimise.separating_rows import near_pairs, rows_at_knots, rows_between
 from hitchopt.values import Array
 
 FLATTEST = math.radians(3.0)
@@ -100,13 +97,31 @@ def tie_drones(draft: Draft, knots: ca.MX, path: KnotPath) -> None:
 
     around = [np.roll(layout.vertices, shift, axis=0) for shift in (1, 0, -1, -2)]
     pulls = [np.roll(layout.tensions, shift) for shift in (1, 0, -1)]
-    free = not bool(np.all(path.team.tension == path.team.tension[0]))
-    place, turn = planar_function(not free).map(columns)(
-        gathered(np.concatenate(around, axis=1)),
-        gathered(layout.q_legs[:, None]),
-        gathered(np.stack(pulls, axis=1)),
-        np.tile(path.team.cable_length, knots.size2())[None],
-    )
+    team, inner = path.team, knots.size2()
+    vertices, tensions = gathered(np.concatenate(around, axis=1)), gathered(np.stack(pulls, axis=1))
+    if team.loaded or path.roll is not None:
+        neighbours = team.layout.neighbours
+        ends = np.column_stack([team.layout.starts, team.layout.ends])
+        roll = np.zeros((inner, n)) if path.roll is None else path.roll[1:-1]
+        loads = np.zeros((n, 2, 3))
+        loads[..., 2] = -GRAVITY * team.load[ends]
+        place, turn = loaded_planar_function(team.cable_density > 0.0).map(columns)(
+            vertices,
+            gathered(layout.q_legs[neighbours]),
+            tensions,
+            np.tile(team.cable_length[neighbours].T, inner),
+            roll[:, ends].reshape(columns, 2).T,
+            np.tile(loads.reshape(n, 6).T, inner),
+            np.full((1, columns), GRAVITY * team.cable_density),
+        )
+    else:
+        free = not bool(np.all(team.tension == team.tension[0]))
+        place, turn = planar_function(not free).map(columns)(
+            vertices,
+            gathered(layout.q_legs[:, None]),
+            tensions,
+            np.tile(team.cable_length, inner)[None],
+        )
     lifted = gathered(np.column_stack([layout.drones.reshape(n, 4), layout.r_legs]))
     draft.bound(ca.vec(place - lifted), 0.0, 0.0)
     sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
@@ -137,8 +152,7 @@ def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: Sol
         draft.soft_bound(value, scale * apart**2, scale * squared, PENALTY_WEIGHT)
     linear = [rows_at_knots(path, pairs.chosen(pairs.kind != SEPARATION))]
     if step.parts > 1:
-        places = instants(path.steps, step.parts)
-        linear.append(rows_between(path, search, places, BETWEEN * step.reach))
+        linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
     for found in linear:
         if len(found.least):
             value = ca.DM(found.rows) @ x

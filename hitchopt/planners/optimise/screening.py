@@ -66,19 +66,21 @@ def sound(path: KnotPath) -> bool:
 
 def loose(path: KnotPath, requirements: Requirements) -> bool:
     """Return whether a path's bodies are not all in one heap."""
-    return _margin(path.team, requirements, path.polygons, path.q_legs) >= CLOSEST
+    return _margin(path.team, requirements, path.polygons, path.q_legs, path.roll) >= CLOSEST
 
 
 def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch's distances are."""
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return _margin(hitch.team, requirements, polygon, q_legs) * BELOW
+    return _margin(hitch.team, requirements, polygon, q_legs, hitch.roll[None]) * BELOW
 
 
-def _margin(team: Team, requirements: Requirements, polygons: Array, q_legs: Array) -> float:
+def _margin(
+    team: Team, requirements: Requirements, polygons: Array, q_legs: Array, roll: Array | None
+) -> float:
     """Return how many times their limits the distances of hitches are, walls left out."""
     bare = replace(requirements, arena=None)
-    return reference_margin(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST))
+    return reference_margin(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:

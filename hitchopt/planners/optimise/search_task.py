@@ -117,7 +117,10 @@ def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Arra
 
 
 def static_tension(team: Team, tilt: float) -> Array:
-    """Return (n,) [N]: the largest pull against which both drones of each robot can hover."""
+    """Return (n,) [N]: the largest pull against which both drones of each robot can hover.
+
+    Legs that are level count, with half of the cable's weight.
+    """
     lift = team.mass * GRAVITY + team.cable_weight
     by_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
     by_tilt = lift * math.tan(STATIC_SHARE * tilt)

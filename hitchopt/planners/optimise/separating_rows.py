@@ -114,7 +114,7 @@ def rows_at_knots(path: KnotPath, pairs: NearPairs) -> LinearRows:
     return _pairs_apart(path, table[1:-1], np.arange(1.0, path.steps), pairs)
 
 
-def rows_between(path: KnotPath, search: Search, places: Array, reach: float) -> LinearRows:
+def rows_between(path: KnotPath, search: Search, parts: int, reach: float) -> LinearRows:
     """Return rows that keep pairs apart and legs long between the knots, to first order.
 
     There the path is its chord from knot to knot and a bow, of which the bow is taken to stay.
@@ -122,10 +122,11 @@ def rows_between(path: KnotPath, search: Search, places: Array, reach: float) ->
     Parameters
     ----------
     path, search: around which the rows are, and what they enforce.
-    places: (K,), where, in steps from the path's start; none of them at a knot.
+    parts: of each step; rows are at the instants in between.
     reach: pairs farther apart than their limit and this [m] get no row.
     """
     columns, limits = path.columns, search.requirements.limits
+    places = instants(path.steps, parts)
     at_knots, there = path.table(), path.at(places / path.steps).table()
     margins = search.margins(path.steps, places)
     separation = search.requirements.separation

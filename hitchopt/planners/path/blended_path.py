@@ -76,8 +76,9 @@ class BlendedMorph:
 def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     """Return the path through three hitches or more, no two neighbours of them the same.
 
-    Vertices and fractions are natural quintic splines: of all curves through the hitches the one
-    with the least third derivative. Their parameter is nearly the distance of the farthest drone.
+    Vertices, fractions and roll are natural quintic splines: of all curves through the hitches
+    those with the least third derivative. Their parameter is nearly the distance of the farthest
+    drone.
     """
     places = np.stack([hitch.drones for hitch in hitches])
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)
@@ -85,7 +86,14 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     s = s / s[-1]
     vertices = _spline(s, np.stack([hitch.vertices for hitch in hitches]))
     fractions = _spline(s, np.stack([hitch.fractions for hitch in hitches]))
-    return BlendedPath(ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions)), s)
+    rolls = np.stack([hitch.roll for hitch in hitches])
+    path = ShapePath(
+        hitches[0].team,
+        vertices,
+        LegLaw.of_fractions(fractions),
+        roll=_spline(s, rolls) if np.any(rolls) else None,
+    )
+    return BlendedPath(path, s)
 
 
 def check_turns(blend: BlendedPath) -> None:

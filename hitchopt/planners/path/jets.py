@@ -32,6 +32,16 @@ def square_root(a: Array) -> Array:
     return root
 
 
+def reciprocal(a: Array) -> Array:
+    """Return the jet of 1/a, a not zero; (…, m)."""
+    inverse = np.zeros(a.shape)
+    inverse[..., 0] = 1.0 / a[..., 0]
+    for k in range(1, a.shape[-1]):  # from a · (1/a) = 1, solved for the newest derivative
+        known = sum(comb(k, i) * a[..., i] * inverse[..., k - i] for i in range(1, k + 1))
+        inverse[..., k] = -known / a[..., 0]
+    return inverse
+
+
 def chained(outer: Array, inner: Array) -> Array:
     """Return the jet of f(g(t)) by t up to the third, by Faà di Bruno's formula.
 
@@ -44,10 +54,7 @@ def chained(outer: Array, inner: Array) -> Array:
     g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
     return np.stack(
         np.broadcast_arrays(
-            outer[..., 0],
-            f1 * g1,
-            f2 * g1**2 + f1 * g2,
-            f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3,
+            outer[..., 0], f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
         ),
         axis=-1,
     )

@@ -10,6 +10,7 @@ are, for every cable by itself, those that leave its two drones the least to do.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,4 +86,4 @@ def _slid(path: ShapePath, slopes: Array) -> ShapePath:
     order = max(DEGREE, bernstein.degree(law))
     length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
     legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)
-    return ShapePath(path.team, path.vertices, legs, path.tensions)
+    return replace(path, legs=legs)

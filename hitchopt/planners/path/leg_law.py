@@ -105,5 +105,5 @@ def _task(
 ) -> LegTask:
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
-    wanted = (shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS, fixed)
+    wanted = (shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS, fixed, shapes.roll)
     return LegTask(path.team, requirements, shapes.polygons, *wanted)

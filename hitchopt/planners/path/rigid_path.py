@@ -61,4 +61,8 @@ class RigidPath:
         q_legs[..., 0] = hitch.q_legs
         tensions = np.zeros_like(q_legs)
         tensions[..., 0] = self.team.tension
-        return FlatJets(vertices, q_legs, tensions)
+        roll = None
+        if np.any(hitch.roll):
+            roll = np.zeros((len(s), len(hitch.roll), JET))
+            roll[..., 0] = hitch.roll
+        return FlatJets(vertices, q_legs, tensions, roll)

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.robot import JET
 from hitchopt.planners.path import jets
@@ -38,8 +38,7 @@ def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
     """Return the jets by s at s (J,) of drones, vertices, legs and tensions: (J, *shape, 4)."""
     flat = path.flat(s)
     drones = drone_jets(path.team, flat)
-    legs = np.stack([flat.q_legs, drones.r_legs], axis=2)
-    legs *= path.team.layout.has_leg[..., None]  # exactly zero, not nearly
+    legs = drones.legs * path.team.layout.has_leg[..., None]  # exactly zero, not nearly
     return drones.positions, flat.vertices, legs, flat.tensions
 
 
@@ -79,16 +78,18 @@ class ShapePath:
     vertices: of shape (points, 3) over s in [0, 1] [m].
     legs: the law of the q-legs, wherever the ends of a chain leave a choice.
     tensions: of shape (n,) over s [N], or None for the team's.
+    roll: of shape (clasps,) over s [rad], or None where legs are not rolled.
     """
 
     team: Team
     vertices: PiecewisePolynomial
     legs: LegLaw
     tensions: PiecewisePolynomial | None = None
+    roll: PiecewisePolynomial | None = None
 
     @classmethod
     def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
-        """Return the path on which vertices go straight and fractions change linearly with s."""
+        """Return the path on which vertices go straight; fractions and roll change linearly."""
         whole = np.array([0.0, 1.0])
         vertices = np.stack([start.vertices, end.vertices], axis=-1)
         fractions = np.stack([start.fractions, end.fractions], axis=-1)
@@ -96,21 +97,52 @@ class ShapePath:
             start.team,
             PiecewisePolynomial(whole, vertices[None]),
             LegLaw.of_fractions(PiecewisePolynomial(whole, fractions[None])),
+            roll=roll_between(start, end),
         )
 
     def flat(self, s: Array) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,)."""
         vertices = self.vertices.jet(s, JET)
         edges = self.team.layout.edges(vertices, axis=1)
-        slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
-        slack[..., 0] += self.team.cable_length
         tensions = np.zeros((len(s), self.team.robots, JET))
         tensions[..., 0] = self.team.tension
         if self.tensions is not None:
             tensions = self.tensions.jet(s, JET)
+        slack = -_cable_along(self.team, edges, tensions)
+        slack[..., 0] += self.team.cable_length
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
-        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions)
+        roll = None if self.roll is None else self.roll.jet(s, JET)
+        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
+
+
+def roll_between(
+    start: Hitch, end: Hitch, grown: tuple[float, ...] = (0.0, 1.0)
+) -> PiecewisePolynomial | None:
+    """Return the roll of shape (clasps,) that goes from one hitch's to the other's, over s.
+
+    None where neither of them is rolled.
+
+    Parameters
+    ----------
+    grown: Bernstein coefficients of the share of the change that is made.
+    """
+    if not np.any(start.roll) and not np.any(end.roll):
+        return None
+    change = (end.roll - start.roll)[:, None] * np.asarray(grown)
+    return PiecewisePolynomial(np.array([0.0, 1.0]), (start.roll[:, None] + change)[None])
+
+
+def _cable_along(team: Team, edges: Array, tensions: Array) -> Array:
+    """Return the jets (J, n, 4) [m] of the lengths of cable along edges (J, n, 3, 4) [m]."""
+    squares = jets.product(edges, edges)
+    chords = jets.square_root(np.sum(squares, axis=2))
+    if team.cable_density == 0.0:
+        return chords
+    weight = GRAVITY * team.cable_density
+    factors = weight * weight / 24.0 * jets.reciprocal(jets.product(tensions, tensions))
+    level = np.sum(squares[:, :, :2], axis=2)
+    return chords + jets.product(factors, jets.product(chords, level))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,17 +152,21 @@ class Shapes:
     Attributes
     ----------
     polygons: (J, points, 2) [m], in plan view.
-    legs: (J, n, 2) [m], ``d`` and ``e``: negative where a cable is too short, zero where a chain's
-        end has no leg.
+    legs: (J, n, 2) [m], ``d`` and ``e``: lengths of cable, negative where a cable is too short,
+        zero where a chain's end has no leg.
+    roll: (J, clasps) [rad], or None where legs are not rolled.
     """
 
     polygons: Array
     legs: Array
+    roll: Array | None = None
 
 
 def shapes_along(path: Path, s: Array) -> Shapes:
     """Return the shapes at s (J,)."""
     flat, layout = path.flat(s), path.team.layout
-    edges = length(layout.edges(flat.vertices[..., 0]))
-    legs = layout.legs_of(flat.q_legs[..., 0], path.team.cable_length - edges)
-    return Shapes(flat.vertices[:, :, :2, 0], legs)
+    edges = layout.edges(flat.vertices[..., 0])
+    slack = cable_slack_of(path.team, edges, flat.tensions[..., 0])
+    legs = layout.legs_of(flat.q_legs[..., 0], slack)
+    roll = None if flat.roll is None else flat.roll[..., 0]
+    return Shapes(flat.vertices[:, :, :2, 0], legs, roll)

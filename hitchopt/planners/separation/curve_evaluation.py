@@ -18,6 +18,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.setting import Setting
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.timing.demands import LIMIT_SHARE
+from hitchopt.planners.timing.turning_stretch import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.extremum import Cells, largest
 from hitchopt.values import Array
@@ -44,7 +45,7 @@ class Evaluation:
     Attributes
     ----------
     coefficients: (N, count, 3) [m].
-    duration: the shortest in which they keep speed, acceleration and jerk [s].
+    duration: the shortest in which they keep speed, acceleration, jerk and body rate [s].
     closest: lower bound of the smallest separation of any pair.
     broken: violations that no duration removes; times are for ``duration``.
     """
@@ -76,9 +77,8 @@ def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
         for check in (apart, *others, _span(setting, curves, swarm))
         if check is not None and not check.holds
     ]
-    return Evaluation(
-        coefficients, duration, np.inf if apart is None else apart.bound, tuple(broken)
-    )
+    closest = np.inf if apart is None else apart.bound
+    return Evaluation(coefficients, duration, closest, tuple(broken))
 
 
 def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
@@ -87,7 +87,9 @@ def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
     for order, cap in enumerate(setting.caps, start=1):
         shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
         factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
-    return max(*factors, IDLE) * STRETCH
+    duration = max(*factors, IDLE) * STRETCH
+    limits = setting.task.requirements.limits
+    return turning_stretch(Swarm(setting.task.drones), limits.body_rate, (unit,), duration)
 
 
 def _span(setting: Setting, curves: PiecewisePolynomial, swarm: Swarm) -> Check | None:
@@ -111,10 +113,8 @@ def check_ends(task: SeparationTask) -> None:
         (task.start, "at the start (t = 0)", "start"),
         (task.goal, "at the goals (the plan's end)", "goal"),
     ):
-        found += _too_close(task, points, when, end)
-        found += _outside(task, points, when, end)
-        found += _within(task, points, when, end)
-        found += _parted(task, points, when, end)
+        for violations in (_too_close, _outside, _within, _parted):
+            found += violations(task, points, when, end)
     if found:
         raise InfeasibleError(found)
 

@@ -11,15 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hitchopt.geometry.vectors import EAST, TIE, unit
 from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
 from hitchopt.time_limit import check_time
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from hitchopt.values import Array, Indices
 
 WANTED = 1.15
 """Separation that pushes aim at, larger than 1 as drones also move between samples."""

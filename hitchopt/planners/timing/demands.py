@@ -114,13 +114,9 @@ class Demands:
         reach = float(np.min(self.reach(still, still + 1.0)))
         if not reach > 0.0:
             return math.inf
-        return float(
-            max(
-                1.0 / np.sqrt(np.min(self.speed_bound)),
-                1.0 / math.sqrt(reach),
-                np.cbrt(jerk / (self.share * self.limits.jerk)),
-            )
-        )
+        by_speed = 1.0 / np.sqrt(np.min(self.speed_bound))
+        by_jerk = np.cbrt(jerk / (self.share * self.limits.jerk))
+        return float(max(by_speed, 1.0 / math.sqrt(reach), by_jerk))
 
     def at_rest(self) -> tuple[Array, Array]:
         """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""

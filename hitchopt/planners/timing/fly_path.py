@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.planners.path.jets import chained, polynomials_through
 from hitchopt.planners.path.shape_path import Path, path_jets
 from hitchopt.planners.timing.demands import Demands
@@ -18,8 +19,7 @@ from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 GRID = 160
 """Number of steps of toppra's grid along the path."""
@@ -38,6 +38,9 @@ SHORTEST_FLIGHT = 0.05
 """[s] Shortest duration chosen: a move of micrometres would be over before its polynomials are
 above their rounding."""
 
+GENTLER = 1.005
+"""Stretch for the sake of the body rate above which a flight with less jerk is tried as well."""
+
 
 def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     """Return the flight along a path, from rest to rest.
@@ -53,23 +56,41 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     InfeasibleError: ``duration`` is shorter than the limits allow.
     TimingError, WarpError: no timing was found.
     """
+    flight, fastest = _timed(path, limits)
+    slower = fastest / flight.duration
+    if limits.body_rate is not None and GENTLER < slower < math.inf:
+        # Thrusts turn with the jerk: with less of it, speed and acceleration need not suffer.
+        gentle = replace(limits, jerk=limits.jerk / slower**3)
+        flight, fastest = min(
+            (flight, fastest), _timed(path, gentle, limits), key=lambda timed: timed[1]
+        )
+    if duration is None:
+        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
+    check_duration(duration, fastest)
+    return flight.lasting(duration)
+
+
+def _timed(path: Path, aimed: Limits, limits: Limits | None = None) -> tuple[Flight, float]:
+    """Return a flight timed for the limits ``aimed`` at, and in what time it keeps ``limits`` [s].
+
+    Parameters
+    ----------
+    limits: those to be kept; None for the same ones.
+    """
     grid = path_grid(GRID)
-    demands = Demands.along(path, limits, grid)
+    demands = Demands.along(path, aimed, grid)
     profile = fastest_profile(grid, demands)
     ramp = max(_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
     finer = 1
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
-        flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, limits, s)))
+        flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, aimed, s)))
         if flight.drones.pieces >= FINEST or _cable_error(path, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    slower = needed_stretch(path.team, limits, flight.drones, flight.vertices, flight.pulls)
-    fastest = slower * flight.duration
-    if duration is None:
-        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
-    check_duration(duration, fastest)
-    return flight.lasting(duration)
+    kept = limits or aimed
+    slower = needed_stretch(path.team, kept, flight.drones, flight.vertices, flight.pulls)
+    return flight, slower * flight.duration
 
 
 def _ramp(profile: SpeedProfile, demands: Demands) -> float:
@@ -114,7 +135,14 @@ def _cable_error(path: Path, flight: Flight) -> float:
     breaks = flight.drones.breaks
     t = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
     p, drones = flight.vertices.at(t), flight.drones.at(t)
-    layout = path.team.layout
-    legs = np.linalg.norm(drones - p[:, layout.anchors], axis=-1)
-    cables = legs[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + legs[:, 1::2]
-    return float(np.max(np.abs(cables / path.team.cable_length - 1.0)))
+    team, layout = path.team, path.team.layout
+    legs = drones - p[:, layout.anchors]
+    if team.cable_density == 0.0:
+        lengths = np.linalg.norm(legs, axis=-1)
+        cables = lengths[:, 0::2] + np.linalg.norm(layout.edges(p), axis=-1) + lengths[:, 1::2]
+    else:
+        factors = sag_factors(team, flight.tensions.at(t))
+        cables = np.sum(
+            [cable_of(x, factors) for x in (legs[:, 0::2], layout.edges(p), legs[:, 1::2])], axis=0
+        )
+    return float(np.max(np.abs(cables / team.cable_length - 1.0)))

@@ -141,8 +141,7 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     """
     fastest = demands.speed_bound
     steepest = np.min(
-        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12),
-        axis=1,
+        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12), axis=1
     )
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
@@ -165,12 +164,8 @@ def _cast(demands: Demands, u: Array, x: Array) -> Array:
     parts = []
     for first in range(0, len(u), size):
         span = slice(first, first + size)
-        part = replace(
-            demands,
-            drones=demands.drones[span],
-            vertex_speed=demands.vertex_speed[span],
-            loads=demands.loads[span],
-        )
+        drones, vertex_speed = demands.drones[span], demands.vertex_speed[span]
+        part = replace(demands, drones=drones, vertex_speed=vertex_speed, loads=demands.loads[span])
         parts.append(part.reach(u[span], x[span]))
     return np.concatenate(parts)
 

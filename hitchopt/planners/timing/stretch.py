@@ -10,6 +10,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.hitch.statics import cable_forces
 from hitchopt.planners.timing.demands import FINAL_SHARE, Demands, loads_at_rest
+from hitchopt.planners.timing.turning_stretch import turning_stretch
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
@@ -59,7 +60,8 @@ def needed_stretch(
             FINAL_SHARE,
         )
         factors.append(demands.stretch())
-    return max(factors)
+    taut = PiecewisePolynomial.constant(breaks, np.ones(team.robots))
+    return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), max(factors))
 
 
 def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:

@@ -1,0 +1,140 @@
+"""The weight that every clasp carries, enclosed, and whether its two cables press on each other.
+
+Cable k is borne by its drones with half of its legs, by clasp k with half of its q-leg and edge, by
+clasp k+1 with half of its edge and r-leg. With all of its length used up (check ``cable_length``)
+``d_k + l_k = L_k - e_k``, so that norms of legs alone tell the weights.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.checks.bounds.bodies import leg_vectors
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.tensions import lowered, tautness
+from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.trajectory.extremum import Estimate
+from hitchopt.values import Array
+
+CONTACT_SIGNS = np.array([1.0, 1.0, -1.0, 1.0])
+"""Signs that make the contact force's products with q̂_k, u_k, r̂_{k-1}, u_{k-1} negative where the
+clasp bears."""
+
+
+def clasp_weights(motion: Motion) -> list[Array]:
+    """Return what the weights at clasps are computed of, per piece and clasp.
+
+    The other legs of its two cables, ``r_k``'s and ``q_{k-1}``'s (…, 6, degree + 1) [m]; then, of
+    the cable ahead and of that behind, three rows each (…, 6, degree + 1): its share of the load
+    and half of its cable's weight [N], and half of the weight per length [N/m], all to the share
+    that the cable is taut.
+    """
+    team, layout = motion.team, motion.team.layout
+    # A drone at a chain's end has no leg, wherever a plan has it.
+    legs = leg_vectors(motion) * layout.has_leg.reshape(-1, 1, 1)
+    others = np.concatenate([legs[:, 2 * layout.ahead + 1], legs[:, 2 * layout.behind]], axis=2)
+    taut = lowered(tautness(motion))
+    half = 0.5 * GRAVITY * team.cable_density
+    rows = []
+    for cable in (layout.ahead, layout.behind):
+        share = taut[:, cable]
+        load = 0.5 * GRAVITY * team.load[:, None] * share
+        rows += [load, half * team.cable_length[cable, None] * share, half * share]
+    return [others, np.stack(rows, axis=2)]
+
+
+def weight_enclosure(others: Array, rows: Array, noise: float) -> enclosure.Enclosure:
+    """Enclose the weights W_k (cells,) [N] at clasps, with an error for every coefficient.
+
+    Parameters
+    ----------
+    others, rows: of ``clasp_weights``.
+    noise: of positions [m].
+    """
+    ahead, behind = _halves(others, rows, noise)
+    return enclosure.Enclosure(
+        ahead.coefficients + behind.coefficients, ahead.radius + behind.radius
+    )
+
+
+def _halves(others: Array, rows: Array, noise: float) -> list[enclosure.Enclosure]:
+    """Enclose what the clasps carry of the cables ahead and behind, (cells,) [N] each."""
+    sizes = enclosure.norm(others.reshape(len(others), 2, 3, -1))
+    found = []
+    for i in range(2):
+        load, whole, half = np.moveaxis(rows[:, 3 * i : 3 * i + 3], 1, 0)
+        product = bernstein.multiply(half, sizes.coefficients[:, i])
+        order = bernstein.degree(product)
+        weight = bernstein.elevate(load + whole, order) - product
+        radius = bernstein.elevate(half, order) * (sizes.radius[:, i] + 2.0 * noise)[:, None]
+        found.append(enclosure.Enclosure(weight, radius))
+    return found
+
+
+def weight_at(others: Array, rows: Array, x: Array) -> Array:
+    """Return the weights (cells,) [N] at x (cells,)."""
+    weights: Array = np.sum(_halves_at(others, rows, x), axis=1)
+    return weights
+
+
+def _halves_at(others: Array, rows: Array, x: Array) -> Array:
+    """Return what the clasps carry of the cables ahead and behind (cells, 2) [N] at x (cells,)."""
+    there = bernstein.evaluate(others, x[:, None]).reshape(-1, 2, 3)
+    load, whole, half = np.moveaxis(bernstein.evaluate(rows, x[:, None]).reshape(-1, 2, 3), 2, 0)
+    halves: Array = load + whole - half * np.linalg.norm(there, axis=-1)
+    return halves
+
+
+def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    """Bound the largest product that should be negative where a clasp bears, over its tension.
+
+    Cable k presses with ``C = -(P_q q̂_k + T_k u_k) + W^k ẑ``, ``W^k`` the weight on itself and half
+    of the clasp's load. The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and
+    ``C·u_{k-1} < 0``.
+
+    Parameters
+    ----------
+    blocks: the four vectors that meet at each clasp (cells, 12, degree + 1), what the cables pull
+        with along each (cells, 4, …), and what ``clasp_weights`` returns.
+    noise: of positions [m].
+    """
+    rows, pulls, others, shares = blocks
+    vectors = rows.reshape(len(rows), 4, 3, -1)
+    along = enclosure.direction(vectors, noise)
+    pressing = -np.sum(bernstein.multiply(pulls[:, :2, None], along.coefficients[:, :2]), axis=1)
+    weight = _halves(others, shares, noise)[0]
+    order = max(bernstein.degree(pressing), bernstein.degree(weight.coefficients))
+    pressing = bernstein.elevate(pressing, order)
+    pressing[:, 2] += bernstein.elevate(weight.coefficients, order)
+    turned = bernstein.elevate(np.abs(pulls[:, :2]), order) * along.radius[:, :2, None]
+    slop = np.sum(turned, axis=1) + bernstein.elevate(weight.radius, order)
+    products = bernstein.dot(pressing[:, None], along.coefficients) * CONTACT_SIGNS[:, None]
+    order = bernstein.degree(products)
+    # |C·y - c·y'| <= |C - c| |y| + |c| |y - y'|, for unit vectors y.
+    size = bernstein.elevate(np.linalg.norm(pressing, axis=1) + slop, order)
+    error = bernstein.elevate(slop, order)[:, None] + size[:, None] * along.radius[..., None]
+    tension = np.min(bernstein.elevate(pulls[:, 1::2], order), axis=1)
+    upper = np.max(products + error, axis=1)
+    # Where the tension rises from zero, everything is proportional to it.
+    pulling = np.max(tension, axis=-1, keepdims=True) > 0.0
+    nothing = pulling & (tension == 0.0) & (upper == 0.0)
+    over = np.divide(upper, tension, out=np.full_like(upper, np.inf), where=tension > 0.0)
+    reach = np.where(nothing, -np.inf, over)
+    x = np.argmax(reach, axis=-1) / max(1, order)
+    return Estimate(np.max(reach, axis=-1), _products_at(blocks, x), x)
+
+
+def _products_at(blocks: tuple[Array, ...], x: Array) -> Array:
+    """Return the largest product of ``contact_bound`` over its tension at x (cells,)."""
+    rows, pulls, others, shares = blocks
+    y = unit(bernstein.evaluate(rows, x[:, None]).reshape(-1, 4, 3))
+    P = bernstein.evaluate(pulls, x[:, None])
+    C = -np.sum(P[:, :2, None] * y[:, :2], axis=1)
+    C[:, 2] += _halves_at(others, shares, x)[:, 0]
+    largest = np.max(np.einsum("cd,cid->ci", C, y) * CONTACT_SIGNS, axis=1)
+    tension = np.min(P[:, 1::2], axis=1)
+    known = tension > 0.0
+    over: Array = np.divide(largest, tension, out=np.full_like(largest, -np.inf), where=known)
+    return over

@@ -1,0 +1,218 @@
+"""``tracking_radius``: closed forms, an adversary, and laws."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from certificate_cases import random_motion, still, with_parts
+from free_cases import free_motion, random_flight
+from numpy.typing import NDArray
+
+import hitchopt as ho
+from benchmarks.adversary import attack
+from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks.bounds.ellipsoid_distance import ellipsoid_distance, ellipsoid_metric
+from hitchopt.checks.bounds.hanging_clearance import moved_by
+from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.swarm import Swarm
+from hitchopt.mission.loading import read_problem
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+
+Array = NDArray[np.float64]
+
+AXES = np.array([0.24, 0.24, 0.6])
+
+
+def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
+    return certify(motion, gamma=gamma)["tracking_radius"]
+
+
+def single(places: Array, requirements: Requirements | None = None) -> Motion:
+    """Drones without cables that fly from places (2, N, 3) [m] along lines, for a second."""
+    coefficients = np.moveaxis(places, 0, -1)[None]
+    drones = PiecewisePolynomial(np.array([0.0, 1.0]), coefficients)
+    given = requirements or Requirements(Limits(), Separation())
+    return Motion.single(Swarm(places.shape[1]), given, drones, [Phase("fly", 0, 0.0, 1.0)])
+
+
+def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids() -> None:
+    for offset, expected in (
+        ([1.0, 0.0, 0.0], 0.5 * (1.0 - 0.24)),
+        ([0.0, 0.0, 1.0], 0.5 * (1.0 - 0.60)),
+        ([0.0, -0.3, 0.0], 0.03),
+    ):
+        places = np.tile([[0.0, 0.0, 3.0], np.add([0.0, 0.0, 3.0], offset)], (2, 1, 1))
+        check = radius_of(single(places))
+        assert check.bound == pytest.approx(expected, rel=1e-6)
+        assert (check.limit, check.holds, check.where) == (None, True, ("d0", "d1"))
+
+
+def test_the_distance_to_an_ellipsoid_is_that_to_its_nearest_point() -> None:
+    """Against the points of a fine mesh of the ellipsoid."""
+    rng = np.random.default_rng(1)
+    angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 361), np.linspace(-1.0, 1.0, 361))
+    level = np.sqrt(1.0 - height**2)
+    mesh = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=-1) * AXES
+    for axes in (AXES, AXES[::-1][[1, 1, 2]]):
+        points = mesh / AXES * axes
+        for offset in rng.normal(size=(12, 3)) * 0.8:
+            found = float(ellipsoid_distance(offset, axes))
+            nearest = float(np.min(np.linalg.norm(points - offset, axis=-1)))
+            if np.linalg.norm(offset / axes) <= 1.0:
+                assert found == 0.0
+            else:
+                assert nearest - 5e-3 <= found <= nearest + 1e-12
+
+
+def test_no_sample_comes_closer_to_the_ellipsoid_than_a_cell_s_bound() -> None:
+    """The bound closes in with the square of a cell's size."""
+    rng = np.random.default_rng(2)
+    separation = Separation()
+    middles = rng.normal(size=(400, 3, 1)) * [[1.0], [1.0], [1.5]]
+    motion = rng.normal(size=(400, 3, 5))
+    off = []
+    for size in (0.3, 0.03):
+        rows = middles + size * motion
+        estimate = ellipsoid_metric(separation).bound((rows * separation.scale[:, None],))
+        values = np.moveaxis(rows @ bernstein.basis(np.linspace(0.0, 1.0, 201), 4).T, 1, -1)
+        sampled = np.min(ellipsoid_distance(values, AXES), axis=1)
+        assert np.all(estimate.bound <= sampled + 1e-9)
+        off.append(float(np.mean((sampled - estimate.bound)[sampled > 0.5])))
+    assert off[1] < 0.2 * off[0] < 0.05
+
+
+@pytest.mark.parametrize(("n", "seed"), [(3, 1), (5, 2), (8, 3)])
+def test_no_adversary_beats_it_and_it_is_tight_for_random_hitches(n: int, seed: int) -> None:
+    arena = Arena([-40.0, -50.0, 0.5], [45.0, 40.0, 3.0])
+    motion = random_motion(n, seed, arena=arena)
+    radius, found = radius_of(motion).bound, attack(motion, count=30).radius
+    assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
+    wider = radius_of(motion, 1.8).bound
+    assert wider <= min(radius, attack(motion, 1.8, 30).radius * (1.0 + 1e-4))
+
+
+@pytest.mark.parametrize(
+    ("stem", "count"),
+    [("triangle", 30), ("open_pair", 30), ("form_triangle", 100), ("swarms/stack", 30)],
+)
+def test_no_adversary_beats_it_and_it_is_tight_for_plans(stem: str, count: int) -> None:
+    motion = ho.solve(read_problem(f"problems/{stem}.yaml")).motion
+    radius, found = radius_of(motion).bound, attack(motion, count=count).radius
+    assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_crossing_drones_at_all_heights(seed: int) -> None:
+    """Pairs one of which is higher: the pair of the least ratio need not be the one that counts."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]
+    motion = single(places)
+    check = certify(motion)["separation"]
+    radius, found = radius_of(motion).bound, attack(motion, count=30).radius
+    if not check.holds:
+        assert radius == 0.0
+    else:
+        assert 0.95 * found <= radius <= found * (1.0 + 1e-4)
+        assert radius >= 0.12 * (check.bound - 1.0) - 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_free_cables(seed: int) -> None:
+    team, drones = random_flight(seed, n=3, pieces=1)
+    motion = free_motion(team, drones)
+    assert 0.0 <= radius_of(motion).bound <= attack(motion, count=30).radius * (1.0 + 1e-4)
+
+
+def test_hanging_cables_move_no_farther_than_said() -> None:
+    rng = np.random.default_rng(5)
+    mu = np.linspace(-1.0, 1.0, 301)[:, None]
+    for _ in range(40):
+        length = rng.uniform(1.0, 2.0)
+        q, r = rng.uniform(-0.35, 0.35, (2, 3)) * length + [[0.0, 0.0, 5.0], [0.5, 0.0, 5.0]]
+        if np.linalg.norm(q - r) > 0.93 * length:
+            continue
+        team = Team(2, length, topology="open")
+        ends = np.stack([q, r, q + 9.0, r + 9.0])
+        still_there = PiecewisePolynomial.constant(np.array([0.0, 1.0]), ends)
+        needed = moved_by(free_motion(team, still_there))
+        for radius in (0.001, 0.01, 0.04):
+            shifts = rng.normal(size=(2, 60, 3))
+            shifts *= radius / np.linalg.norm(shifts, axis=-1, keepdims=True)
+            places = []
+            for a, b in ((q[None], r[None]), (q + shifts[0], r + shifts[1])):
+                cable = Catenary.between(a, b, length)
+                points = a + 0.5 * (1.0 + mu[..., None]) * (b - a)
+                points[..., 2] -= cable.depth(mu)
+                places.append(points)
+            moved = np.max(np.linalg.norm(places[1] - places[0], axis=-1))
+            assert moved + radius <= needed(radius) * (1.0 + 1e-9)
+
+
+def test_a_larger_gamma_never_helps_and_is_stated() -> None:
+    motion = random_motion(4, 7)
+    radii = [radius_of(motion, gamma).bound for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
+    assert radii == sorted(radii, reverse=True)
+    certificate = certify(motion, gamma=1.5)
+    entry = certificate.to_dict()["checks"][-1]
+    assert (entry["name"], entry["gamma"], entry["limit"]) == ("tracking_radius", 1.5, None)
+    assert entry["holds"] is True
+    assert all("gamma" not in other for other in certificate.to_dict()["checks"][:-1])
+    text = json.dumps(certificate.to_dict(), allow_nan=False)
+    assert Certificate.from_dict(json.loads(text)) == certificate
+    with pytest.raises(ho.InputError, match="gamma"):
+        certify(motion, gamma=-1.0)
+
+
+def test_translation_mirror_and_reverse_change_nothing() -> None:
+    motion = random_motion(5, 9)
+    radius = radius_of(motion).bound
+
+    def moved(part: PiecewisePolynomial) -> PiecewisePolynomial:
+        if len(part.shape) < 2 or part.shape[1] != 3:
+            return part
+        return PiecewisePolynomial(part.breaks, part.coefficients + [[3.0], [-2.0], [1.0]])
+
+    assert radius_of(with_parts(motion, moved)).bound == pytest.approx(radius, rel=1e-3)
+    back = with_parts(motion, PiecewisePolynomial.reversed)
+    assert radius_of(back).bound == pytest.approx(radius, rel=1e-3)
+    slower = with_parts(motion, lambda part: part.stretched(3.0))
+    assert radius_of(slower).bound == pytest.approx(radius, rel=1e-3)
+
+
+def test_what_binds_is_named() -> None:
+    """Of a triangle at rest the legs, the walls, and with a long leg limit nothing is left."""
+    triangle = np.array([[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]])
+    motion = still(Team(3, 3.0), triangle, [0.4] * 3)
+
+    def limited(**limits: float) -> Motion:
+        return replace(motion, requirements=Requirements(Limits(**limits), Separation()))
+
+    short = limited(leg=0.39)
+    shortest = certify(short)["legs"]
+    check = radius_of(short)
+    assert check.bound == pytest.approx((shortest.bound - 0.39) / 2.0, rel=1e-6)
+    assert check.where == shortest.where
+    assert radius_of(short, 3.0).bound == pytest.approx((shortest.bound - 0.39) / 4.0, rel=1e-6)
+    assert radius_of(limited(leg=0.9)).bound == 0.0
+    low = replace(motion, requirements=Requirements(arena=Arena([-9, -9, 0.999], [9, 9, 3])))
+    assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_nothing_counted_is_null() -> None:
+    check = radius_of(single(np.zeros((2, 1, 3)) + 1.0))
+    assert (check.worst, check.holds, check.where) == (None, True, ())
+    assert math.isinf(check.bound)
+
+
+def test_parts_of_a_mission_have_the_least_of_their_radii() -> None:
+    plan = ho.solve(read_problem("problems/blended.yaml"))
+    reported = plan.certificate["tracking_radius"]
+    assert reported.bound == pytest.approx(radius_of(plan.motion).bound, rel=1e-6)
+    assert reported.gamma == 1.0

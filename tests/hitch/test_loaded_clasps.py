@@ -1,0 +1,271 @@
+"""Clasps that carry weight and legs that are rolled: balance, laws, limits and closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clasp_balance import clasp_residuals
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.cable_spans import ClaspLoads, cable_of, sag_factors, shortening
+from hitchopt.hitch.statics import contact_forces, leg_directions
+from problems.random_morph import random_convex_polygon
+
+Array = NDArray[np.float64]
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.integers(3, 9)
+
+RHO = 9.81 * 0.01
+"""[N/m] Weight of the cables here."""
+
+
+def hitch(seed: int, n: int, *, density: float = 0.01, topology: str = "closed") -> Hitch:
+    """A hitch of unequal cables, tensions, loads and rolls, off the origin."""
+    rng = np.random.default_rng(seed)
+    closed = topology == "closed"
+    polygon = random_convex_polygon(n if closed else n + 3, 1.2, rng).translated([3.0, -2.0])
+    outline = polygon if closed else ConvexArc(polygon.vertices[: n + 1])
+    clasps = n if closed else n - 1
+    lengths = outline.edge_lengths + rng.uniform(0.7, 1.0, n)
+    team = Team(
+        n,
+        lengths,
+        topology=topology,
+        tension=rng.uniform(0.9, 1.0, n),
+        cable_density=density,
+        load=rng.uniform(0.0, 0.008, clasps),
+    )
+    fractions = rng.uniform(0.3, 0.7, n)
+    if not closed:
+        fractions[0], fractions[-1] = 0.0, 1.0
+    slack = Hitch.balanced(team, outline).slack
+    return Hitch(team, outline, 0.8, slack * fractions, rng.uniform(-0.8, 0.8, clasps))
+
+
+def spans(h: Hitch) -> Array:
+    """(n, 3, 3): the q-legs, edges and r-legs as vectors away from the first vertex."""
+    p, x = h.vertices, h.drones.reshape(-1, 2, 3)
+    following = p[h.team.layout.ends]
+    here = p[h.team.layout.starts]
+    return np.stack([x[:, 0] - here, following - here, x[:, 1] - following], axis=1)
+
+
+@given(seeds, sizes, st.sampled_from(["closed", "open"]))
+@settings(max_examples=60)
+def test_clasps_balance_and_cables_sag_to_their_length(seed: int, n: int, topology: str) -> None:
+    """Written out: every clasp with half of the cables about it, and the arc of every span."""
+    h = hitch(seed, n, topology=topology)
+    T, s, layout = h.team.tension, spans(h), h.team.layout
+    length = np.linalg.norm(s, axis=-1)
+    level = np.hypot(s[..., 0], s[..., 1])
+    arcs = length + (RHO / T[:, None]) ** 2 * length * level**2 / 24.0
+    np.testing.assert_allclose(np.sum(arcs, axis=1), h.team.cable_length, rtol=2e-7)
+    np.testing.assert_allclose(h.legs, length[:, ::2], atol=1e-15)
+    for k, clasp in enumerate(layout.clasps):
+        a, b = layout.ahead[k], layout.behind[k]
+        weight = 0.5 * RHO * (arcs[a, 0] + arcs[a, 1] + arcs[b, 1] + arcs[b, 2])
+        force = np.array([0.0, 0.0, -weight - 9.81 * h.team.load[k]])
+        force += T[a] * s[a, 1] / length[a, 1] - T[b] * s[b, 1] / length[b, 1]
+        for leg, size, pull in ((s[a, 0], length[a, 0], T[a]), (s[b, 2], length[b, 2], T[b])):
+            force += (pull + 0.5 * RHO * leg[2]) * leg / size
+        # The growth of the pull is found by iteration; lengths of legs count as their cables'.
+        assert np.linalg.norm(force) < 3e-4 * T[a], clasp
+
+
+@given(seeds, sizes)
+@settings(max_examples=40)
+def test_massless_cables_carry_loads_to_the_last_digit(seed: int, n: int) -> None:
+    h = hitch(seed, n, density=0.0)
+    drones = h.drones.reshape(n, 2, 3)
+    loads = np.outer(-9.81 * h.team.load, [0.0, 0.0, 1.0])
+    residual = clasp_residuals(h.vertices, drones[:, 0], drones[:, 1], h.team.tension, loads)
+    assert np.max(np.abs(residual)) < 1e-12
+    lengths = np.sum(np.linalg.norm(spans(h), axis=-1), axis=1)
+    np.testing.assert_allclose(lengths, h.team.cable_length, rtol=1e-12)
+
+
+@given(seeds, sizes)
+@settings(max_examples=30)
+def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    edges = rng.normal(size=(n, 3))
+    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+    T = rng.uniform(0.8, 1.0, n)
+    forces, roll = 0.05 * rng.normal(size=(n, 3)), rng.uniform(-1.0, 1.0, n)
+    V = np.roll(T, 1)[:, None] * np.roll(edges, 1, axis=0) - T[:, None] * edges - forces
+    size = np.linalg.norm(V, axis=1)
+    if np.any(size > 0.98 * (T + np.roll(T, 1))) or np.any(size < 0.3):
+        return
+    q, r = leg_directions(edges, T, loads=ClaspLoads(forces, np.zeros((n, 2)), roll))
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
+    held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
+    np.testing.assert_allclose(held, V, atol=1e-12)
+
+
+@given(seeds, sizes, st.booleans())
+@settings(max_examples=40)
+def test_no_weight_and_no_roll_is_the_planar_clasp(seed: int, n: int, equal: bool) -> None:
+    h = hitch(seed, n)
+    u = h.polygon.edge_directions
+    T = np.full(n, 0.5) if equal else h.team.tension
+    nothing = ClaspLoads(np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n))
+    for planar, loaded in zip(
+        leg_directions(u, T), leg_directions(u, T, loads=nothing), strict=True
+    ):
+        np.testing.assert_allclose(loaded[:, :2], planar, atol=1e-12)
+        np.testing.assert_array_equal(loaded[:, 2], 0.0)
+    np.testing.assert_allclose(contact_forces(u, T, loads=nothing), contact_forces(u, T), rtol=1e-9)
+
+
+@given(seeds, sizes, st.floats(-3.0, 3.0), st.integers(1, 8))
+@settings(max_examples=30)
+def test_moving_turning_and_renumbering(seed: int, n: int, angle: float, shift: int) -> None:
+    h = hitch(seed, n)
+    polygon = h.polygon
+    assert isinstance(polygon, ConvexPolygon)
+    moved = Hitch(h.team, polygon.rotated(angle).translated([1.0, 2.0]), 2.3, h.q_legs, h.roll)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    expected = (h.drones - [0.0, 0.0, 0.8]) @ turn.T
+    shifted = moved.drones - moved.drones[0] + expected[0]
+    np.testing.assert_allclose(shifted, expected, atol=1e-9)
+    k = shift % n
+    team = replace(
+        h.team,
+        cable_length=np.roll(h.team.cable_length, -k),
+        tension=np.roll(h.team.tension, -k),
+        load=np.roll(h.team.load, -k),
+    )
+    other = Hitch(
+        team, np.roll(polygon.vertices, -k, axis=0), 0.8, np.roll(h.q_legs, -k), np.roll(h.roll, -k)
+    )
+    np.testing.assert_allclose(other.drones, np.roll(h.drones, -2 * k, axis=0), atol=1e-12)
+
+
+@given(seeds, sizes)
+@settings(max_examples=30)
+def test_the_mirror_image_exchanges_q_and_r_and_the_sense_of_roll(seed: int, n: int) -> None:
+    h = hitch(seed, n)
+    back = np.arange(n)[::-1]
+    corners = np.roll(h.polygon.vertices[back] * [-1.0, 1.0], -1, axis=0)
+    at = np.roll(back, -1)  # clasp k of the image is this one of the hitch
+    cable = (at - 1) % n
+    team = replace(
+        h.team,
+        cable_length=h.team.cable_length[cable],
+        tension=h.team.tension[cable],
+        load=h.team.load[at],
+    )
+    image = Hitch(team, corners, 0.8, h.r_legs[cable], -h.roll[at])
+    expected = h.drones.reshape(n, 2, 3)[cable][:, ::-1] * [-1.0, 1.0, 1.0]
+    np.testing.assert_allclose(image.drones.reshape(n, 2, 3), expected, atol=1e-9)
+
+
+def test_a_positive_roll_raises_q_and_lowers_the_other_drone_of_its_clasp() -> None:
+    team = Team(5, 2.0)
+    h = Hitch.balanced(team, regular_polygon(5, 1.0), roll=[0.0, 0.3, 0.0, -0.2, 0.0])
+    raised = h.drones[0::2, 2] - 1.0
+    lowered = np.roll(h.drones[1::2, 2], 1) - 1.0
+    np.testing.assert_array_equal(np.sign(raised).round(9), [0.0, 1.0, 0.0, -1.0, 0.0])
+    np.testing.assert_allclose(lowered, -raised, atol=1e-12)
+    # Half of the interior angle is between legs and V, about which they turn.
+    h_over_T = math.sin(0.5 * math.radians(108.0))
+    assert raised[1] == pytest.approx(0.5 * h_over_T * math.sin(0.3), rel=1e-12)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6, 12])
+def test_the_largest_weight_of_regular_hitches(n: int) -> None:
+    """``W < 2 n T cos(π/n)`` of all clasps together; legs rise by ``sin α = W / 2nT``."""
+    most = 2.0 * 0.6 * math.cos(math.pi / n)
+    for share in (0.5, 0.999):
+        team = Team(n, 2.0, tension=0.6, load=share * most / 9.81)
+        h = Hitch.balanced(team, regular_polygon(n, 1.0))
+        rise = (h.drones[:, 2] - 1.0) / 0.5
+        np.testing.assert_allclose(rise, share * most / 1.2, rtol=1e-9)
+    with pytest.raises(InfeasibleError, match=r"load: .* above the limit of .* at p\d") as told:
+        Hitch.balanced(replace(team, load=np.full(n, 1.25 * most / 9.81)), regular_polygon(n, 1.0))
+    (violation,) = told.value.violations
+    assert violation.value == pytest.approx(1.25 * most, rel=1e-9)
+    assert violation.limit == pytest.approx(most, rel=1e-9)
+    assert "team.tension 1.25 times" in violation.remedy
+    Hitch.balanced(
+        replace(team, load=np.full(n, 1.25 * most / 9.81), tension=np.full(n, 0.6 * 1.26)),
+        regular_polygon(n, 1.0),
+    )
+
+
+def test_thrust_of_a_weight_shared_alike() -> None:
+    """``(m g + ½ ρ g d + T sin α)² + (T cos α)²``, T the pull along the leg."""
+    h = Hitch.balanced(
+        Team(6, 2.2, tension=0.5, cable_density=0.01, load=0.01), regular_polygon(6, 1.0)
+    )
+    weight = 9.81 * 0.01 + RHO * (h.q_legs[0] + 2.2 - h.r_legs[0] - h.q_legs[0])
+    d = h.legs[0, 0]
+    sine = (h.drones[0, 2] - 1.0) / d
+    pull = 0.5 + 0.5 * RHO * d * sine
+    assert pull * sine == pytest.approx(0.5 * weight, rel=1e-5)
+    force = h.cable_forces
+    np.testing.assert_allclose(-force[:, 2], 0.5 * RHO * d + 0.5 * weight, rtol=1e-5)
+    level = np.hypot(force[:, 0], force[:, 1])
+    np.testing.assert_allclose(level, pull * math.sqrt(1.0 - sine**2), rtol=1e-9)
+
+
+@given(seeds, sizes)
+@settings(max_examples=30)
+def test_contacts_bear_until_a_load_lifts_a_cable_off(seed: int, n: int) -> None:
+    """By hand from the forces on either cable, which the other one has to hold."""
+    h = hitch(seed, n, density=0.0)
+    u = np.column_stack([h.polygon.edge_directions, np.zeros(n)])
+    T = h.team.tension
+    forces = np.outer(-9.81 * h.team.load, [0.0, 0.0, 1.0])
+    loads = ClaspLoads(forces, np.zeros((n, 2)), h.roll)
+    q, r = leg_directions(u, T, loads=loads)
+    found = contact_forces(u, T, loads=loads)
+    for k in range(n):
+        on_ahead = -T[k] * (q[k] + u[k]) - 0.5 * forces[k]
+        on_behind = -T[k - 1] * (r[k - 1] - u[k - 1]) - 0.5 * forces[k]
+        np.testing.assert_allclose(on_ahead, -on_behind, atol=1e-12)
+        bears = on_ahead @ q[k] < 0.0 and on_ahead @ u[k] < 0.0
+        bears = bears and on_behind @ r[k - 1] < 0.0 < on_behind @ u[k - 1]
+        assert abs(found[k]) == pytest.approx(np.linalg.norm(on_ahead), rel=1e-12)
+        assert (found[k] > 0.0) == bears
+
+
+def test_the_roll_of_a_hitch_is_checked() -> None:
+    team = Team(3, 2.4)
+    points = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    for roll in (1.6, float("nan"), [0.1, 0.2], "up"):
+        with pytest.raises(InputError, match="roll"):
+            Hitch.balanced(team, points, roll=roll)
+    with pytest.raises(InputError, match=r"load = .*one per clasp"):
+        Team(3, 2.4, load=[0.1, 0.2])
+    with pytest.raises(InputError, match=r"load\[1\]"):
+        Team(3, 2.4, load=[0.1, -0.2, 0.1])
+
+
+def test_the_arc_of_a_span_and_its_chord() -> None:
+    """A parabola's length by quadrature, and the inverse of the series."""
+    team = Team(3, 2.4, tension=[0.4, 0.5, 0.6], cable_density=0.01)
+    factors = sag_factors(team, team.tension)
+    chord = np.array([[0.9, -0.5, 0.0], [0.3, 0.4, 0.35], [0.0, 0.0, 0.7]])
+    x = np.linspace(-0.5, 0.5, 20_001)
+    for k in range(3):
+        level = math.hypot(chord[k, 0], chord[k, 1])
+        size = float(np.linalg.norm(chord[k]))
+        length = size
+        if level > 0.0:  # the slope changes by weight over level pull from end to end
+            slope = chord[k, 2] / level + RHO * size / (team.tension[k] * level / size) * x
+            length = level * float(np.trapezoid(np.sqrt(1.0 + slope**2), x))
+        cable = cable_of(chord, factors)[k]
+        assert cable - size == pytest.approx(length - size, rel=0.02, abs=1e-9)
+        share = factors[k] * cable**2 * (level / size) ** 2
+        assert cable * shortening(np.asarray(share)) == pytest.approx(size, rel=1e-9)

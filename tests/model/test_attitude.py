@@ -1,0 +1,123 @@
+"""Attitude and body rates against rotations of scipy, and along plans against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import hitchopt as ho
+from hitchopt.model.attitude import attitude_function
+from hitchopt.model.evaluation import attitudes
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
+
+Array = NDArray[np.float64]
+
+
+def random_jets(seed: int, count: int = 40) -> tuple[Array, Array]:
+    """Thrusts (count, 3) [N] that point upward, and their derivatives [N/s]."""
+    rng = np.random.default_rng(seed)
+    thrusts = rng.normal(size=(count, 3)) + [0.3, -0.2, 0.0]
+    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
+    return thrusts, 3.0 * rng.normal(size=(count, 3))
+
+
+def rotation_of(quaternions: Array) -> Rotation:
+    return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
+def test_the_third_axis_is_the_thrust_s_and_the_yaw_is_the_one_given(yaw: float) -> None:
+    thrusts, rates = random_jets(1)
+    found = attitudes(thrusts, rates, yaw)
+    turned = rotation_of(found.quaternions)
+    along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)
+    np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), along, atol=1e-14)
+    np.testing.assert_allclose(turned.as_euler("ZYX")[:, 0], yaw, atol=1e-13)
+    assert np.all(found.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
+    np.testing.assert_allclose(np.linalg.norm(found.quaternions, axis=-1), 1.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("yaw", "yaw_rate"), [(0.0, 0.0), (0.7, 0.0), (-2.0, 1.3)])
+def test_body_rates_are_those_at_which_the_attitude_turns(yaw: float, yaw_rate: float) -> None:
+    """Differentiated numerically, with a yaw that changes too."""
+    thrusts, rates = random_jets(2)
+    evaluate, h = attitude_function(), 1e-6
+    for f, change in zip(thrusts, rates, strict=True):
+        quaternions = []
+        for step in (-h, h):
+            jet = np.column_stack([f + step * change, change])
+            there = np.array([[yaw + step * yaw_rate, yaw_rate]])
+            quaternions.append(np.array(evaluate(jet, there)[0]))
+        before, after = map(rotation_of, quaternions)
+        turned = (before.inv() * after).as_rotvec()[0] / (2.0 * h)
+        found = np.array(evaluate(np.column_stack([f, change]), np.array([[yaw, yaw_rate]]))[1])[
+            :, 0
+        ]
+        np.testing.assert_allclose(turned, found, rtol=1e-6, atol=1e-6)
+
+
+def test_roll_and_pitch_rates_are_the_thrust_s_turning_rate() -> None:
+    thrusts, rates = random_jets(3)
+    turning = np.linalg.norm(np.cross(thrusts, rates), axis=-1) / np.sum(thrusts**2, axis=-1)
+    for yaw in (0.0, 1.0):
+        found = attitudes(thrusts, rates, yaw).body_rates
+        np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1]), turning, rtol=1e-12)
+
+
+def test_turning_everything_by_a_yaw_changes_no_body_rate() -> None:
+    thrusts, rates = random_jets(4)
+    turn = Rotation.from_euler("z", 0.9)
+    here, there = attitudes(thrusts, rates), attitudes(turn.apply(thrusts), turn.apply(rates), 0.9)
+    np.testing.assert_allclose(there.body_rates, here.body_rates, atol=1e-12)
+    both = (turn * rotation_of(here.quaternions)).as_matrix()
+    np.testing.assert_allclose(rotation_of(there.quaternions).as_matrix(), both, atol=1e-13)
+
+
+def test_the_size_of_the_thrust_does_not_matter() -> None:
+    thrusts, rates = random_jets(5)
+    here, there = attitudes(thrusts, rates), attitudes(3.0 * thrusts, 3.0 * rates - 2.0 * thrusts)
+    np.testing.assert_allclose(there.body_rates, here.body_rates, atol=1e-11)
+    np.testing.assert_allclose(there.quaternions, here.quaternions, atol=1e-14)
+
+
+def hitched() -> Motion:
+    team = ho.Team(3, cable_length=[2.3, 2.5, 2.4], tension=[0.4, 0.5, 0.45], cable_density=0.004)
+    start = ho.Hitch.spread(team, [[0.1, -1.0], [-0.4, 0.5], [0.5, 0.5]], altitude=1.2)
+    return ho.morph(start, [[0.1, -0.5], [-0.4, 0.6], [0.5, 0.5]]).motion
+
+
+def formed() -> Motion:
+    """A hitch being formed of cables with weight: hanging, tightened, hitched."""
+    return ho.solve("problems/form_hanging_to_the_floor.yaml").motion
+
+
+@pytest.mark.parametrize("plan", [hitched, formed])
+def test_states_turn_as_their_body_rates_say(plan: object) -> None:
+    motion: Motion = plan()  # type: ignore[operator]
+    rng = np.random.default_rng(6)
+    breaks, h = motion.drones.breaks, 1e-6
+    share = rng.uniform(0.1, 0.9, motion.drones.pieces)
+    t = breaks[:-1] - breaks[0] + share * np.diff(breaks)
+    now, before, after = (states_at(motion, t + step) for step in (0.0, -h, h))
+    slope = (after.cable_forces - before.cable_forces) / (2.0 * h)
+    np.testing.assert_allclose(now.cable_force_rates, slope, atol=2e-6)
+    slope = (after.thrusts(motion.team) - before.thrusts(motion.team)) / (2.0 * h)
+    np.testing.assert_allclose(now.thrust_rates(motion.team), slope, atol=2e-6)
+    along = [rotation_of(state.quaternions) for state in (before, after)]
+    turned = (along[0].inv() * along[1]).as_rotvec() / (2.0 * h)
+    np.testing.assert_allclose(turned, now.body_rates.reshape(-1, 3), atol=2e-5)
+    assert np.max(np.abs(now.body_rates)) > 0.1
+    thrusts = now.thrusts(motion.team)
+    size = np.linalg.norm(thrusts, axis=-1, keepdims=True)
+    third = rotation_of(now.quaternions).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(third, (thrusts / size).reshape(-1, 3), atol=1e-13)
+
+
+def test_a_plan_that_has_ended_does_not_turn() -> None:
+    motion = hitched()
+    over = states_at(motion, motion.duration + 1.0)
+    assert not np.any(over.body_rates)
+    assert not np.any(over.thrust_rates(motion.team))
