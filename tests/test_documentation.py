@@ -163,6 +163,23 @@ def test_the_command_line_s_page_has_every_option() -> None:
             assert written in section, f"{name} {parameter.name}"
 
 
+def test_commands_that_are_not_executed_have_known_options() -> None:
+    found = 0
+    for page in PAGES:
+        cells = (
+            b for b in blocks(text_of(page)) if b.language in {"sh", "text", "{code-cell} python"}
+        )
+        for line in "\n".join(block.text for block in cells).splitlines():
+            for call in re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&]*)", line):
+                known = {opt for each in main.commands[call[0]].params for opt in each.opts}
+                known |= {
+                    opt for each in main.commands[call[0]].params for opt in each.secondary_opts
+                }
+                assert set(re.findall(r"(?<= )--?[a-z][\w-]*", call[1])) <= known, line
+                found += 1
+    assert found > 10
+
+
 def test_exit_codes_are_those_of_the_commands() -> None:
     from hitchopt.cli.failures import UNMET, WRONG
 
