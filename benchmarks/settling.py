@@ -42,7 +42,7 @@ from problems.random_morph import random_convex_polygon
 
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 14 mm, without friction; point masses; one flight "
-    "each; noise of 1 cm, means over 5 s; plans that neglect the ropes' weight; straight "
+    "each; noise of 1 cm, means over 5 s; straight "
     "parts of ropes that bend around each other pass the vertex at up to 12 mm"
 )
 

@@ -61,6 +61,11 @@ class Layout:
         return self.points == self.robots
 
     @property
+    def around_clasps(self) -> Index:
+        """(c, 3): the points k-1, k and k+1 about every clasp."""
+        return np.column_stack([self.starts[self.behind], self.clasps, self.ends[self.ahead]])
+
+    @property
     def parts(self) -> Index:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
         exists = np.insert(self.has_leg, 1, True, axis=1)

@@ -25,8 +25,8 @@ import casadi as ca
 VARIABLE = "HITCHOPT_CACHE"
 OFF = "off"
 
-Builder = Callable[[bool], ca.Function]
-"""Function that builds the model of one choice."""
+Builder = Callable[..., ca.Function]
+"""Function that builds the model of some choices, each true or false."""
 
 
 def cache_directory() -> Path | None:
@@ -53,24 +53,24 @@ def stored(build: Builder) -> Builder:
 
     @lru_cache
     @wraps(build)
-    def found(choice: bool) -> ca.Function:
+    def found(*choices: bool) -> ca.Function:
         directory = cache_directory()
         if directory is None:
-            return build(choice)
-        file = directory / f"{build.__name__}-{_key(build, choice)}.casadi"
+            return build(*choices)
+        file = directory / f"{build.__name__}-{_key(build, choices)}.casadi"
         known = _read(file)
         if known is not None:
             return known
-        model = build(choice)
+        model = build(*choices)
         _write(file, model)
         return model
 
     return found
 
 
-def _key(build: Builder, choice: bool) -> str:
+def _key(build: Builder, choices: tuple[bool, ...]) -> str:
     """Return what a model depends on, in 32 hexadecimal digits."""
-    made_of = repr((_version(), ca.CasadiMeta.version(), sys.platform, choice)).encode()
+    made_of = repr((_version(), ca.CasadiMeta.version(), sys.platform, choices)).encode()
     with contextlib.suppress(OSError):  # in an archive, the version identifies the source
         for file in sorted(Path(build.__code__.co_filename).parent.glob("*.py")):
             made_of += file.read_bytes()

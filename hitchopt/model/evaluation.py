@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.layout import Layout
+from hitchopt.hitch.statics import cable_forces
 from hitchopt.model.attitude import attitude_function
-from hitchopt.model.loaded_robot import loaded_robot_function
+from hitchopt.model.loaded_clasp import loaded_clasp_function
 from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
 
@@ -97,45 +97,22 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     clasps carry weight or legs are rolled, the clasp with loads. Values are nan where tensions
     cannot carry them.
     """
+    if team.loaded or flat.roll is not None:
+        return _loaded_jets(team, flat)
     count, n = flat.q_legs.shape[:2]
     columns, layout = count * n, team.layout
-    stencil = flat.vertices[:, layout.stencil].reshape(columns, 12, JET)
-    tensions = flat.tensions[:, layout.neighbours].reshape(columns, 3, JET)
-
-    def each(value: Array, rows: int = 1) -> Array:
-        """Return constants (n, rows) for every column."""
-        return np.tile(value.reshape(n, rows), (count, 1))[..., None]
-
-    if team.loaded or flat.roll is not None:
-        q, r, q_force, r_force, q_thrust, r_thrust, legs = _mapped(
-            loaded_robot_function(team.cable_density > 0.0),
-            [
-                stencil,
-                flat.q_legs[:, layout.neighbours].reshape(columns, 3, JET),
-                tensions,
-                _roll_at_ends(layout, flat).reshape(columns, 2, JET),
-                each(team.cable_length[layout.neighbours], 3),
-                each(_loads_at_ends(team), 6),
-                each(layout.has_leg.astype(np.float64), 2),
-                each(team.mass[::2]),
-                each(np.full(n, GRAVITY * team.cable_density)),
-            ],
-        )
-    else:
-        equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
-            flat.tensions[..., 1:]
-        )
-        q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
-            robot_function(equal),
-            [
-                stencil,
-                flat.q_legs.reshape(columns, 1, JET),
-                tensions,
-                each(team.cable_length),
-                each(team.mass[::2]),
-            ],
-        )
-        legs = np.concatenate([flat.q_legs.reshape(columns, 1, JET), r_leg], axis=1)
+    equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
+        flat.tensions[..., 1:]
+    )
+    q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
+        robot_function(equal),
+        [
+            flat.vertices[:, layout.stencil].reshape(columns, 12, JET),
+            flat.q_legs.reshape(columns, 1, JET),
+            flat.tensions[:, layout.neighbours].reshape(columns, 3, JET),
+            *(_constants(value, count) for value in (team.cable_length, team.mass[::2])),
+        ],
+    )
 
     def paired(a: Array, b: Array) -> Array:
         """Return (J, 2n, 3, width) of two (columns, 3, width), q and r alternating."""
@@ -145,23 +122,52 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
         paired(q, r),
         paired(q_force, r_force)[..., 0],
         paired(q_thrust, r_thrust)[..., 0],
-        legs.reshape(count, n, 2, JET),
+        np.stack([flat.q_legs, r_leg.reshape(count, n, JET)], axis=2),
     )
 
 
-def _roll_at_ends(layout: Layout, flat: FlatJets) -> Array:
-    """Return the roll (J, n, 2, 4) [rad] at both points of every edge, 0 at a chain's ends."""
-    at_points = np.zeros((len(flat.q_legs), layout.points, JET))
-    if flat.roll is not None:
-        at_points[:, layout.clasps] = flat.roll
-    return at_points[:, np.column_stack([layout.starts, layout.ends])]
+def _constants(values: Array, count: int) -> Array:
+    """Return constants (items, …) for every one of ``count`` points, as columns (·, rows, 1)."""
+    return np.tile(values.reshape(len(values), -1), (count, 1))[..., None]
 
 
-def _loads_at_ends(team: Team) -> Array:
-    """Return the forces (n, 2, 3) [N] of what hangs at both points of every edge."""
-    at_points = np.zeros((team.layout.points, 3))
-    at_points[team.layout.clasps, 2] = -GRAVITY * team.load
-    return at_points[np.column_stack([team.layout.starts, team.layout.ends])]
+def _loaded_jets(team: Team, flat: FlatJets) -> DroneJets:
+    """Return ``drone_jets`` of clasps with loads, clasp by clasp."""
+    layout, count, clasps = team.layout, len(flat.q_legs), len(team.layout.clasps)
+    around, both = layout.around_clasps, np.column_stack([layout.behind, layout.ahead])
+    columns = count * clasps
+    weight = GRAVITY * team.cable_density
+    roll = np.zeros((count, clasps, JET)) if flat.roll is None else flat.roll
+    found = _mapped(
+        loaded_clasp_function(weight > 0.0, flat.roll is not None),
+        [
+            flat.vertices[:, around].reshape(columns, 9, JET),
+            flat.q_legs[:, both].reshape(columns, 2, JET),
+            flat.tensions[:, both].reshape(columns, 2, JET),
+            roll.reshape(columns, 1, JET),
+            _constants(team.cable_length[layout.behind], count),
+            _constants(np.outer(-GRAVITY * team.load, [0.0, 0.0, 1.0]), count),
+            _constants(np.full(clasps, weight), count),
+        ],
+    )
+    r, q, r_force, q_force, legs = (x.reshape(count, clasps, *x.shape[1:]) for x in found)
+    positions = flat.vertices[:, layout.anchors]  # where a chain's end has no leg
+    forces = np.zeros((count, team.drones, 3))
+    distances = np.zeros((count, team.drones, JET))
+    for drones, place, force, leg in (
+        (2 * layout.behind + 1, r, r_force, legs[:, :, 0]),
+        (2 * layout.ahead, q, q_force, legs[:, :, 1]),
+    ):
+        positions[:, drones], forces[:, drones] = place, force[..., 0]
+        distances[:, drones] = leg
+    alone = np.flatnonzero(~layout.has_leg.ravel())
+    if alone.size:
+        taut, pulls = np.ones(team.robots), np.repeat(flat.tensions[..., 0], 2, axis=1)
+        ends = cable_forces(team, positions[..., 0], flat.vertices[..., 0], pulls, taut)
+        forces[:, alone] = ends[:, alone]
+    upward = np.array([0.0, 0.0, GRAVITY])
+    thrusts = team.mass[:, None] * (positions[..., 2] + upward) - forces
+    return DroneJets(positions, forces, thrusts, distances.reshape(count, -1, 2, JET))
 
 
 def slipping_drones(
@@ -193,10 +199,10 @@ def slipping_drones(
     """
     layout = team.layout
     count, behind, ahead = len(vertices), layout.behind, layout.ahead
-    around = [layout.starts[behind], layout.clasps, layout.ends[ahead]]
+    around = layout.around_clasps
     columns = count * len(layout.clasps)
     if planned is None:
-        sides = vertices[:, around[2]] - vertices[:, around[0]]
+        sides = vertices[:, around[:, 2]] - vertices[:, around[:, 0]]
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
     half = 0.5 * GRAVITY * team.cable_density
@@ -205,7 +211,7 @@ def slipping_drones(
     whole = half * (team.cable_length[ahead] + team.cable_length[behind])
     loads[:, :, 2, 0] -= whole + GRAVITY * team.load
     at_clasp = [
-        vertices[:, np.column_stack(around)].reshape(columns, 9, JET),
+        vertices[:, around].reshape(columns, 9, JET),
         np.stack([legs[:, behind, 1], legs[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
         tensions[:, np.column_stack([behind, ahead])].reshape(columns, 2, JET),
         np.stack([pulls[:, behind, 1], pulls[:, ahead, 0]], axis=2).reshape(columns, 2, JET),

@@ -15,8 +15,9 @@ from functools import lru_cache
 
 import casadi as ca
 
-from hitchopt.model.loaded_robot import closed_triangle
-from hitchopt.model.robot import JET, jet_of, unit
+from hitchopt.model.loaded_clasp import closed_triangle
+from hitchopt.model.robot import JET
+from hitchopt.model.series import Series, unit
 
 
 @lru_cache
@@ -41,23 +42,21 @@ def slipping_clasp_function() -> ca.Function:
     vertices, legs = ca.SX.sym("p", 9, JET), ca.SX.sym("l", 2, JET)
     tensions, pulls = ca.SX.sym("T", 2, JET), ca.SX.sym("P", 2, JET)
     planned, load, half = ca.SX.sym("x", 3, JET), ca.SX.sym("w", 3, JET), ca.SX.sym("h")
-    flat = ca.vertcat(vertices, legs, tensions, pulls, planned, load)
-    before, here, there = ca.vertsplit(vertices[:, 0], 3)
-    u = unit(here - before), unit(there - here)
+    before, here, there = (Series.of_jet(point) for point in ca.vertsplit(vertices, 3))
+    T, P, sizes = (
+        [Series.of_jet(values[i, :]) for i in range(2)] for values in (tensions, pulls, legs)
+    )
     r_direction, q_direction = closed_triangle(
-        tensions[0, 0] * u[0] - tensions[1, 0] * u[1] - load[:, 0],
-        planned[:, 0],
-        ca.SX(0.0),
-        (pulls[0, 0], pulls[1, 0]),
-        (half * legs[0, 0], half * legs[1, 0]),
+        T[0] * unit(here - before) - T[1] * unit(there - here) - Series.of_jet(load),
+        Series.of_jet(planned),
+        None,
+        (P[0], P[1]),
+        (sizes[0].scaled(half), sizes[1].scaled(half)),
     )
     return ca.Function(
         "slipping_clasp",
         [vertices, legs, tensions, pulls, planned, load, half],
-        [
-            jet_of(here + legs[0, 0] * r_direction, flat),
-            jet_of(here + legs[1, 0] * q_direction, flat),
-        ],
+        [(here + sizes[0] * r_direction).jet, (here + sizes[1] * q_direction).jet],
         ["vertices", "legs", "tensions", "pulls", "planned", "load", "half"],
         ["r", "q"],
         {"cse": True},

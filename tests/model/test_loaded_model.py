@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import ConvexArc
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import FlatJets, drone_jets, slipping_drones
-from hitchopt.model.loaded_robot import loaded_planar_function
+from hitchopt.model.loaded_clasp import loaded_planar_function
 from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def test_from_above_the_planar_model_is_the_same(density: float) -> None:
             h.polygon.vertices[around[k]].ravel(),
             h.q_legs[layout.neighbours[k]],
             team.tension[layout.neighbours[k]],
-            team.cable_length[layout.neighbours[k]],
+            team.cable_length[layout.neighbours[k, :2]],
             h.roll[ends[k]],
             loads[k].ravel(),
             9.81 * density,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, drone_jets
-from hitchopt.model.loaded_robot import loaded_planar_function, loaded_robot_function
+from hitchopt.model.loaded_clasp import loaded_clasp_function, loaded_planar_function
 from hitchopt.model.robot import planar_function, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
 from problems.random_morph import random_convex_polygon
@@ -52,8 +52,8 @@ def curve(h: Hitch, seed: int, t: np.ndarray, *, tensions_move: bool) -> FlatJet
 
 def functions() -> list[ca.Function]:
     found = [f(equal) for f in (robot_function, planar_function) for equal in (True, False)]
-    loaded = (loaded_robot_function, loaded_planar_function)
-    found += [f(weighty) for f in loaded for weighty in (True, False)]
+    found += [loaded_clasp_function(weighty, True) for weighty in (True, False)]
+    found += [loaded_planar_function(weighty) for weighty in (True, False)]
     return [*found, slipping_clasp_function()]
 
 
@@ -79,7 +79,6 @@ def test_every_derivative_of_every_output_by_finite_differences(
     tensions = rng.normal(scale=0.05, size=(3, 4))
     tensions[:, 0] = [0.8, 0.9, 0.85]
     roll = np.array([[0.3, 0.1, -0.2, 0.1], [-0.4, 0.2, 0.1, 0.0]])
-    lengths = [2.1, 2.2, 2.3]
     loads = [0.01, 0.02, -0.06, -0.01, 0.0, -0.05]
     level = polygon.vertices[:4].ravel()
     sides = rng.normal(scale=0.02, size=(3, 4))
@@ -88,8 +87,8 @@ def test_every_derivative_of_every_output_by_finite_differences(
     inputs: dict[str, list[Any]] = {
         "planar": [level, 0.4, tensions[:, 0], 2.2],
         "robot": [jets, legs[:1], tensions, 2.2, 0.13],
-        "loaded_robot": [jets, legs, tensions, roll, lengths, loads, [1.0, 1.0], 0.13, 0.1],
-        "loaded_planar": [level, legs[:, 0], tensions[:, 0], lengths, roll[:, 0], loads, 0.1],
+        "loaded_clasp": [jets[:9], legs[:2], tensions[:2], roll[:1], 2.1, loads[:3], 0.1],
+        "loaded_planar": [level, legs[:, 0], tensions[:, 0], [2.1, 2.2], roll[:, 0], loads, 0.1],
         "slipping_clasp": [
             *(jets[:9], legs[:2], tensions[:2], 1.02 * tensions[:2], sides, weights),
             0.05,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.parts import SEPARATION
-from hitchopt.model.loaded_robot import loaded_planar_function
+from hitchopt.model.loaded_clasp import loaded_planar_function
 from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
@@ -109,7 +109,7 @@ def tie_drones(draft: Draft, knots: ca.MX, path: KnotPath) -> None:
             vertices,
             gathered(layout.q_legs[neighbours]),
             tensions,
-            np.tile(team.cable_length[neighbours].T, inner),
+            np.tile(team.cable_length[neighbours[:, :2]].T, inner),
             roll[:, ends].reshape(columns, 2).T,
             np.tile(loads.reshape(n, 6).T, inner),
             np.full((1, columns), GRAVITY * team.cable_density),
