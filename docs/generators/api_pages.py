@@ -18,6 +18,7 @@ GROUPS = {
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
     "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
+    "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "errors": ("Errors", ("hitchopt.errors",)),
     "others": ("Others", ("hitchopt",)),
 }
