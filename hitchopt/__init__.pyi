@@ -72,6 +72,13 @@ from hitchopt.requirements import (
     Prism as Prism,
     Separation as Separation,
 )
+from hitchopt.settling.error_sizes import ErrorSize as ErrorSize
+from hitchopt.settling.settle import settle as settle
+from hitchopt.settling.settled_hitch import Settled as Settled
+from hitchopt.settling.tolerance import (
+    Tolerance as Tolerance,
+    tolerance as tolerance,
+)
 from hitchopt.steps import (
     Adjust as Adjust,
     FollowVertex as FollowVertex,

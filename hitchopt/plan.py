@@ -111,6 +111,10 @@ class Plan:
             - storage: storage format of a bag, mcap or sqlite3.
             - ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones
               read bags for earlier ones.
+            - hold_tension: move set points outward, for controllers that do not feed the cable
+              force forward.
+            - stiffness, damping: of these controllers [N/m], [N s/m]; None for the team's
+              stiffness and a damping ratio of 5/6.
 
         Raises
         ------

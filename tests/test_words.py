@@ -182,7 +182,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
 
 def test_documents_name_files_that_exist() -> None:
     root = PACKAGE.parent
-    documents = [root / "CONTRIBUTING.md", *(root / "docs").glob("*.md")]
+    documents = [root / "CONTRIBUTING.md", *(root / "docs").rglob("*.md")]
     named = {
         (document.name, path)
         for document in documents

@@ -32,7 +32,7 @@ class ForceBalance:
     windows: where it was measured, and what was commanded there.
     parts: legs and edges.
     clasps: sparse (windows · clasps · 3, unknowns), forces of unit tensions on the clasps.
-    weights: (windows · clasps · 3,) [N], weight of the cables that clasps carry.
+    weights: (windows · clasps · 3,) [N], weight of cables and loads that clasps carry.
     leg_unknown: (2n,), unknown that pulls at each drone, within its window.
     outward: (windows, 2n, 3), directions from the points that cables lead to.
     hanging: (windows, 2n, 3) [N], weight of the cables that drones carry.
@@ -83,7 +83,7 @@ class ForceBalance:
             parts.legs[:, q] + parts.edges[:, after] + parts.legs[:, r] + parts.edges[:, before]
         )
         weights = np.zeros((count, clasps, 3))
-        weights[..., 2] = carried
+        weights[..., 2] = carried + GRAVITY * team.load
         own = np.where(has_leg, parts.legs, np.repeat(parts.edges, 2, axis=-1))
         hanging = np.zeros_like(windows.drones)
         hanging[..., 2] = half * own

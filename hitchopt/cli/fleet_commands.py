@@ -66,6 +66,20 @@ if TYPE_CHECKING:
     default="humble",
     help="The release that a ros2bag is for; later ones read bags for earlier ones.",
 )
+@click.option(
+    "--hold-tension",
+    is_flag=True,
+    help="Move set points outward, for controllers that do not feed the cable force forward.",
+)
+@click.option(
+    "--stiffness", metavar="N/M", type=float, help="Of these controllers; by default the team's."
+)
+@click.option(
+    "--damping",
+    metavar="N·S/M",
+    type=float,
+    help="Of these controllers; by default that of a damping ratio of 5/6.",
+)
 def export(directory: Path, folder: Path | None, **options: Any) -> None:
     """Write the plan in DIR as fleets read it, and certify what was written.
 

@@ -21,8 +21,19 @@ VERTICES = "vertices.csv"
 CERTIFICATE = "certificate.json"
 SUMMARY = "summary.png"
 DIAGNOSIS = "diagnosis.json"
+STATICS = "statics.json"
+STATICS_PICTURE = "statics.png"
 
-OWNED = (PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS)
+OWNED = (
+    PLAN,
+    SETPOINTS,
+    VERTICES,
+    CERTIFICATE,
+    SUMMARY,
+    DIAGNOSIS,
+    STATICS,
+    STATICS_PICTURE,
+)
 """The names in DIR that are ours: nothing else there is ever replaced or removed."""
 
 DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"

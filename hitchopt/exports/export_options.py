@@ -37,6 +37,10 @@ class ExportOptions:
     storage: storage format of a bag, mcap or sqlite3.
     ros_distro: the ROS 2 release that a bag is for: humble, iron or jazzy. Every later one reads
         bags for the earlier ones.
+    hold_tension: whether set points are moved outward such that drones whose controllers do not
+        feed the cable force forward are where the plan says.
+    stiffness: of these controllers [N/m]; None for the team's.
+    damping: of these controllers [N s/m]; None for a damping ratio of 5/6.
 
     Raises
     ------
@@ -52,6 +56,9 @@ class ExportOptions:
     stretch: float = 1.0
     storage: str = "mcap"
     ros_distro: str = "humble"
+    hold_tension: bool = False
+    stiffness: float | None = None
+    damping: float | None = None
 
     def __post_init__(self) -> None:
         if self.storage not in STORAGES:
@@ -59,6 +66,10 @@ class ExportOptions:
         if self.ros_distro not in ROS_DISTROS:
             choices = ", ".join(ROS_DISTROS)
             raise InputError("--ros-distro", self.ros_distro, choices, "humble is usual")
+        for name in ("stiffness", "damping"):
+            if (value := getattr(self, name)) is not None and not self.hold_tension:
+                bound = "left out without --hold-tension"
+                raise InputError(f"--{name}", value, bound, "add --hold-tension")
 
 
 def checked_rate(rate: float) -> float:

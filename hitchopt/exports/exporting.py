@@ -17,7 +17,7 @@ from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Progress, Task
 from hitchopt.exports.manifest import FILE, manifest_of, owned_files, part_folders, parts_manifest
-from hitchopt.exports.verification import SLOWER, Verdict, verify
+from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify
 from hitchopt.motion.cutting import stretched
 from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
@@ -83,7 +83,9 @@ def export_plan(
         return exporter.first(task, folder)
     except InfeasibleError as refusal:
         eased = any(violation.remedy == SLOWER for violation in refusal.violations)
-        for factor in FACTORS if eased and len(task.names) <= MOST_DRONES else ():
+        # Offsets that hold the tension are of one pace: a slower flight needs others.
+        tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
+        for factor in FACTORS if tried else ():
             progress(f"trying --stretch {factor:g}")
             slower = replace(task, motion=stretched(task.motion, factor))
             try:
@@ -149,7 +151,8 @@ class _Exporter:
         for number, candidate in enumerate(self.kind.candidates(task), 1):
             attempt = f", attempt {number}" if number > 1 else ""
             self.progress(f"writing {self.kind.name}{attempt}")
-            noted = replace(candidate, notes=(*candidate.notes, *((note,) if note else ())))
+            more = (*task.notes, *task.undetermined, *((note,) if note else ()))
+            noted = replace(candidate, notes=(*candidate.notes, *more))
             try:
                 return self._candidate(task, noted, folder)
             except InfeasibleError as error:
@@ -163,7 +166,9 @@ class _Exporter:
 
         def check(path: Path) -> None:
             self.progress(f"reading {kind.name} back")
-            verdict = verify(task.motion, kind.read(path.parent, task), task.frame, task.names)
+            rules = PLACES if task.options.hold_tension else FLOWN
+            recording = kind.read(path.parent, task)
+            verdict = verify(task.motion, recording, task.frame, task.names, rules)
             if lost := verdict.violations(self.certificate, kind.accuracy):
                 note = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {note}")

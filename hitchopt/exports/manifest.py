@@ -20,6 +20,9 @@ FORMAT = "hitchopt-export/1"
 MAX_BYTES = 50_000_000
 """Size limit of a manifest that is read [B]."""
 
+HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
+"""What the manifest says of feed-forward where the tension is held."""
+
 
 def manifest_of(kind: Format, task: Task, candidate: Candidate, verdict: Verdict) -> dict[str, Any]:
     """Return the manifest of files that were verified."""
@@ -34,7 +37,8 @@ def manifest_of(kind: Format, task: Task, candidate: Candidate, verdict: Verdict
         "velocity_error_m_s": asdict(verdict.velocity),
         "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
         "not_carried": verdict.not_carried,
-        "feed_forward": kind.feed_forward,
+        "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
+        "undetermined_tension": list(task.undetermined),
         "notes": list(candidate.notes),
         "files": sorted(candidate.writers),
         **receiver,

@@ -6,6 +6,8 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InputError
@@ -14,8 +16,10 @@ from hitchopt.exports.exporting import Export, export_plan, silent
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
 from hitchopt.exports.formats.format import Format, Progress, Task
 from hitchopt.exports.formats.known_formats import format_of
+from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.exports.manifest import FILE
 from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.hitch.position_control import undetermined_tension
 from hitchopt.motion.cutting import stretched
 from hitchopt.motion.motion import Motion
 
@@ -50,22 +54,40 @@ def export_motion(
     """
     kind = format_of(options.format)
     roles = motion.team.drone_names
+    plan = stretched(motion, options.stretch)
     task = Task(
-        stretched(motion, options.stretch),
+        plan,
         title,
         ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw),
         placeholder_fleet(roles) if options.fleet is None else read_fleet(options.fleet, roles),
         _rate(kind, options.rate),
         options,
+        undetermined=_undetermined(kind, motion, options),
     )
     place = Path(folder)
     single = place.suffix.lower() in ENDINGS and not place.is_dir()
     if place.exists() and not (single or place.is_dir()):
         raise FileError(f"{place}: is a file; an export is a folder, choose another one")
-    certificate = certify(task.motion, progress)
+    certificate = certify(plan, progress)
+    if options.hold_tension:
+        loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
+        held = held_tension(plan, loop)
+        task = replace(task, motion=held.motion, notes=(held.note,))
     if single:
         return export_file(kind, task, certificate, place, progress or silent)
     return export_plan(kind, task, certificate, place, progress or silent)
+
+
+def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
+    """Return why the files leave the tension undetermined; nothing without a hitch."""
+    team = motion.team
+    if not np.any(motion.formed):
+        return ()
+    fed_forward = kind.carries_pull and bool(np.all(team.feed_forward))
+    return undetermined_tension(
+        integral=kind.receiver_integral or bool(np.any(team.integral)),
+        feed_forward=fed_forward or options.hold_tension,
+    )
 
 
 def _rate(kind: Format, rate: float | None) -> float:

@@ -16,6 +16,7 @@ from hitchopt.checks.bounds.rates import largest_rate, norm_bound
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import RULE_OF, RULES
+from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
 from hitchopt.exports.reference_frame import ReferenceFrame
@@ -27,6 +28,10 @@ from hitchopt.values import Array
 
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
 """Rules of the checks of what is flown, as they are listed."""
+
+PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
+"""Rules for set points that hold a tension. They are not where the drones are, of which the plan's
+certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
 SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
 """Remedy for checks that a slower flight eases."""
@@ -112,7 +117,11 @@ def _violation(check: Check, planned: Check) -> Violation:
 
 
 def verify(
-    motion: Motion, recording: Recording, frame: ReferenceFrame, names: Sequence[str]
+    motion: Motion,
+    recording: Recording,
+    frame: ReferenceFrame,
+    names: Sequence[str],
+    rules: Sequence[CheckRule] = FLOWN,
 ) -> Verdict:
     """Return errors and checks of a recording that stands for the plan ``motion``.
 
@@ -122,13 +131,14 @@ def verify(
     recording: what files say.
     frame: where the plan lies in their axes.
     names: (D,) what the files call the plan's drones, in its order.
+    rules: of the checks.
 
     Raises
     ------
     FileError: drones that are not the plan's, or less than all of its time.
     """
     index = _order(recording, names)
-    carried = [rule for rule in FLOWN if rule.derivative <= recording.smooth + 1]
+    carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = [[] for _ in carried]
     deviations: list[tuple[Deviation, Deviation]] = []
     end = 0.0

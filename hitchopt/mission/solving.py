@@ -58,9 +58,12 @@ def _solved(
     parts: list[Certified] = []
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name})")
-        part, situation = _step(
-            progress, group, StepTask(situation, first, requirements, optimiser)
-        )
+        try:
+            part, situation = _step(
+                progress, group, StepTask(situation, first, requirements, optimiser)
+            )
+        except InfeasibleError as error:
+            raise _in_step(error, first, group) from None
         parts.append(part)
     motion = joined_motions([part.motion for part in parts])
     certificate = merged(motion, [part.certificate for part in parts])
@@ -111,14 +114,11 @@ def _step(
     progress: Progress | None, group: tuple[Step, ...], task: StepTask
 ) -> tuple[Certified, Situation]:
     """Return the certified motion of steps without a stop, and where it ends."""
-    first, step = task.index, group[0]
-    try:
-        planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
-    except InfeasibleError as error:
-        raise _in_step(error, first, group) from None
+    step = group[0]
+    planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
     certificate = planned.certificate
     if certificate is None:
-        _tell(progress, f"certifying step {first} ({step.name})")
+        _tell(progress, f"certifying step {task.index} ({step.name})")
         certificate = certified(planned.motion).certificate
     return Certified(planned.motion, certificate), planned.after
 

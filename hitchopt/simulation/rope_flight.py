@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.errors import UnsupportedError
 from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.air_forces import downwash, drag
 from hitchopt.simulation.cable_shapes import clasped, hanging
@@ -78,8 +79,12 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     ------
     InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed.
+    UnsupportedError: mujoco is not installed, or loads hang at the clasps.
     """
+    if np.any(task.team.load > 0.0):
+        raise UnsupportedError(
+            "loads that hang at the clasps are not simulated; plan without team.load to simulate"
+        )
     run = _Run(task, settings, progress)
     try:
         run.fly()

@@ -36,8 +36,9 @@ def hovering(task: StepTask, seconds: float) -> Motion:
 
 def check_start(task: StepTask) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
+    still = hovering(task, 1.0)
     try:
-        checked(hovering(task, 1.0), "at the start (t = 0)")
+        checked(still, "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it

@@ -35,7 +35,7 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     timed: whether the step's own time is given.
     """
     motion, limits = planned.motion, planned.motion.requirements.limits
-    if motion.team.cable_friction == 0.0:
+    if motion.team.cable_friction == 0.0 or not worth_leaning(motion):
         return planned
     slower = not timed and limits.duration is None
     most = 1.0
@@ -52,8 +52,6 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         if judged.certificate.certified:
             return replace(planned, motion=judged.motion, certificate=judged.certificate)
         most = REFUSED * share
-    if not worth_leaning(motion):
-        return planned
     return replace(planned, motion=_remarked(motion, NO_ROOM))
 
 

@@ -171,6 +171,16 @@ def test_what_a_recording_does_not_determine_is_said() -> None:
         estimate_team(unseen, task, DENSITY)
 
 
+def test_loads_at_the_clasps_are_carried_by_the_cables() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY)
+    windows, team = windows_of(recording, task), task.team
+    heavy = Team(3, team.cable_length, tension=team.tension, load=[0.01, 0.0, 0.03])
+    more = ForceBalance.of(heavy, windows, DENSITY).weights
+    more = (more - ForceBalance.of(team, windows, DENSITY).weights).reshape(-1, 3, 3)
+    np.testing.assert_allclose(more[..., 2], np.tile([0.0981, 0.0, 0.2943], (len(more), 1)))
+    np.testing.assert_array_equal(more[..., :2], 0.0)
+
+
 def test_a_robust_mean_is_scipys_and_an_outlier_hardly_moves_it() -> None:
     random = np.random.default_rng(2)
     values = 2.4 + 1e-3 * random.normal(size=(25, 3))

@@ -23,6 +23,10 @@ PROBLEM = {
 }
 
 
+WARNINGS = {"crazyswarm2": 2, "compressed": 2, "skybrush": 1, "skybrush_csv": 1}
+"""Formats without feed-forward of the cable force, and those whose controllers have an integral."""
+
+
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a plan that goes at its limit of speed."""
@@ -50,7 +54,8 @@ def test_every_format_there_and_back(name: str, plan: Path) -> None:
     assert "not carried: " in done.stdout
     again = run("lint", "files")
     assert again.exit_code == 0, again.output
-    assert "0 errors, 0 warnings" in again.stdout
+    assert f"0 errors, {WARNINGS.get(name, 0)} warning" in again.stdout
+    assert again.stdout.count("warning: tension: ") == WARNINGS.get(name, 0)
 
 
 def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
@@ -151,7 +156,7 @@ def test_lint_ends_with_3_where_something_would_go_wrong(plan: Path) -> None:
     assert done.exit_code == 3
     assert "error: speed: " in done.stderr
     assert "error: separation: " in done.stderr
-    assert "2 errors, 0 warnings" in done.stdout
+    assert "2 errors, 2 warnings" in done.stdout
     assert run("lint", "files", "--radius", "-1").exit_code == 2
     assert run("lint", "nowhere").exit_code == 2
     assert "hitchopt check" in run("lint", plan).stderr
@@ -189,7 +194,7 @@ def test_lint_of_trajectories_flown_from_the_drones_places(plan: Path) -> None:
     run("export", plan, "--format", "crazyswarm2", "-o", "files")
     done = run("lint", "files", "--relative")
     assert done.exit_code == 0, done.output
-    assert "0 errors, 0 warnings" in done.stdout
+    assert "0 errors, 2 warnings" in done.stdout
     alone = run("lint", Path("files") / "q0.csv", "--relative")
     assert alone.exit_code == 0, alone.output
 
@@ -207,3 +212,17 @@ def test_lint_refuses_plans_by_name(plan: Path) -> None:
     told = run("lint", plan / "plan.npz")
     assert told.exit_code == 2
     assert "hitchopt check" in told.stderr
+
+
+def test_set_points_hold_the_tension_where_that_is_asked(plan: Path) -> None:
+    options = ["--hold-tension", "--stiffness", "4.75", "--damping", "1.3"]
+    done = run("export", plan, "--format", "skybrush", "-o", "files", *options)
+    assert done.exit_code == 0, done.output
+    assert "note: set points are up to 8.4" in done.stdout
+    assert "loops of 4.75 N/m and 1.3 N s/m" in done.stdout
+    assert "separation" in done.stdout
+    assert "thrust" not in done.stdout.partition("not carried")[0]
+    assert "0 errors, 0 warnings" in run("lint", "files").stdout
+    rigid = run("export", plan, "--format", "csv", "--hold-tension")
+    assert rigid.exit_code == 2
+    assert "give --stiffness, or team.quadrotor.stiffness" in rigid.stderr

@@ -118,7 +118,7 @@ def test_the_directory_tells_the_last_solve(
     save_diagnosis(tmp_path, HitchoptError("not found"))
     assert names(tmp_path) == {"notes.txt", "diagnosis.json"}
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert set(OWNED) == {*SAVED, "diagnosis.json"}
+    assert set(OWNED) == {*SAVED, "diagnosis.json", "statics.json", "statics.png"}
 
 
 def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ forward, left, up.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hitchopt.exports.formats.format import Task
@@ -19,8 +21,15 @@ FLIPPED = np.array([1.0, -1.0, -1.0])
 
 
 def attitudes_of(task: Task, states: States) -> Attitudes:
-    """Return the drones' attitudes and rates in the file's frame."""
+    """Return the drones' attitudes and rates in the file's frame.
+
+    Where set points hold the tension, they belong to what is fed forward, as everywhere: no cable
+    force; the position loop tilts drones by what pulls.
+    """
     frame, team = task.frame, task.motion.team
+    if task.options.hold_tension:
+        nothing = np.zeros_like(states.cable_forces)
+        states = replace(states, cable_forces=nothing, cable_force_rates=nothing)
     thrusts = frame.vectors(states.thrusts(team))
     rates = frame.vectors(states.thrust_rates(team))
     if frame.vectors(np.array([0.0, 0.0, 1.0]))[2] > 0.0:

@@ -30,6 +30,9 @@ from hitchopt.values import Array
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
 
+UNLIMITED = 1e6
+"""[m/s], [N] Speed and thrust beyond all that is flown."""
+
 BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
 """Errors of the refit over Scale, the best first: long pieces fit worse and suffer less from
 rounding."""
@@ -52,8 +55,12 @@ class CompressedBytes(CrazyflieFormat):
     accuracy = 2e-3
     feed_forward = (
         "not in these files: the on-board controller differentiates the curve and adds gravity, "
-        "but not the cable's pull; its integral has to find it, or stream full states (ros2bag)"
+        "but not the cable's pull; its integral brings drones to their places and leaves the "
+        "tension to the cables' lengths: stream full states (ros2bag), or turn it off and export "
+        "with --hold-tension"
     )
+    carries_pull = False
+    receiver_integral = True
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many segments memory holds: they are longer the more axes move."""
@@ -115,13 +122,19 @@ def compressed(task: Task, bound: float, accuracy: float) -> dict[str, bytes]:
 
 
 def keeping_of(task: Task, breaks: Array, accuracy: float) -> Keeping:
-    """Return the limits that rounding may break: speed and thrust, in the file's axes."""
+    """Return the limits that rounding may break: speed and thrust, in the file's axes.
+
+    Set points that hold the tension have none: they are not where the drones are.
+    """
     motion = task.motion
     t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
     mass = motion.team.mass
     weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
     load = task.frame.vectors(weight - states_at(motion, t).cable_forces)
-    return Keeping(motion.requirements.limits.speed, mass, motion.team.max_thrust, load, accuracy)
+    speed, thrust = motion.requirements.limits.speed, motion.team.max_thrust
+    if task.options.hold_tension:
+        speed, thrust = UNLIMITED, np.full(len(mass), UNLIMITED)
+    return Keeping(speed, mass, thrust, load, accuracy)
 
 
 def read_compressed(path: Path) -> PiecewisePolynomial:

@@ -2,8 +2,9 @@
 
 Feed-forward: the drone's own controller (Mellinger's) takes acceleration from the polynomial and
 adds gravity; the polynomial's acceleration is that of its curve, so the cable's pull ``F`` (a
-static tilt of ``atan(T / (m g))``) cannot be in it and is left to the controller's integral. Stream
-full-state setpoints (ros2bag, csv) where ``a_ff = a - F / m`` is needed.
+static tilt of ``atan(T / (m g))``) cannot be in it. The controller's integral does not find it: it
+brings the drone to its place, where any tension may be. Stream full-state setpoints (ros2bag, csv)
+with ``a_ff = a - F / m``, or turn the integral off and export with ``--hold-tension``.
 
 A trajectory is a CSV file, a header, then 33 numbers per piece:
 ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the piece's own time in
@@ -186,9 +187,12 @@ class Crazyswarm2(CrazyflieFormat):
     accuracy = 1e-3
     feed_forward = (
         "not in these files: a polynomial's acceleration is its curve's own, and the on-board "
-        "controller adds gravity but not the cable's pull; its integral has to find it, or stream "
-        "full states (ros2bag)"
+        "controller adds gravity but not the cable's pull; its integral brings drones to their "
+        "places and leaves the tension to the cables' lengths: stream full states (ros2bag), or "
+        "turn it off and export with --hold-tension"
     )
+    carries_pull = False
+    receiver_integral = True
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:  # noqa: ARG002
         """Return 31."""

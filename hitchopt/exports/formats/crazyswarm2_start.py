@@ -96,6 +96,18 @@ Answer "stay" after all parts but the last.
 """
 
 
+NO_PULL = """\
+The cables' pull is not in the polynomials, and the on-board controller's integral does not find
+it: that brings drones to their places, where any tension may be. Turn it off and export with
+--hold-tension, or stream full states."""
+"""What the note says of the cables' pull."""
+
+HELD_PULL = """\
+The polynomials are moved outward: drones without feed-forward of the cables' pull are where the
+plan says. Turn the on-board controller's integral off, and set the gains that the export stated."""
+"""What it says where set points hold the tension."""
+
+
 def note_text(task: Task, duration: float) -> str:
     """Return README.txt."""
     hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
@@ -105,6 +117,7 @@ def note_text(task: Task, duration: float) -> str:
         frame=task.frame.name,
         duration=duration,
         placeholders="" if task.fleet.given else hint,
+        pull=HELD_PULL if task.options.hold_tension else NO_PULL,
     )
 
 

@@ -34,6 +34,8 @@ class Task:
     options: what the user asked for.
     begins: when in the plan the motion begins [s]; 0 unless the plan was cut.
     number, count: which part of how many the motion is, from 1 on.
+    undetermined: why the files leave the cables' tension undetermined, in words.
+    notes: what else the user should know of it.
     """
 
     motion: Motion
@@ -45,6 +47,8 @@ class Task:
     begins: float = 0.0
     number: int = 1
     count: int = 1
+    undetermined: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -64,9 +68,17 @@ class Task:
         begins, ends = self.span
         return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
+    def cable_forces(self, states: States) -> Array:
+        """Return the cable forces to feed forward, (S, D, 3) [N], in the file's axes.
+
+        None where the set points hold the tension by their offsets.
+        """
+        forces = 0.0 * states.cable_forces if self.options.hold_tension else states.cable_forces
+        return self.frame.vectors(forces)
+
     def pulls(self, states: States) -> Array:
-        """Return the cables' pull over each drone's mass, (S, D, 3) [m/s²], in the file's axes."""
-        return self.frame.vectors(states.cable_forces / self.motion.team.mass[:, None])
+        """Return the forces to feed forward over each drone's mass, (S, D, 3) [m/s²]."""
+        return self.cable_forces(states) / self.motion.team.mass[:, None]
 
     def setpoints(self, states: States) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations less the pull, in the file's axes.
@@ -118,6 +130,8 @@ class Format(Protocol):
     rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
     accuracy: the largest position error that it is meant to have [m].
     feed_forward: whether the consumer needs the cable's pull in its acceleration, and what is done.
+    carries_pull: whether the files hold the cable's pull, as a force or in an acceleration.
+    receiver_integral: whether the controllers that fly the files have an integral of their own.
     """
 
     name: str
@@ -125,6 +139,8 @@ class Format(Protocol):
     rate: float
     accuracy: float
     feed_forward: str
+    carries_pull: bool
+    receiver_integral: bool
 
     def arrangements(self, task: Task) -> Iterator[Arrangement]:
         """Give the task as a whole, then in parts to be flown one after the other, at rest between.

@@ -71,6 +71,8 @@ class Table(Format):
         "gravity themselves; cable_* = F for those that take forces; a alone for those that know "
         "the cable"
     )
+    carries_pull = True
+    receiver_integral = False
     file: str
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
@@ -126,7 +128,7 @@ def blocks_of(task: Task, rows: int = ROWS) -> Iterator[Block]:
             frame.vectors(states.accelerations),
             frame.vectors(states.jerks),
             np.full((len(states.t), drones, 1), frame.heading),
-            frame.vectors(states.cable_forces),
+            task.cable_forces(states),
             forward,
             attitudes.quaternions,
             attitudes.body_rates,

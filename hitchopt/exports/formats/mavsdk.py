@@ -56,6 +56,8 @@ class MavsdkDroneShow(Format):
         "ax, ay, az = a - F/m, the cable's force F and the drone's mass m: PX4 adds gravity itself "
         "and knows no cable; fly it with acceleration feed-forward on"
     )
+    carries_pull = True
+    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the files, numbered from 1 in the plan's order.

@@ -53,6 +53,8 @@ class Ros2Bag(Format):
         "cmd_full_state: acc = a - F/m, the cable's force F and the drone's mass m, with attitude "
         "and body rates to match; trajectory: the drone's own acceleration"
     )
+    carries_pull = True
+    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one bag there is."""

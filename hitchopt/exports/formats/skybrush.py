@@ -65,6 +65,8 @@ class SkybrushShow(Format):
         "not in this file: the autopilots track positions with controllers of their own, and the "
         "format has no accelerations"
     )
+    carries_pull = False
+    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give refits, each with more points than the one before."""

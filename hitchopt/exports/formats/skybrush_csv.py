@@ -39,6 +39,8 @@ class SkybrushCsv(Format):
     rate = 20.0
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
+    carries_pull = False
+    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the zip at the usual rate, then at higher ones; only at one that was asked for."""

@@ -73,7 +73,7 @@ def _report(path: Path, rules: Rules, relative: bool) -> Report:
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
-    findings = [*loaded.findings, *found, *_durations(loaded), *_listed(path)]
+    findings = [*loaded.findings, *found, *_durations(loaded), *_listed(path), *_tension(path)]
     findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
@@ -225,6 +225,15 @@ def _listed(path: Path) -> Iterator[Finding]:
     ]
     if others and "metadata.yaml" not in there:
         yield note("not read", "", _named(others))
+
+
+def _tension(path: Path) -> Iterator[Finding]:
+    """Yield why the files of an export leave the cables' tension undetermined."""
+    if not path.is_dir():
+        return
+    words = (read_manifest(path) or {}).get("undetermined_tension")
+    for reason in words if isinstance(words, list) else []:
+        yield warning("tension", "", str(reason))
 
 
 def _named(files: Iterable[Path]) -> str:

@@ -1,0 +1,265 @@
+"""Hitches at rest as statics predicts them against settled ropes.
+
+Usage: python -m benchmarks.settling [--cases N] [--slack N] [--formed N ...] [--processes P]
+                                     [--output FILE]
+
+Random hitches of 3 to 12 robots, ropes of 3 to 20 g/m and drones of 1 to 20 N/m, cables up to 1 cm
+and set points up to 2 cm off, flown at rest; then, with ``--formed``, regular hitches tied from the
+ground; then hitches with one cable far too long. Mean tensions and vertices are compared
+with those that ``settle`` says for the plan, the density, the stiffness, the offsets and the
+effective lengths of the simulated ropes. Drones measure their places with the usual noise: ropes of
+segments catch on each other by a centimetre where nothing moves them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.environment import busy, environment
+from benchmarks.flight_plans import tied
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.settling.cable_tension import SAG_RATIO
+from hitchopt.settling.conditions import Conditions
+from hitchopt.settling.settle import settle_motion
+from hitchopt.simulation.error_measures import effective_lengths
+from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.flight_task import Task, read_task
+from hitchopt.simulation.rope_flight import REST, fly
+from hitchopt.simulation.simulation_settings import Perturbations, Preset, Settings
+from hitchopt.values import Array
+from problems.random_morph import random_convex_polygon
+
+LIMITATIONS = (
+    "simulated ropes of 12 mm in segments of 14 mm, without friction; point masses; one flight "
+    "each; noise of 1 cm, means over 5 s; plans that neglect the ropes' weight"
+)
+
+EDGE, JITTER = 1.3, 0.15
+"""Mean edge [m] and jitter of the random polygons."""
+
+SETTLE, MEASURE = 1.0, 4.0
+"""[s] Time at rest before means are taken, and of the means; after it the flight rests 1 s more."""
+
+CABLE, PLACE = 0.01, 0.02
+"""[m] Largest errors of cables and of set points."""
+
+LONGER = (0.25, 0.6)
+"""[m] By how much one cable is too long where slack is looked for."""
+
+TENSION, VERTEX = 0.1, 0.01
+"""Errors that are wanted: of tensions (relative), of vertices [m]."""
+
+ROPES = Preset("settling", 0.014, 0.012, 0.0005)
+"""Between the usual presets: coarser segments than the ropes are thick catch on each other."""
+
+SHAKEN = Perturbations(noise=0.01, lag=0.01)
+"""What moves the drones; the thrust's lag has no part in means."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One flight against statics.
+
+    Attributes
+    ----------
+    row: of the table.
+    tension: largest relative error of a tension; nan where ropes are slack.
+    vertex: largest error of a vertex [m].
+    slack, predicted: whether any rope is slack, and is said to be.
+    """
+
+    row: str
+    tension: float
+    vertex: float
+    slack: bool
+    predicted: bool
+
+    @property
+    def good(self) -> bool:
+        """Whether both errors are as small as wanted."""
+        return self.tension <= TENSION and self.vertex <= VERTEX
+
+
+def random_case(seed: int) -> tuple[ho.Plan, float]:
+    """Return the first random hitch of a seed that can stand, and its drones' stiffness [N/m]."""
+    rng = np.random.default_rng(seed)
+    n = 3 + seed % 10
+    density, stiffness = rng.uniform(0.003, 0.02), float(np.exp(rng.uniform(0.0, np.log(20.0))))
+    while True:
+        polygon = random_convex_polygon(n, EDGE, rng, JITTER)
+        lengths, tensions = rng.uniform(0.8, 0.95, n), rng.uniform(0.4, 0.6, n)
+        team = ho.Team(n, polygon.edge_lengths + lengths, tension=tensions, cable_density=density)
+        try:
+            plan = ho.hold(ho.Hitch.spread(team, polygon, 1.8), SETTLE + MEASURE)
+            plan.certificate.raise_if_violated()
+        except (ho.InfeasibleError, ho.CertificateError):
+            continue
+        return plan, stiffness
+
+
+def flown(seed: int, *, too_long: bool) -> Compared:
+    """Return how a random hitch with errors compares.
+
+    Parameters
+    ----------
+    too_long: whether one of its cables is far too long.
+    """
+    plan, stiffness = random_case(seed)
+    rng = np.random.default_rng(1000 + seed)
+    team = plan.motion.team
+    offsets = rng.uniform(-PLACE, PLACE, (team.drones, 3)) / np.sqrt(3.0)
+    lengths = team.cable_length + rng.uniform(-CABLE, CABLE, team.robots)
+    if too_long:
+        lengths[rng.integers(team.robots)] += rng.uniform(*LONGER)
+    task = saved(plan)
+    setpoints = replace(task.setpoints, positions=task.setpoints.positions + offsets)
+    real = replace(task, team=replace(task.team, cable_length=lengths), setpoints=setpoints)
+    flight = fly(real, settings(seed, stiffness))
+    return compared(f"random {seed}{', long' * too_long}", plan.motion, flight, offsets, stiffness)
+
+
+def formed(n: int) -> Compared:
+    """Return how a regular hitch that was tied from the ground compares."""
+    problem = tied(n)
+    mission = (*problem.mission, ho.Hold(SETTLE + MEASURE))
+    plan = ho.solve(replace(problem, mission=mission))
+    stiffness = 4.75
+    flight = fly(saved(plan), settings(n, stiffness))
+    offsets = np.zeros((2 * n, 3))
+    return compared(f"formed {n}", plan.motion, flight, offsets, stiffness)
+
+
+def settings(seed: int, stiffness: float) -> Settings:
+    """Return the settings of a calm flight."""
+    return Settings(
+        preset=ROPES,
+        body="point",
+        perturbations=SHAKEN,
+        seed=seed,
+        friction=0.0,
+        stiffness=stiffness,
+        pull_test=False,
+    )
+
+
+def saved(plan: ho.Plan) -> Task:
+    """Return the plan's task, read back from files."""
+    with tempfile.TemporaryDirectory() as place:
+        plan.save(place)
+        return read_task(Path(place))
+
+
+def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float) -> Compared:
+    """Return how far statics are from what a flight measured while it rested.
+
+    Without effective lengths, where a clasp has come loose, those that the ropes have are taken.
+    """
+    team, record = motion.team, flight.record
+    rows = record.t > record.t[-1] - (REST + MEASURE)
+    T = np.mean(record.tensions[rows], axis=0)
+    vertices = np.nanmean(record.vertices[rows], axis=0)
+    lengths = effective_lengths(flight)
+    lengths = np.where(np.isfinite(lengths), lengths, flight.task.team.cable_length)
+    conditions = Conditions(
+        cable_length=lengths, cable_density=flight.density, stiffness=k, offsets=offsets
+    )
+    found = settle_motion(motion, motion.duration, conditions)
+    chords = np.linalg.norm(team.layout.edges(found.planned_vertices), axis=-1)
+    least = SAG_RATIO / 8.0 * GRAVITY * flight.density * chords
+    slack, predicted = bool(np.any(least >= T)), bool(np.any(found.slack))
+    tension = float(np.max(np.abs(found.tensions / T - 1.0)))
+    vertex = float(np.max(np.linalg.norm(found.vertices[team.layout.clasps] - vertices, axis=-1)))
+    cells = (
+        name,
+        str(team.robots),
+        f"{1e3 * flight.density:.1f}",
+        f"{k:.1f}",
+        f"{np.min(T):.3f} to {np.max(T):.3f}",
+        f"{100.0 * tension:.1f}",
+        f"{1e3 * vertex:.1f}",
+        "yes" if slack else "no",
+        "yes" if predicted else "no",
+        "completed" if flight.error is None else str(flight.error),
+    )
+    return Compared(f"| {' | '.join(cells)} |", tension, vertex, slack, predicted)
+
+
+def called(flight: Callable[[], Compared]) -> Compared:
+    """Return what a flight gives, in a process of its own."""
+    return flight()
+
+
+COLUMNS = (
+    "hitch",
+    "n",
+    "g/m",
+    "k [N/m]",
+    "tensions [N]",
+    "tension off by [%]",
+    "vertex off by [mm]",
+    "slack",
+    "said so",
+    "flight",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print and write a row for every flight, and how many are as close as wanted."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=20)
+    parser.add_argument("--slack", type=int, default=8)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--formed", type=int, nargs="*", default=[])
+    parser.add_argument("--output", type=Path)
+    given = parser.parse_args(arguments)
+    lines = [
+        f"# Settled hitches, {datetime.date.today()}",
+        "",
+        "`python -m benchmarks.settling`",
+        "",
+        f"- {environment(('mujoco',))}",
+        f"- limitations: {LIMITATIONS}",
+        f"- load {busy():.1f}",
+        "",
+        f"| {' | '.join(COLUMNS)} |",
+        f"| {' | '.join(['---'] * len(COLUMNS))} |",
+    ]
+    print("\n".join(lines), flush=True)
+    flights: list[Callable[[], Compared]] = [
+        *(partial(flown, seed, too_long=False) for seed in range(given.cases)),
+        *(partial(formed, n) for n in given.formed),
+        *(partial(flown, seed, too_long=True) for seed in range(given.slack)),
+    ]
+    found = []
+    with ProcessPoolExecutor(given.processes) as pool:
+        for one in pool.map(called, flights):
+            found.append(one)
+            lines.append(one.row)
+            print(one.row, flush=True)
+    taut = [one for one in found if not one.slack]
+    slack = [one for one in found if one.slack]
+    summary = [
+        "",
+        f"- taut: {sum(one.good for one in taut)} of {len(taut)} within {TENSION:.0%} of tension "
+        f"and {100.0 * VERTEX:g} cm",
+        f"- slack: said so in {sum(one.predicted for one in slack)} of {len(slack)} flights",
+        f"- false alarms: {sum(one.predicted for one in taut)} of {len(taut)}",
+    ]
+    print("\n".join(summary))
+    if given.output is not None:
+        given.output.write_text("\n".join([*lines, *summary]) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Configuration of the documentation; ``make docs`` builds it."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from generators.docstring_sections import process_docstring  # noqa: E402
+from generators.kernel_profile import kernel_profile  # noqa: E402
+from generators.math_markup import add_renderer  # noqa: E402
+from generators.site_pages import write_pages  # noqa: E402
+
+project = "hitchopt"
+author = "The hitchopt developers"
+release = version = metadata.version("hitchopt")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design"]
+exclude_patterns = ["_build", "explanation/generated", "**.ipynb_checkpoints"]
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_execution_in_temp = True
+nb_merge_streams = True
+
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_member_order = "bysource"
+autodoc_class_signature = "mixed"
+nitpicky = True
+nitpick_ignore_regex = [("py:.*", r"(?!hitchopt\.\w+$).*")]
+"""Signatures name types of other packages, and such as are not public."""
+
+html_math_renderer = "mathml"
+html_theme = "pydata_sphinx_theme"
+html_title = "hitchopt"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+project_copyright = "The hitchopt developers, MIT licence"
+
+# Commands in tutorials are those of the environment that builds them.
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ["COLUMNS"] = "100"
+os.environ["IPYTHONDIR"] = kernel_profile()
+
+
+def link_results(app: Any, name: str, text: list[str]) -> None:
+    """Let links to benchmarks' results, which lie outside of ``docs``, lead to their pages."""
+    del app, name
+    place = r"\((?:\.\./)+benchmarks/results/(\w+\.md)\)"
+    text[0] = re.sub(place, r"(/benchmarks/generated/\1)", text[0])
+
+
+def setup(app: Any) -> None:
+    """Write the generated pages before Sphinx looks for pages."""
+    write_pages()
+    add_renderer(app)
+    app.connect("source-read", link_results)
+    app.connect("autodoc-process-docstring", process_docstring)

@@ -1,0 +1,58 @@
+"""What the registry knows of every check, as a small table that its section includes."""
+
+from __future__ import annotations
+
+from hitchopt.checks.registry import REPORTS, RULES
+from hitchopt.checks.rule import CheckRule, ReportRule
+from hitchopt.motion.motion import CableState
+
+SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
+
+
+def write_check_facts() -> dict[str, str]:
+    """Return one table for every check and every report, by its name."""
+    facts = {rule.name: _facts_of_check(rule) for rule in RULES}
+    return facts | {rule.name: _facts_of_report(rule) for rule in REPORTS}
+
+
+def _facts_of_check(rule: CheckRule) -> str:
+    rows = {
+        "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
+        "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
+        "while cables are": _states(rule),
+        "held by exports": _exports(rule),
+        "what eases it": _remedy(rule),
+    }
+    return _table(rows)
+
+
+def _facts_of_report(rule: ReportRule) -> str:
+    return _table({"`worst`": _unit(rule.unit), "limit": "none: it is only reported"})
+
+
+def _table(rows: dict[str, str]) -> str:
+    lines = [f"| {key} | {text} |" for key, text in rows.items()]
+    return "\n".join(["| | |", "|---|---|", *lines, ""])
+
+
+def _unit(unit: str) -> str:
+    return {"1": "a number", "ratio": "a ratio", "": "a number"}.get(unit, f"in {unit}")
+
+
+def _states(rule: CheckRule) -> str:
+    states = {state for finder in rule.finders for state in finder.states}
+    if states == set(CableState):
+        return "in any state"
+    return ", ".join(state.name.lower() for state in CableState if state in states)
+
+
+def _exports(rule: CheckRule) -> str:
+    if not any(finder.exported for finder in rule.finders):
+        return "no"
+    return "yes" if rule.exported_limit is None else f"yes, against {rule.exported_limit:g}"
+
+
+def _remedy(rule: CheckRule) -> str:
+    if not rule.free_remedy or rule.free_remedy == rule.remedy:
+        return rule.remedy
+    return f"{rule.remedy}; while cables hang: {rule.free_remedy}"

@@ -1,0 +1,99 @@
+"""The gallery: every problem file of the repository with its picture and its comment."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import hitchopt as ho
+from generators.problem_collection import PROBLEMS, REFUSED, SECTIONS, Section, caption
+
+INTRODUCTION = """# Gallery of problems
+
+All problem files of the repository. `hitchopt solve problems/triangle.yaml` plans one. Pictures show the plan
+from above: the start dashed and grey, the end in colours, the drones' paths between; circles are the drones'
+downwash ellipsoids.
+"""
+
+UNSOLVED = """These files are well-formed, and no plan meets their limits: `hitchopt solve` ends with
+{doc}`exit code 3 </reference/exit_codes>` and names what binds. Pictures show what they ask for: the start, the
+outlines on the way grey and dashed, the last one in blue.
+"""
+
+REFUSALS = """## Files that are wrong in themselves
+
+`hitchopt solve` ends with {doc}`exit code 2 </reference/exit_codes>` on these, with the message beside them.
+There is nothing to draw.
+
+| file | message |
+|---|---|"""
+
+
+def write_gallery_page() -> str:
+    """Return the page, one figure for every problem and one row for every refused file."""
+    sections = [part for section in SECTIONS for part in _section(section)]
+    rows = [_refused(file) for folder in REFUSED for file in _files(folder)]
+    return "\n".join([INTRODUCTION, *sections, REFUSALS, *rows, ""])
+
+
+def _section(section: Section) -> list[str]:
+    lines = [f"## {section.heading}", ""]
+    if not section.solved:
+        lines += [UNSOLVED, ""]
+    return lines + [_figure(section, file) for file in section.files]
+
+
+def _figure(section: Section, file: Path) -> str:
+    name = file.relative_to(PROBLEMS).as_posix()
+    picture = section.picture(file)
+    shown = f"pictures/{section.folder}/{picture.name}".replace("//", "/")
+    text = " ".join(line or "\n\n" for line in caption(file))
+    binds = [] if section.solved else [f"Binds: {_header(file, 'Binds')}."]
+    title = _title(file)
+    lines = [
+        f"### {title}",
+        "",
+        f"![{title}, from above]({shown})",
+        "",
+        f"`problems/{name}`. {_escaped(text)}",
+        *binds,
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _header(file: Path, word: str) -> str:
+    found = re.search(rf"^# {word}: (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+    return found[1].strip() if found else "see the message"
+
+
+def _title(file: Path) -> str:
+    found = re.search(r"^title: (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+    return found[1].strip().strip("\"'") if found else file.stem.replace("_", " ")
+
+
+def _files(folder: str) -> list[Path]:
+    return sorted((PROBLEMS / folder).glob("*.yaml"))
+
+
+def _refused(file: Path) -> str:
+    name = file.relative_to(PROBLEMS).as_posix()
+    try:
+        ho.read_problem(file)
+    except (ho.InputError, ho.FileError) as error:
+        message = " ".join(str(error).split()).replace(str(file), file.name)
+    else:
+        raise AssertionError(f"{name} is read without an error")
+    return f"| `{name}` | {_cell(message)} |"
+
+
+def _cell(message: str) -> str:
+    """Return the beginning of a message as code, as a cell can hold it."""
+    short = message if len(message) <= 240 else f"{message[:239]}…"
+    printable = "".join(c if c.isprintable() else "�" for c in short)
+    return f"`` {printable.replace('|', chr(92) + '|').replace('``', '')} ``"
+
+
+def _escaped(text: str) -> str:
+    """Return text of a comment in which no character is markup."""
+    return re.sub(r"([\\*_\[\]<>$])", r"\\\1", text)

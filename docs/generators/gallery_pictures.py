@@ -1,0 +1,116 @@
+"""Pictures of all problems, for the gallery: ``make gallery`` draws those that are missing.
+
+They are committed, since planning all problems takes minutes. Delete a picture to draw it anew.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from PIL import Image
+
+import hitchopt as ho
+from generators.problem_collection import SECTIONS
+from hitchopt.values import Array
+from hitchopt.view.curves import sampled_curves
+from hitchopt.view.plan_view import draw_plan_view
+from hitchopt.view.style import COLOURS, INK, new_figure, save_png
+
+SIZE = (4.2, 4.2)
+"""Width and height [inch]."""
+
+PALETTE = 64
+"""Number of colours: line drawings need few, and a file of a third of the size results."""
+
+
+def draw(file: Path, *, solved: bool) -> Figure:
+    """Return the picture of a problem: its plan from above, else what it asks for."""
+    figure = new_figure(SIZE)
+    axes = figure.add_subplot()
+    if solved:
+        motion = ho.solve(file).motion
+        draw_plan_view(axes, motion, sampled_curves(motion))
+        legend = axes.get_legend()
+        if legend is not None:
+            legend.remove()
+    else:
+        problem = ho.read_problem(file)
+        draw_task(axes, problem)
+    return figure
+
+
+def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem) -> None:
+    """Draw the start and all outlines or goals that are asked for, the last one in colour."""
+    if isinstance(problem, ho.SwarmProblem):
+        for prism in problem.keep_out:
+            axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))
+        ways = [[a[:2], b[:2]] for a, b in zip(problem.start, problem.goal, strict=True)]
+        axes.add_collection(LineCollection(ways, colors="0.72", linestyles="dashed"))
+        axes.plot(*problem.start[:, :2].T, "o", mfc="white", mec=COLOURS[0])
+        axes.plot(*problem.goal[:, :2].T, "o", color=COLOURS[0])
+    else:
+        draw_outlines(axes, problem)
+    if problem.arena is not None:
+        (x, y), (right, back) = problem.arena.lower[:2], problem.arena.upper[:2]
+        box = [(x, y), (x, back), (right, back), (right, y)]
+        axes.add_patch(Polygon(box, fill=False, ec="0.4"))
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.autoscale_view()
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
+    """Draw the cables at the start and every step's outline, the last one in colour."""
+    outline = problem.start_outline
+    drawn = [outline]
+    for step in problem.mission:
+        outline = step.polygon_left(problem.team, outline)
+        drawn.append(outline)
+    polygons = [each for each in drawn if each is not None]
+    for i, each in enumerate(polygons):
+        last = i == len(polygons) - 1
+        x, y = np.vstack([each.vertices, each.vertices[:1]][: 1 + problem.team.layout.closed]).T
+        axes.plot(x, y, color=COLOURS[0] if last else "0.62", ls="-" if last else "--", lw=2)
+    cables = starting_cables(problem)
+    axes.add_collection(LineCollection(list(cables), colors=INK, linewidths=0.8))
+    axes.plot(*cables[:, 0].T, "o", color=INK, ms=4)
+    axes.plot(*cables[:, -1].T, "s", mfc="white", mec=INK, ms=4)
+
+
+def starting_cables(problem: ho.Problem) -> Array:
+    """Return (n, 2 or 4, 2) [m]: every cable from drone to drone; n = 0 where no hitch fits."""
+    start, team = problem.start, problem.team
+    if isinstance(start, ho.DronesStart):
+        return np.stack([start.q, start.r], axis=1)[..., :2]
+    try:
+        hitch = start if isinstance(start, ho.Hitch) else ho.Hitch.balanced(team, start.polygon)
+    except ho.InfeasibleError:  # an edge as long as its cable
+        return np.zeros((0, 2, 2))
+    drones, points = hitch.drones.reshape(-1, 2, 3), hitch.vertices
+    parts = [drones[:, 0], points[team.layout.starts], points[team.layout.ends], drones[:, 1]]
+    return np.stack(parts, axis=1)[..., :2]
+
+
+def main() -> None:
+    """Draw the pictures that are missing."""
+    for section in SECTIONS:
+        for file in section.files:
+            target = section.picture(file)
+            if target.exists():
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            save_png(draw(file, solved=section.solved), target)
+            Image.open(target).convert("RGB").quantize(PALETTE).save(target, optimize=True)
+            sys.stdout.write(f"{target}\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

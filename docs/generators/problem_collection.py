@@ -1,0 +1,61 @@
+"""The problem files of the repository, in the order of the gallery, and what their headers say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PROBLEMS = ROOT / "problems"
+
+PICTURES = ROOT / "docs" / "gallery" / "pictures"
+"""Directory of the pictures that ``make gallery`` draws."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A folder of problem files.
+
+    Attributes
+    ----------
+    folder: relative to ``problems``.
+    heading: of the section in the gallery.
+    solved: whether the problems have plans.
+    """
+
+    folder: str
+    heading: str
+    solved: bool
+
+    @property
+    def files(self) -> list[Path]:
+        """The problem files, by name."""
+        return sorted((PROBLEMS / self.folder).glob("*.yaml"))
+
+    def picture(self, file: Path) -> Path:
+        """Return the path of a problem's picture."""
+        return PICTURES / self.folder / f"{file.stem}.png"
+
+
+SECTIONS = (
+    Section("", "Hitches", solved=True),
+    Section("swarms", "Single drones", solved=True),
+    Section("infeasible", "Hitches without a plan", solved=False),
+    Section("swarms/infeasible", "Single drones without a plan", solved=False),
+)
+"""Folders with a picture for every problem."""
+
+REFUSED = ("bad", "swarms/bad")
+"""Folders of files that are wrong in themselves; there is nothing to draw."""
+
+
+def caption(file: Path) -> list[str]:
+    """Return the lines of the comment at the head of a problem file, without those for tests."""
+    lines = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        if not line.startswith(("# Lasts: ", "# Binds: ", "# yaml-language-server")):
+            lines.append(line.removeprefix("#").strip())
+    return lines

@@ -1,0 +1,309 @@
+"""Ranges of tensions and vertices for errors that nobody knows, over a plan.
+
+To first order every tension and coordinate is linear in the errors (``sensitivities``): bounds add,
+standard deviations add in squares and count three times. What is left out is measured: the hitch
+settles at the errors that move some tension or vertex most, both ways, and twice the largest
+difference to first order widens every range. It is infinite where no rest is found there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import InfeasibleError, UnsupportedError
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
+from hitchopt.motion.tensions import stated_tensions
+from hitchopt.plan import Plan
+from hitchopt.settling.conditions import Conditions
+from hitchopt.settling.error_sizes import DEVIATIONS, Errors, ErrorSize
+from hitchopt.settling.sensitivities import Gradients, Response
+from hitchopt.settling.settle import energy_of, hitched_states, settle_motion
+from hitchopt.settling.settled_hitch import Settled, named
+from hitchopt.values import Array
+
+SAMPLES = 25
+"""Times of a plan at which ranges are computed unless others are given."""
+
+CANDIDATES = 20
+"""Times that are looked at for each of them, to leave out those without a taut hitch."""
+
+TAUT = 0.999
+"""Share of the least tension that is stated from which on a cable is taut."""
+
+CORNERS = 4
+"""Tensions, and coordinates, of widest range whose worst errors are settled at, for each time."""
+
+REMAINDER = 2.0
+"""Factor of the largest difference to first order: the corners are worst for the first order, not
+for what is beyond it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance:
+    """Ranges at times (S,) of a plan.
+
+    Attributes
+    ----------
+    errors: what they are for.
+    settled: where the hitch rests without them, in samples (S,).
+    tension_halves: (S, n) [N], half widths of the tensions' ranges, at first order.
+    tension_remainders: (S,) [N], what is added to them for what is beyond first order.
+    vertex_halves: (S, points, 3) [m], half widths of the vertices' ranges, at first order.
+    vertex_remainders: (S,) [m]
+    ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, at first order.
+    """
+
+    errors: Errors
+    settled: Settled
+    tension_halves: Array
+    tension_remainders: Array
+    vertex_halves: Array
+    vertex_remainders: Array
+    ellipsoids: Array
+
+    @property
+    def tensions(self) -> Array:
+        """(S, n, 2) [N]: smallest and largest tension of every cable, not below zero."""
+        half = self.tension_halves + self.tension_remainders[:, None]
+        middle = self.settled.tensions
+        return np.maximum(np.stack([middle - half, middle + half], axis=-1), 0.0)
+
+    @property
+    def radii(self) -> Array:
+        """(S, points) [m]: how far every vertex may be from where it rests without errors."""
+        longest = np.sqrt(np.linalg.eigvalsh(self.ellipsoids)[..., -1])
+        return np.asarray(longest + self.vertex_remainders[:, None])
+
+    @property
+    def slack(self) -> NDArray[np.bool_]:
+        """(S, n): whether a cable may be slack."""
+        found: NDArray[np.bool_] = self.settled.slack | (self.tensions[..., 0] <= 0.0)
+        return found
+
+    @property
+    def slack_cables(self) -> tuple[str, ...]:
+        """Names of the cables that may be slack at some time."""
+        return named("c", self.slack)
+
+
+def tolerance(
+    plan: Plan,
+    t: ArrayLike | None = None,
+    *,
+    cable_error: ErrorSize | float = 0.0,
+    position_error: ErrorSize | float = 0.0,
+    force_error: ErrorSize | float = 0.0,
+    **conditions: Any,
+) -> Tolerance:
+    """Return the range of every tension and vertex of a plan's hitch for errors of given sizes.
+
+    Parameters
+    ----------
+    plan: with a hitch.
+    t: (S,) [s]; by default 25 times at which its cables are drawn taut.
+    cable_error: of every cable's length [m]. A number is a bound; ``ErrorSize(deviation=0.01)`` is
+        a standard deviation, which counts three times.
+    position_error: of every drone's set point, a vector [m].
+    force_error: of every drone's force feed-forward, a vector [N].
+    conditions: the keywords of ``Conditions``, without samples of their own, as for ``settle``.
+
+    Raises
+    ------
+    InputError: a time without hitch, a negative size, or a wrong condition.
+    UnsupportedError: a plan without a taut hitch.
+    InfeasibleError: no rest is found.
+    """
+    errors = Errors(
+        ErrorSize.of("cable_error", cable_error),
+        ErrorSize.of("position_error", position_error),
+        ErrorSize.of("force_error", force_error),
+    )
+    return tolerance_of_motion(plan.motion, t, errors, Conditions(**conditions))
+
+
+def tolerance_of_motion(
+    motion: Motion, t: ArrayLike | None, errors: Errors, conditions: Conditions
+) -> Tolerance:
+    """Return the ranges of a motion's hitch; see ``tolerance``."""
+    times = taut_times(motion) if t is None else np.atleast_1d(np.asarray(t, np.float64))
+    settled = settle_motion(motion, times, conditions)
+    parts = [_range(motion, settled, i, errors, conditions) for i in range(len(times))]
+    return Tolerance(errors, settled, *(np.stack(values) for values in zip(*parts, strict=True)))
+
+
+def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
+    """Return at most ``count`` times [s], the first and last ones among them, of taut cables.
+
+    While tensions rise from zero or fall to it a hitch holds little; such times are left out.
+
+    Raises
+    ------
+    UnsupportedError: there are none.
+    """
+    times = np.linspace(0.0, motion.duration, CANDIDATES * count)
+    found = np.zeros(len(times), dtype=np.bool_)
+    if motion.team.has_cables:
+        states = states_at(motion, times)
+        starts = motion.drones.breaks - motion.drones.breaks[0]
+        piece = np.clip(np.searchsorted(starts, times, "right") - 1, 0, motion.drones.pieces - 1)
+        least = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
+        found = states.formed & np.all(states.tensions >= TAUT * least[piece], axis=-1)
+    taut = times[found]
+    if not len(taut):
+        raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")
+    return taut[np.unique(np.linspace(0, len(taut) - 1, count).round().astype(np.intp))]
+
+
+def _range(
+    motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
+) -> tuple[Any, ...]:
+    """Return the arrays of a Tolerance at one time, in order."""
+    response = _response(motion, settled, i, conditions)
+    layout = motion.team.layout
+    worst: list[tuple[float, Array, Array, Array]] = []
+    tensions, halves, ellipsoids = [], [], []
+    for cables in response.blocks(layout.robots, 1):
+        rows = response.gradients_of_tensions(cables)
+        half = _halves(rows, errors)
+        tensions.append(half)
+        worst += _corners(rows, half, errors)
+    corners = sorted(worst, key=lambda corner: -corner[0])[:CORNERS]
+    worst = []
+    for points in response.blocks(layout.points, 3):
+        rows = response.gradients_of_points(points)
+        half = _halves(rows, errors)
+        halves.append(half.reshape(-1, 3))
+        ellipsoids.append(_ellipsoids(rows, errors))
+        worst += _corners(rows, half, errors)
+    corners += sorted(worst, key=lambda corner: -corner[0])[:CORNERS]
+    remainders = _remainders(motion, settled, i, conditions, response, corners)
+    return (
+        np.concatenate(tensions),
+        remainders[0],
+        np.concatenate(halves),
+        remainders[1],
+        np.concatenate(ellipsoids),
+    )
+
+
+def _response(motion: Motion, settled: Settled, i: int, conditions: Conditions) -> Response:
+    states = hitched_states(motion, settled.t[i : i + 1])
+    energy, _ = energy_of(
+        motion,
+        conditions,
+        states.positions,
+        states.vertices,
+        states.tensions,
+        states.cable_forces,
+        *_errors_of(motion, conditions),
+    )
+    clasps = settled.vertices[i : i + 1, motion.team.layout.clasps]
+    return Response(energy, np.concatenate([settled.drones[i : i + 1], clasps], axis=1))
+
+
+def _errors_of(motion: Motion, conditions: Conditions) -> tuple[Array, Array, Array]:
+    """Return the lengths, offsets and forces of conditions that are the same at all times."""
+    team = motion.team
+    return (
+        conditions.lengths(team)[None],
+        conditions.errors("offsets", team)[None],
+        conditions.errors("forces", team)[None],
+    )
+
+
+def _halves(rows: Gradients, errors: Errors) -> Array:
+    """Return the half widths (o,) of the ranges of outputs."""
+    bound: Array = np.zeros(rows.cable.shape[1])
+    square: Array = np.zeros(rows.cable.shape[1])
+    for row, size in (
+        (rows.cable[0, ..., None], errors.cable),
+        (rows.position[0], errors.position),
+        (rows.force[0], errors.force),
+    ):
+        lengths = np.linalg.norm(row, axis=-1)
+        bound += size.bound * np.sum(lengths, axis=-1)
+        square += (size.deviation * lengths**2 * size.deviation).sum(axis=-1)
+    return bound + DEVIATIONS * np.sqrt(square)
+
+
+def _corners(
+    rows: Gradients, halves: Array, errors: Errors
+) -> list[tuple[float, Array, Array, Array]]:
+    """Return, of the widest ranges, the half width and the errors that reach its end."""
+    kinds = (
+        (rows.cable[0, ..., None], errors.cable),
+        (rows.position[0], errors.position),
+        (rows.force[0], errors.force),
+    )
+    spread = np.sqrt(sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds))
+    corners = []
+    for o in np.argsort(-halves)[:CORNERS]:
+        parts = []
+        for row, size in kinds:
+            lengths = np.linalg.norm(row[o], axis=-1, keepdims=True)
+            at_bound = size.bound * row[o] / np.where(lengths > 0.0, lengths, 1.0)
+            normal = DEVIATIONS * size.deviation**2 * row[o] / (spread[o] or 1.0)
+            parts.append(at_bound + normal)
+        corners.append((float(halves[o]), parts[0][..., 0], parts[1], parts[2]))
+    return corners
+
+
+def _ellipsoids(rows: Gradients, errors: Errors) -> Array:
+    """Return (points, 3, 3) [m²] ellipsoids that hold all displacements of points.
+
+    The sum of ellipsoids ``E_j`` lies within ``(Σ √tr E_j) Σ E_j/√tr E_j``, of all such the one
+    with the least sum of squared axes. Every bound is one of them, all deviations are another.
+    """
+    count = rows.cable.shape[1] // 3
+    total, weighted = np.zeros(count), np.zeros((count, 3, 3))
+    spread = np.zeros((count, 3, 3))
+    for row, size in (
+        (rows.cable[0, ..., None], errors.cable),
+        (rows.position[0], errors.position),
+        (rows.force[0], errors.force),
+    ):
+        J = row.reshape(count, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
+        squares = np.einsum("pijc,pkjc->pjik", J, J)
+        roots = np.sqrt(np.trace(squares, axis1=-2, axis2=-1))
+        total += size.bound * np.sum(roots, axis=-1)
+        share = size.bound * np.where(roots > 0.0, 1.0 / np.where(roots > 0.0, roots, 1.0), 0.0)
+        weighted += np.einsum("pj,pjik->pik", share, squares)
+        spread += (DEVIATIONS * size.deviation) ** 2 * np.sum(squares, axis=1)
+    root = np.sqrt(np.trace(spread, axis1=-2, axis2=-1))
+    weighted += spread / np.where(root > 0.0, root, 1.0)[:, None, None]
+    return np.asarray((total + root)[:, None, None] * weighted)
+
+
+def _remainders(
+    motion: Motion,
+    settled: Settled,
+    i: int,
+    conditions: Conditions,
+    response: Response,
+    corners: list[tuple[float, Array, Array, Array]],
+) -> tuple[float, float]:
+    """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER."""
+    both = [(sign * c, sign * p, sign * f) for _, c, p, f in corners for sign in (1.0, -1.0)]
+    cable, position, force = (np.stack(part) for part in zip(*both, strict=True))
+    lengths, offsets, forces = _errors_of(motion, conditions)
+    wrong = replace(
+        conditions,
+        cable_length=lengths + cable,
+        offsets=offsets + position,
+        forces=forces + force,
+    )
+    try:
+        found = settle_motion(motion, settled.t[i], wrong)
+    except InfeasibleError:  # so far from where it was that first order says nothing
+        return np.inf, np.inf
+    moved, pulled = response.to(cable, position, force)
+    expected = np.maximum(settled.tensions[i] + pulled, response.energy.law.least)
+    vertices = settled.vertices[i] + moved[:, response.energy.rigging.points]
+    apart = np.linalg.norm(found.vertices - vertices, axis=-1)
+    tension = float(np.max(np.abs(found.tensions - expected)))
+    return REMAINDER * tension, REMAINDER * float(np.max(apart))

@@ -1,0 +1,128 @@
+"""Code blocks of a page, executed one after the other in one directory and one namespace.
+
+Blocks of Python share their names; what one prints is shown in the block after it. Blocks of YAML
+that begin with a comment ``# name.yaml`` are written to files. In ``console`` blocks lines after
+``$`` are commands, and what they print follows, unless nothing is shown.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import shlex
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from click.testing import CliRunner
+
+from hitchopt.cli import main
+
+FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
+
+NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+TINY = 1e-6
+"""Numbers below this are rounding, and differ between processors."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, or directive, and its text."""
+
+    language: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a block or command prints, what the page shows of it, and a command's exit code."""
+
+    code: str
+    printed: str
+    shown: str
+    status: int = 0
+
+
+def blocks(text: str) -> list[Block]:
+    """Return all fenced blocks of a page, without the indentation of lists."""
+    found = []
+    for indent, language, body in FENCE.findall(text):
+        lines = [line.removeprefix(indent) for line in body.splitlines(keepends=True)]
+        found.append(Block(language.strip(), "".join(lines)))
+    return found
+
+
+def executed(text: str) -> Iterator[Shown]:
+    """Yield what the blocks of a page print, in the working directory."""
+    page = blocks(text)
+    names: dict[str, object] = {"__name__": "__main__"}
+    status = 0
+    for i, block in enumerate(page):
+        if block.language == "python":
+            following = page[i + 1] if i + 1 < len(page) else Block("", "")
+            stream = io.StringIO()
+            with redirect_stdout(stream):
+                exec(compile(block.text, "<page>", "exec"), names)
+            shown = following.text if following.language in {"", "text"} else ""
+            yield Shown(block.text, stream.getvalue(), shown)
+        elif block.language == "yaml" and (name := file_name(block)):
+            Path(name).write_text(block.text, encoding="utf-8")
+        elif block.language == "console":
+            for command, shown in commands(block):
+                if command == "echo $?":
+                    yield Shown(command, f"{status}\n", shown)
+                    continue
+                status, printed = run(command)
+                yield Shown(command, printed, shown, status)
+
+
+def file_name(block: Block) -> str:
+    """Return the name in the first comment of a block of YAML, or nothing."""
+    found = re.match(r"# ([\w-]+\.yaml)\n", block.text)
+    return found[1] if found else ""
+
+
+def commands(block: Block) -> list[tuple[str, str]]:
+    """Return the commands of a console block with what is shown of each."""
+    parts = re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]
+    return [(part.partition("\n")[0], part.partition("\n")[2]) for part in parts]
+
+
+def run(command: str) -> tuple[int, str]:
+    """Return the exit code of a command of hitchopt, and all that it prints."""
+    program, *arguments = shlex.split(command, comments=True)
+    assert program == "hitchopt", f"{command}: only hitchopt is run"
+    done = CliRunner().invoke(main, arguments, catch_exceptions=False, prog_name="hitchopt")
+    return done.exit_code, click.unstyle(done.output)
+
+
+def same(printed: str, shown: str) -> bool:
+    """Return whether two texts agree: words exactly, numbers to the last digit but one shown.
+
+    An ellipsis at the end of a line stands for the rest of it.
+    """
+    ours, theirs = printed.split("\n"), shown.split("\n")
+    return len(ours) == len(theirs) and all(map(_same_line, ours, theirs))
+
+
+def _same_line(printed: str, shown: str) -> bool:
+    if shown.endswith("…"):
+        shown = shown.removesuffix("…").rstrip()
+        return printed.startswith(shown)
+    if NUMBER.sub("#", printed).split() != NUMBER.sub("#", shown).split():
+        return False
+    pairs = zip(NUMBER.findall(printed), NUMBER.findall(shown), strict=True)
+    return all(_same_number(a.replace("−", "-"), b.replace("−", "-")) for a, b in pairs)
+
+
+def _same_number(a: str, b: str) -> bool:
+    unit = 10.0 ** -max(len(each.partition("e")[0].partition(".")[2]) for each in (a, b))
+    scale = 10.0 ** float(b.partition("e")[2] or 0)
+    x, y = float(a), float(b)
+    exact = "." not in a + b and "e" not in a + b
+    if exact:
+        return x == y
+    return abs(x - y) <= 1.5 * unit * scale or max(abs(x), abs(y)) < TINY

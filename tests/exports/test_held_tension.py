@@ -1,0 +1,217 @@
+"""Set points that hold the tension: drones that fly by them are where the plan says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hitchopt as ho
+from hitchopt.exports.formats.csv_table import CsvTable
+from hitchopt.exports.formats.known_formats import HOMES
+from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
+
+SOFT = ho.Quadrotor(stiffness=4.75)
+
+
+@pytest.fixture(scope="module")
+def plan() -> ho.Plan:
+    """A hitch of unequal cables that turns and changes its shape."""
+    team = ho.Team(3, [2.6, 2.7, 2.8], tension=[0.4, 0.45, 0.5], quadrotor=SOFT)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3).translated([0.3, -0.2]), 1.2)
+    wider = ho.regular_polygon(3, 1.1, angle=0.3).translated([0.5, 0.1])
+    return ho.morph(start, wider, limits=ho.Limits(speed=0.6))
+
+
+def flown(motion: Motion, held: Motion, loop: PositionLoop, t: np.ndarray) -> np.ndarray:
+    """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated."""
+    m, c, k = (values[:, None] for values in (loop.mass, loop.damping, loop.stiffness))
+    count = motion.team.drones
+
+    def change(now: float, y: np.ndarray) -> np.ndarray:
+        x, v = y.reshape(2, count, 3)
+        at = min(now, held.duration)
+        s, ds, dds = (held.drones.at(at, order) for order in range(3))
+        F = states_at(motion, at).cable_forces
+        force = m * dds + c * (ds - v) + k * (s - x) + F
+        return np.concatenate([v.ravel(), (force / m).ravel()])
+
+    begin = np.concatenate([motion.drones.at(0.0).ravel(), np.zeros(3 * count)])
+    found = solve_ivp(
+        change, (0.0, float(t[-1])), begin, t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.02
+    )
+    places: np.ndarray = found.y[: 3 * count].T.reshape(len(t), count, 3)
+    return places
+
+
+def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
+    loop = PositionLoop.of(plan.motion.team, None, None)
+    held = held_tension(plan.motion, loop)
+    t = np.linspace(0.0, plan.duration, 30)
+    where = flown(plan.motion, held.motion, loop, t)
+    away = np.linalg.norm(where - plan.at(t).positions, axis=-1)
+    assert np.max(away) < held.miss + 1e-6
+    assert held.miss < 1e-4
+    # Set points that are moved as at rest only miss the plan by far more.
+    still = plan.motion.drones.at(t) - states_at(plan.motion, t).cable_forces / 4.75
+    assert np.max(np.linalg.norm(held.motion.drones.at(t) - still, axis=-1)) > 20 * held.miss
+
+
+def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: ho.Plan) -> None:
+    loop = PositionLoop.of(plan.motion.team, 6.0, 1.5)
+    held = held_tension(plan.motion, loop)
+    for t, end in ((0.0, 0.0), (held.motion.duration, plan.duration)):
+        states = plan.at(end)
+        legs = states.positions - states.vertices[plan.motion.team.layout.anchors]
+        outward = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+        pull = np.repeat(plan.motion.team.tension, 2)[:, None]
+        moved = held.motion.drones.at(t) - states.positions
+        np.testing.assert_allclose(moved, pull * outward / 6.0, atol=1e-5)
+    assert held.offset == pytest.approx(0.5 / 6.0, rel=0.05)
+    assert held.motion.duration == pytest.approx(plan.duration + 2.0)
+
+
+def test_statics_of_moved_set_points_are_the_plan(plan: ho.Plan) -> None:
+    loop = PositionLoop.of(plan.motion.team, None, None)
+    offsets = held_tension(plan.motion, loop).motion.drones.at(0.0) - plan.at(0.0).positions
+    found = ho.settle(plan, 0.0, feed_forward=False, offsets=offsets)
+    np.testing.assert_allclose(found.tensions, plan.motion.team.tension, atol=1e-6)
+    np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
+
+
+def test_set_points_are_smooth(plan: ho.Plan) -> None:
+    held = held_tension(plan.motion, PositionLoop.of(plan.motion.team, None, None)).motion
+    for order, jump in ((0, 1e-12), (1, 1e-10), (2, 1e-6)):
+        left, right = held.drones.ends(order)
+        assert np.max(np.abs(right[:-1] - left[1:])) < jump
+    for order in (1, 2):
+        assert np.max(np.abs(held.drones.at(0.0, order))) < 1e-6
+        assert np.max(np.abs(held.drones.at(held.duration, order))) < 1e-5
+
+
+def test_the_gain_bounds_what_a_miss_does() -> None:
+    """The integral of the impulse response's size, computed apart."""
+    team = ho.Team(3, 2.4, quadrotor=SOFT)
+    for damping in (0.3, 0.8, 1.32, 1.6):
+        loop = PositionLoop.of(team, 4.75, damping)
+        m, c, k = (float(v[0]) for v in (loop.mass, loop.damping, loop.stiffness))
+        roots = np.roots([m, c, k])
+        t = np.linspace(0.0, 20.0, 200_001)
+        response = k / m * (np.exp(roots[0] * t) - np.exp(roots[1] * t)) / (roots[0] - roots[1])
+        assert np.trapezoid(np.abs(response.real), t) == pytest.approx(loop.gain, rel=1e-3)
+    usual = PositionLoop.of(team, None, None)
+    assert usual.damping[0] / usual.mass[0] == pytest.approx(10.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", list(HOMES))
+def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path) -> None:
+    (done,) = plan.export(name, tmp_path / "files", hold_tension=True)
+    said = json.loads((tmp_path / "files" / "export.json").read_text(encoding="utf-8"))
+    assert "set points hold" in said["feed_forward"] or "hold the tension" in said["feed_forward"]
+    names = {check["name"] for check in said["checks"]}
+    assert {"separation", "cable_clearance"} <= names
+    assert not names & {"speed", "thrust", "tilt", "jerk"}
+    assert any("4.75 N/m" in note for note in done.notes)
+    integral = name in {"crazyswarm2", "compressed"}
+    assert bool(said["undetermined_tension"]) is integral
+    assert all("integral" in reason for reason in said["undetermined_tension"])
+    (report,) = ho.lint(tmp_path / "files")
+    assert report.sound
+    assert [f.rule for f in report.findings if f.level == "warning"] == ["tension"] * integral
+
+
+def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_path: Path) -> None:
+    plan.export("csv", tmp_path / "plan.csv", hold_tension=True, rate=50.0)
+    header, *lines = (tmp_path / "plan.csv").read_text(encoding="utf-8").splitlines()
+    columns = header.split(",")
+    rows = np.array([[float(x) for x in line.split(",")[2:]] for line in lines])
+    table = dict(zip(columns[2:], rows.T, strict=True))
+    assert not any(np.any(table[f"cable_{axis}"]) for axis in "xyz")
+    np.testing.assert_array_equal(table["ff_x"], table["ax"])
+    # Attitudes point the thrust along m (a + g ẑ).
+    upward = np.stack([table["ax"], table["ay"], table["az"] + 9.81], axis=-1)
+    w, x, y, z = (table[f"q{name}"] for name in "wxyz")
+    third = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
+    thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
+    np.testing.assert_allclose(third, thrust, atol=1e-6)
+    loop = PositionLoop.of(plan.motion.team, None, None)
+    held = held_tension(plan.motion, loop).motion
+    t = np.array([float(line.split(",")[0]) for line in lines])[::6]
+    places = np.stack([table[axis] for axis in "xyz"], axis=-1).reshape(len(t), 6, 3)
+    np.testing.assert_allclose(places, held.drones.at(t), atol=1e-9)
+    assert CsvTable.carries_pull
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds", "expected"),
+    [
+        ("csv", SOFT, []),
+        ("csv", replace(SOFT, feed_forward=False), ["without feed-forward"]),
+        ("csv", replace(SOFT, integral=True), ["an integral"]),
+        ("mavsdk_drone_show", SOFT, []),
+        ("ros2bag", SOFT, []),
+        ("skybrush", SOFT, ["without feed-forward"]),
+        ("skybrush_csv", SOFT, ["without feed-forward"]),
+        ("crazyswarm2", SOFT, ["an integral", "without feed-forward"]),
+        ("compressed", SOFT, ["an integral", "without feed-forward"]),
+    ],
+)
+def test_exports_and_lint_warn_where_the_tension_is_undetermined(
+    name: str, kinds: ho.Quadrotor, expected: list[str], plan: ho.Plan, tmp_path: Path
+) -> None:
+    team = replace(plan.motion.team, quadrotor=(kinds,) * 3)
+    other = replace(plan, motion=replace(plan.motion, team=team))
+    (done,) = other.export(name, tmp_path / "files")
+    said = json.loads((tmp_path / "files" / "export.json").read_text())["undetermined_tension"]
+    assert [reason[: len(words)] for reason, words in zip(said, expected, strict=True)] == expected
+    assert set(said) <= set(done.notes)
+    (report,) = ho.lint(tmp_path / "files")
+    warned = [finding.message for finding in report.findings if finding.rule == "tension"]
+    assert warned == said
+
+
+def test_drones_without_cables_are_not_warned_of(tmp_path: Path) -> None:
+    swarm = ho.SwarmProblem(ho.Swarm(1), np.array([[0.0, 0, 1]]), np.array([[0.5, 0, 1]]))
+    plan = ho.solve(swarm)
+    plan.export("crazyswarm2", tmp_path / "files")
+    said = json.loads((tmp_path / "files" / "export.json").read_text())
+    assert said["undetermined_tension"] == []
+    with pytest.raises(ho.UnsupportedError, match="--hold-tension"):
+        plan.export("csv", tmp_path / "held", hold_tension=True, stiffness=5.0)
+
+
+def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:
+    """Legs of neighbours that point at each other: their set points meet before the drones do."""
+    team = ho.Team(3, 2.0, tension=0.8, quadrotor=SOFT)
+    hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.0)
+    plan = ho.hold(hitch, 1.0, arena=ho.Arena([-1.15] * 2 + [0.0], [1.15, 1.15, 3.0]))
+    with pytest.raises(ho.InfeasibleError, match="arena"):
+        plan.export("csv", tmp_path / "files", hold_tension=True)
+    assert not (tmp_path / "files").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"hold_tension": True}, "stiffness = None: must be the position loop's"),
+        ({"hold_tension": True, "stiffness": -1.0}, "--stiffness = -1.0"),
+        ({"hold_tension": True, "stiffness": 5.0, "damping": 0.0}, "--damping = 0.0"),
+        ({"stiffness": 5.0}, "--stiffness = 5.0: must be left out without --hold-tension"),
+        ({"damping": 5.0}, "--damping = 5.0: must be left out without --hold-tension"),
+    ],
+)
+def test_wrong_options_are_refused(
+    options: dict[str, Any], words: str, plan: ho.Plan, tmp_path: Path
+) -> None:
+    team = replace(plan.motion.team, quadrotor=(ho.Quadrotor(),) * 3)
+    rigid = replace(plan, motion=replace(plan.motion, team=team))
+    with pytest.raises(ho.InputError) as caught:
+        rigid.export("csv", tmp_path / "files", **options)
+    assert str(caught.value).startswith(words)

@@ -1,0 +1,234 @@
+"""What README and documentation show is what happens, and nothing public lacks a place in them."""
+
+from __future__ import annotations
+
+import re
+from itertools import zip_longest
+from pathlib import Path
+
+import jsonschema
+import pytest
+from documentation_blocks import Block, blocks, executed, file_name, same
+from generators.api_pages import page_of
+from generators.check_facts import write_check_facts
+from generators.command_page import write_command_page
+from generators.docstring_sections import converted
+from generators.gallery_page import write_gallery_page
+from generators.problem_collection import PICTURES, SECTIONS, caption
+from generators.schema_page import problem_schema, write_schema_page
+from ruamel.yaml import YAML
+
+import hitchopt as ho
+from hitchopt.checks.registry import REPORTS, RULES
+from hitchopt.cli import main
+from hitchopt.cli.template import template_text
+from hitchopt.interrupts import INTERRUPTED, TERMINATED
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(p.parts)),
+]
+"""Written pages. The gallery's index is generated, but has no code."""
+
+RUN = {"python", "console"}
+
+SHOWN = {"", "text", "sh", "yaml", "json"}
+"""Blocks that are not executed; those of YAML are checked against the schema."""
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+RUNNABLE = [page for page in PAGES if any(b.language in RUN for b in blocks(text_of(page)))]
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
+def test_blocks_print_what_is_shown(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    found = list(executed(text_of(page)))
+    for done, following in zip_longest(found, found[1:]):
+        if done.shown or not done.code.startswith("hitchopt "):
+            assert same(done.printed, done.shown), f"{done.code}\nprints\n{done.printed}"
+        failing = following is not None and following.code == "echo $?"
+        assert failing == (done.status != 0), f"{done.code}\n{done.printed}"
+
+
+def test_every_block_is_executed_or_text() -> None:
+    for page in PAGES:
+        notebook = text_of(page).startswith("---\nfile_format: mystnb")
+        for block in blocks(text_of(page)):
+            directive = block.language.startswith("{")
+            code = block.language.startswith("{code-cell}")
+            assert code <= notebook, f"{page}: a code cell outside of an executed page"
+            assert directive or block.language in RUN | SHOWN, f"{page}: {block.language}"
+
+
+YAML_BLOCKS = [
+    block for page in PAGES for block in blocks(text_of(page)) if block.language == "yaml"
+]
+
+
+@pytest.mark.parametrize("block", YAML_BLOCKS)
+def test_yaml_has_keys_of_the_schema(block: Block) -> None:
+    yaml = YAML(typ="safe", pure=True)
+    given = yaml.load(block.text)
+    whole = file_name(block) or "goal" in given
+    problem = given if whole else {**yaml.load(template_text()), **given}
+    jsonschema.validate(problem, problem_schema())
+
+
+@pytest.mark.parametrize(
+    ("printed", "shown", "agrees"),
+    [
+        ("a 1.001 b\n", "a 1.002 b\n", True),
+        ("a 1.001 b\n", "a 1.005 b\n", False),
+        ("3 rows\n", "4 rows\n", False),
+        ("3.4e-09\n", "9.1e-10\n", True),
+        ("one\n", "two\n", False),
+        ("a long line\n", "a long …\n", True),
+        ("one\ntwo\n", "one\n", False),
+    ],
+)
+def test_texts_are_compared_by_their_digits(printed: str, shown: str, *, agrees: bool) -> None:
+    assert same(printed, shown) is agrees
+
+
+def test_links_lead_to_files() -> None:
+    for page in PAGES:
+        links = re.findall(r"\]\(([^)#]+)[^)]*\)", text_of(page))
+        local = [link for link in links if "://" not in link]
+        missing = [link for link in local if not (page.parent / link).exists()]
+        assert not missing, f"{page}: {missing}"
+
+
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_bytes()) <= 8000
+    python = [b for b in blocks(text_of(ROOT / "README.md")) if b.language == "python"]
+    assert [len(block.text.strip().splitlines()) <= 12 for block in python] == [True]
+
+
+def test_every_check_has_a_section_of_three_parts() -> None:
+    text = text_of(DOCS / "explanation" / "certificate.md")
+    sections = dict(
+        re.findall(r"^### `(\w+)`\n(.*?)(?=^\(check-|\Z)", text, re.DOTALL | re.MULTILINE)
+    )
+    assert list(sections) == [rule.name for rule in (*RULES, *REPORTS)]
+    for name, words in sections.items():
+        assert f"generated/{name}.md" in words
+        for part in ("What it says.", "How it is computed.", "What it does not say."):
+            assert f"**{part}**" in words, f"{name}: {part}"
+
+
+def test_facts_of_checks_are_those_of_the_registry() -> None:
+    facts = write_check_facts()
+    assert set(facts) == {rule.name for rule in (*RULES, *REPORTS)}
+    assert "must not fall below" in facts["separation"]
+    assert "must not rise above" in facts["speed"]
+    assert "yes, against 0.001" in facts["cable_length"]
+
+
+def test_every_step_is_in_the_tables_of_steps() -> None:
+    steps = problem_schema()["$defs"]["StepKeys"]["properties"]
+    for page in (ROOT / "README.md", DOCS / "how_to" / "write_a_problem.md"):
+        cells = re.findall(r"^\| (`[^|]*)\|", text_of(page), re.MULTILINE)
+        assert set(steps) <= set(re.findall(r"`(\w+)`", " ".join(cells)))
+
+
+def test_the_problem_file_s_page_has_every_key() -> None:
+    page = write_schema_page()
+    for definition in problem_schema()["$defs"].values():
+        for key, value in definition.get("properties", {}).items():
+            assert f"| `{key}` |" in page
+            assert value.get("description", "") in page.replace(r"\|", "|")
+    for target in re.findall(r"<(keys-\w+)>", page):
+        assert f"({target})=" in page
+
+
+def test_the_command_line_s_page_has_every_option() -> None:
+    page = write_command_page()
+    for name, command in main.commands.items():
+        section = page.partition(f"(command-{name})=")[2].partition("(command-")[0]
+        for parameter in command.params:
+            written = parameter.opts[-1] if parameter.param_type_name == "option" else "`"
+            assert written in section, f"{name} {parameter.name}"
+
+
+def test_commands_that_are_not_executed_have_known_options() -> None:
+    found = 0
+    for page in PAGES:
+        cells = (
+            b for b in blocks(text_of(page)) if b.language in {"sh", "text", "{code-cell} python"}
+        )
+        for line in "\n".join(block.text for block in cells).splitlines():
+            for call in re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&]*)", line):
+                known = {opt for each in main.commands[call[0]].params for opt in each.opts}
+                known |= {
+                    opt for each in main.commands[call[0]].params for opt in each.secondary_opts
+                }
+                assert set(re.findall(r"(?<= )--?[a-z][\w-]*", call[1])) <= known, line
+                found += 1
+    assert found > 10
+
+
+def test_exit_codes_are_those_of_the_commands() -> None:
+    from hitchopt.cli.failures import UNMET, WRONG
+
+    codes = re.findall(r"^\| (\d+) \|", text_of(DOCS / "reference" / "exit_codes.md"), re.MULTILINE)
+    assert [int(code) for code in codes] == [0, WRONG, UNMET, INTERRUPTED, TERMINATED]
+
+
+def test_every_public_name_has_a_page() -> None:
+    assert "others" not in {page_of(name) for name in ho.__all__}
+
+
+def test_sections_of_docstrings_become_lists() -> None:
+    given = ["Return it.", "", "Parameters", "----------", "a, b: both (n, *shape)", "    more."]
+    assert converted(given) == [
+        *("Return it.", "", ".. rubric:: Parameters", ""),
+        *("", "``a``, ``b``", r"    both (n, \*shape)", "    more."),
+    ]
+
+
+def test_the_gallery_has_every_problem_with_a_picture() -> None:
+    page = write_gallery_page()
+    files = [file for section in SECTIONS for file in section.files]
+    assert len(files) > 50
+    for section in SECTIONS:
+        for file in section.files:
+            assert section.picture(file).exists(), f"make gallery draws {file.stem}"
+            assert f"`{name_of(file)}`" in page
+            assert caption(file), f"{file} has no comment at its head"
+    drawn = {section.picture(file) for section in SECTIONS for file in section.files}
+    assert set(PICTURES.rglob("*.png")) == drawn
+    refused = [
+        file
+        for folder in ("bad", "swarms/bad")
+        for file in (ROOT / "problems" / folder).glob("*.yaml")
+    ]
+    assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
+
+
+@pytest.mark.parametrize(
+    ("words", "pages"),
+    [
+        ("What is a clasp", {"explanation/clasp.md"}),
+        ("clasp", {"reference/glossary.md", "tutorials/first_plan.md"}),
+        ("`separation` 1.05", {"how_to/read_separation.md"}),
+        ("Fly faster", {"how_to/fly_faster.md"}),
+        ("Exit code 3", {"how_to/exit_code_3.md"}),
+        ("onto a Crazyflie", {"how_to/crazyflie.md"}),
+    ],
+)
+def test_what_readers_look_for_is_found_by_its_words(words: str, pages: set[str]) -> None:
+    for page in pages:
+        assert words in text_of(DOCS / page)
