@@ -2,8 +2,8 @@
 
 All take ``limits``, ``separation`` and ``arena``, with the defaults of a problem file, and raise
 ``InputError`` for arguments that are wrong in themselves and ``InfeasibleError`` for what cannot be
-met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m], or
-a mapping of that as ``sharing`` and of ``roll_deg``: ``auto``, one angle, or one per clasp.
+met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m];
+or a mapping of that as ``sharing`` and of ``roll_deg``: ``auto``, one angle, or one per clasp.
 Names in a plan that forms a hitch go by role: ``plan.motion.assignment`` says which robot flies
 which.
 """
