@@ -37,7 +37,7 @@ MAX_TIMES = 1000
 )
 @click.option("--cable-length", metavar="M[,M…]", help="Real lengths: one, or one per cable [m].")
 @click.option("--density", metavar="KG/M", type=float, help="Real cable density.")
-@click.option("--load", metavar="KG", type=float, default=0.0, help="Mass at every clasp.")
+@click.option("--load", metavar="KG", type=float, help="Real mass at every clasp.")
 @click.option("--axial-stiffness", metavar="N", type=float, help="EA of the cables; 10 kN.")
 @click.option(
     "--tolerance", is_flag=True, help="Ranges for errors: cables ±1 cm, drones ±2 cm, or as given."

@@ -49,7 +49,7 @@ class Conditions:
 
     cable_length: ArrayLike | None = None
     cable_density: float | None = None
-    load: ArrayLike = 0.0
+    load: ArrayLike | None = None
     stiffness: ArrayLike | None = None
     integral: bool | None = None
     feed_forward: bool | None = None
@@ -74,7 +74,8 @@ class Conditions:
 
     def loads(self, team: Team) -> Array:
         """Return (clasps,) [kg]."""
-        return _array("load", self.load, (len(team.layout.clasps),), least=-1e-300)
+        given = team.load if self.load is None else self.load
+        return _array("load", given, (len(team.layout.clasps),), least=-1e-300)
 
     def drone_stiffness(self, team: Team) -> Array:
         """Return (2n,) [N/m]; infinite where a drone stands at its set point whatever the force."""

@@ -45,6 +45,24 @@ def test_without_error_the_plan_comes_back(seed: int, n: int, topology: str) -> 
     assert found.slack_cables == found.loose_clasps == ()
 
 
+@given(seeds, sizes, topologies)
+@settings(max_examples=10)
+def test_plans_that_know_the_weight_come_back_but_for_their_own_error(
+    seed: int, n: int, topology: str
+) -> None:
+    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
+    away = []
+    for density in (0.002, 0.004):
+        hitch = random_hitch(seed, n, topology, density=density)
+        found = settled(hitch)
+        away.append(np.max(found.displacements))
+        np.testing.assert_allclose(found.tensions, hitch.team.tension, rtol=2e-3)
+        # Level drones would let the vertices sag by far more.
+        level = settled(random_hitch(seed, n, topology), cable_density=density)
+        assert away[-1] < 0.25 * np.max(level.displacements)
+    assert away[0] < 0.4 * away[1]
+
+
 @given(seeds, sizes, topologies, st.sampled_from([0.0, 0.01]))
 @settings(max_examples=30)
 def test_forces_balance_as_another_module_computes_them(
