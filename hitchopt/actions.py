@@ -2,14 +2,15 @@
 
 All take ``limits``, ``separation`` and ``arena``, with the defaults of a problem file, and raise
 ``InputError`` for arguments that are wrong in themselves and ``InfeasibleError`` for what cannot be
-met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m].
+met: it says what binds, where and when. ``legs`` is ``balanced``, ``spread`` or (n,) ``d_k`` [m];
+or a mapping of that as ``sharing`` and of ``roll_deg``: ``auto``, one angle, or one per clasp.
 Names in a plan that forms a hitch go by role: ``plan.motion.assignment`` says which robot flies
 which.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -25,7 +26,7 @@ from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.steps.form import Assign
 
-Legs = str | Sequence[float] | ArrayLike
+Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
 
 
 class Required(TypedDict, total=False):
@@ -219,7 +220,7 @@ def form(
     polygon: Outline | ArrayLike,
     altitude: float = 1.0,
     *,
-    legs: str | ArrayLike | None = None,
+    legs: Legs | None = None,
     assign: Assign = "auto",
     swap: SwapSettings | None = None,
     duration: float | None = None,

@@ -17,6 +17,7 @@ GROUPS = {
     "requirements": ("Requirements", ("hitchopt.requirements",)),
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
+    "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
     "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "errors": ("Errors", ("hitchopt.errors",)),

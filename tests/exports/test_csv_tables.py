@@ -83,8 +83,8 @@ def test_cable_forces_pull_toward_the_vertex(motion: Motion, tmp_path: Path) -> 
     rows = [row for row in rows_of(tmp_path / "s.csv") if row["drone"] == "r2"]
     times = sample_times(motion.duration, RATE)
     leg = motion.drones.at(times)[:, 5] - motion.vertices.at(times)[:, 3]  # r2 hangs on p_3
-    weight = 0.5 * 9.81 * 0.004 * 2.9
-    expected = -0.47 * leg / np.linalg.norm(leg, axis=1)[:, None] - [0.0, 0.0, weight]
+    length, half = np.linalg.norm(leg, axis=1, keepdims=True), 0.5 * 9.81 * 0.004
+    expected = -(0.47 + half * leg[:, 2:]) / length * leg - half * length * [0.0, 0.0, 1.0]
     table = np.array([[float(row[f"cable_{axis}"]) for axis in "xyz"] for row in rows])
     np.testing.assert_allclose(table, expected, atol=1e-9)
 

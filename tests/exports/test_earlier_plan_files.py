@@ -111,7 +111,7 @@ def test_every_number_and_word_of_a_hitch_comes_back(tmp_path: Path) -> None:
     assert {kind.stiffness for kind in team.quadrotor} == {None}
     assert {(kind.integral, kind.feed_forward) for kind in team.quadrotor} == {(False, True)}
     requirements = motion.requirements
-    assert vars(requirements.limits) == {**LIMITS, "body_rate": None}
+    assert vars(requirements.limits) == LIMITS | {"body_rate": None}
     assert vars(requirements.separation) == SEPARATION
     assert requirements.arena is not None
     assert requirements.arena.lower.tolist() == [-4.0, -3.0, 0.1]

@@ -35,21 +35,20 @@ def test_drones_carry_the_weight_of_all(stood: Simulation) -> None:
     weight = GRAVITY * (np.sum(team.mass) + team.cable_density * np.sum(team.cable_length))
     # Each thrust holds its share of the weight upward and the cable's pull across.
     across = 2 * team.robots * np.mean(record.tensions[at_rest])
-    assert across > 2 * team.robots * pull
+    assert across == pytest.approx(2 * team.robots * pull, rel=0.05)
     assert lifted == pytest.approx(np.hypot(weight, across), rel=0.02)
 
 
-def test_vertices_hang_as_deep_as_the_balance_of_heights_says(stood: Simulation) -> None:
+def test_vertices_are_at_their_height_in_spite_of_their_weight(stood: Simulation) -> None:
+    """A plan of level legs would let them hang 9 cm deep, by the balance of heights."""
     team, errors = stood.flight.task.team, stood.errors
     edge = 1.3
     leg = 0.5 * (team.cable_length[0] - edge)
-    closed_form = GRAVITY * team.cable_density * leg * (leg + edge) / (2.0 * team.tension[0])
-    tension = np.mean(stood.flight.record.tensions[50:100])
+    level = GRAVITY * team.cable_density * leg * (leg + edge) / (2.0 * team.tension[0])
     measured = np.mean(
         errors.planned[50:, :, 2] - stood.flight.record.vertices[errors.rows[50:], :, 2]
     )
-    assert measured == pytest.approx(closed_form * team.tension[0] / tension, rel=0.15)
-    assert np.mean(errors.errors[50:]) == pytest.approx(measured, abs=0.01)
+    assert abs(measured) < 0.1 * level
     assert np.max(errors.without_sag[50:]) < 0.05
     assert not errors.moving.any()
     assert errors.lost == 0.0

@@ -57,8 +57,9 @@ NOTHING = 1e-10
 LEAST = 2
 """Rows of a file at least: the usual reader fails on one."""
 
-KIND = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0)
-"""Durations are exact in single precision; position, velocity and acceleration are continuous."""
+KIND = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0, shortest=8.0 / 1024.0)
+"""Durations are exact in single precision; position, velocity and acceleration are continuous. A
+piece of a millisecond would have coefficients of 1e12, and their rounding jolts."""
 
 MOST = BYTES // PIECE_BYTES
 """Pieces that a drone's memory holds: 31."""
