@@ -19,7 +19,6 @@ GROUPS = {
     "fleets": ("Fleets", ("hitchopt.exports",)),
     "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
-    "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "errors": ("Errors", ("hitchopt.errors",)),
     "others": ("Others", ("hitchopt",)),
 }
