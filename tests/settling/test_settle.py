@@ -11,10 +11,11 @@ from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from resting_hitches import random_hitch, regular_hitch, settled, standing
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.settling.conditions import Conditions
 from hitchopt.settling.settle import energy_of, settle_motion
@@ -400,3 +401,51 @@ def test_times_without_hitch_are_refused() -> None:
         settle_motion(free, 1.0, Conditions())
     with pytest.raises(ho.InputError, match=r"t = -1\.0"):
         settle_motion(motion, -1.0, Conditions())
+
+
+@pytest.mark.parametrize(("seed", "density"), [(1, 0.006), (2, 0.012), (3, 0.018)])
+def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> None:
+    """Spans as exact curves, of one tension a cable in height, between the settled nodes.
+
+    The forces that then miss a balance would move vertices by less than a millimetre.
+    """
+    hitch = random_hitch(seed, 5, density=density)
+    n, w = hitch.team.robots, 9.81 * density
+    found, motion = settled(hitch), standing(hitch)
+    clasps, drones = np.zeros((n, 3)), np.zeros((2 * n, 3))
+
+    def curve(first: np.ndarray, last: np.ndarray, tension: float) -> tuple[float, np.ndarray]:
+        """Length of the curve of that tension at its first end, and the forces on its ends."""
+        chord = float(np.linalg.norm(last - first))
+
+        def missing(log: float) -> float:
+            pull = w * Catenary.between(first, last, chord * (1.0 + np.exp(log))).pull(first, last)
+            return float(np.linalg.norm(pull[0])) - tension
+
+        length = chord * (1.0 + np.exp(brentq(missing, -18.0, -1.0)))
+        return length, w * Catenary.between(first, last, length).pull(first, last)
+
+    def cable(k: int, tension: float) -> tuple[float, tuple[np.ndarray, ...]]:
+        q, r = found.drones[2 * k : 2 * k + 2]
+        p, following = found.vertices[k], found.vertices[(k + 1) % n]
+        q_leg, edge = curve(p, q, tension), curve(p, following, tension)
+        r_leg = curve(following, r, float(np.linalg.norm(edge[1][1])))
+        return q_leg[0] + edge[0] + r_leg[0], (q_leg[1], edge[1], r_leg[1])
+
+    for k in range(n):
+        length = float(hitch.team.cable_length[k])
+        ends = (0.8 * found.tensions[k], 1.3 * found.tensions[k])
+        tension = brentq(lambda T, k=k, length=length: cable(k, T)[0] - length, *ends)
+        q_leg, edge, r_leg = cable(k, float(tension))[1]
+        clasps[k] += q_leg[0] + edge[0]
+        clasps[(k + 1) % n] += edge[1] + r_leg[0]
+        drones[2 * k] += q_leg[1]
+        drones[2 * k + 1] += r_leg[1]
+    springs = hitch.team.stiffness[:, None] * (found.planned_drones - found.drones)
+    drones += springs - hitch.cable_forces
+    energy, _ = energy_of(motion, Conditions(), *settle_states(motion, Conditions()))
+    x = np.concatenate([found.drones, found.vertices])[None]
+    blocks, diagonal = energy.blocks(x), energy.diagonal[None]
+    missed = np.concatenate([drones, clasps])[None, ..., None]
+    moved = energy.rigging.factor(blocks, diagonal).solve(missed)[0, ..., 0]
+    assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
