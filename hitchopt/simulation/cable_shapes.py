@@ -16,7 +16,7 @@ from hitchopt.simulation.ropes import Ropes
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 3.0
+CLEARANCE = 3.5
 """Least distance of the two bends of a clasp that is not yet drawn tight, in diameters."""
 
 CLEARANCE_SEGMENTS = 1.7

@@ -83,7 +83,7 @@ def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path)
     for name, chosen in (("moving", moves), ("resting", ~moves), ("vertex_error", moves | True)):
         expected = np.mean(done.errors[chosen])
         assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
-    assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"]) - 0.02
+    assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"])
     assert float(rows[0]["tracking_mean"]) == pytest.approx(alone[0].tracking.mean, rel=1e-5)
 
 
