@@ -109,7 +109,7 @@ def simulate(task: Task, settings: Settings, progress: Progress | None = None) -
     ------
     InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed.
+    UnsupportedError: mujoco is not installed, or loads hang at the clasps.
     """
     begin = time.process_time()
     flight = fly(task, settings, progress)
