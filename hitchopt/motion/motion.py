@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -14,17 +14,22 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.motion.phases import HITCHED_STATE, JOINT, CableState, Phase, check_phases
+from hitchopt.objects.placing import poses_of
+from hitchopt.one_line import OneLine
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 __all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
 
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
-"""Fields of every motion that are polynomials; with friction there are ``leg_tensions`` as well."""
+"""Fields of every motion that are polynomials."""
+
+FURTHER = ("leg_tensions", "poses", "borne")
+"""Fields that are polynomials where cables slide against friction, or objects are carried."""
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(OneLine):
     """Drones, vertices, legs and tensions over time, and the requirements on them.
 
     While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
@@ -42,6 +47,10 @@ class Motion:
     assignment: which robots fly which roles, where that was chosen.
     leg_tensions: of shape (n, 2) [N], what the legs ``d_k``, ``e_k`` pull with where cables slide
         against friction; None where every leg pulls with its cable's tension.
+    poses: of shape (objects, 5), of the requirements' objects in their order: x, y, z [m] of their
+        bases' origins, cosine and sine of their yaws; None where all stay where they stand.
+    borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
+        stands) to 1; None where they carry none.
 
     Raises
     ------
@@ -58,6 +67,12 @@ class Motion:
     phases: tuple[Phase, ...]
     assignment: Assignment | None = None
     leg_tensions: PiecewisePolynomial | None = None
+    poses: PiecewisePolynomial | None = None
+    borne: PiecewisePolynomial | None = None
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{self.team.drones} drones"
+        yield f"{self.duration:.4g} s, phases: {len(self.phases)}, pieces: {self.drones.pieces}"
 
     def __post_init__(self) -> None:
         n = self.team.robots
@@ -68,6 +83,8 @@ class Motion:
             "legs": (n, 2),
             "tensions": (n,),
             "leg_tensions": (n, 2),
+            "poses": (len(self.requirements.objects), 5),
+            "borne": (len(self.requirements.objects),),
         }
         for name, shape in shapes.items():
             part: PiecewisePolynomial | None = getattr(self, name)
@@ -134,6 +151,21 @@ class Motion:
             each = self.leg_tensions.coefficients
             each = each.reshape(len(each), -1, each.shape[-1])
         return PiecewisePolynomial(self.drones.breaks, each)
+
+    @property
+    def object_poses(self) -> PiecewisePolynomial:
+        """Where all objects are, as ``poses``, also where they stay."""
+        if self.poses is not None:
+            return self.poses
+        return PiecewisePolynomial.constant(self.drones.breaks, poses_of(self.requirements.objects))
+
+    @property
+    def object_shares(self) -> PiecewisePolynomial:
+        """The shares of objects' weights that clasps carry, as ``borne``, also where all are 0."""
+        if self.borne is not None:
+            return self.borne
+        count = len(self.requirements.objects)
+        return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
 
     @property
     def cable_states(self) -> frozenset[CableState]:
@@ -204,7 +236,10 @@ class Motion:
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
-    """Return one motion of the given ones in a row, with the first one's team and requirements."""
+    """Return one motion of the given ones in a row, with the first one's team and requirements.
+
+    Objects stand in each where its own requirements say.
+    """
     phases: list[Phase] = []
     offset = 0.0
     for motion in motions:
@@ -217,4 +252,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         pulls = joined([motion.pulls for motion in motions])
         each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)
         parts["leg_tensions"] = PiecewisePolynomial(pulls.breaks, each)
+    if any(motion.poses is not None or motion.borne is not None for motion in motions):
+        parts["poses"] = joined([motion.object_poses for motion in motions])
+        parts["borne"] = joined([motion.object_shares for motion in motions])
     return replace(motions[0], phases=tuple(phases), **parts)

@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from hitchopt.errors import InputError
+from hitchopt.one_line import OneLine
 
 JOINT = 1e-6
 """[s] Phases meet within this, and cables change their state within this of a break."""
@@ -42,8 +43,33 @@ HITCHED_STATE = frozenset({CableState.HITCHED})
 """The state in which the hitch exists, as a set."""
 
 
+class HoldBy(StrEnum):
+    """How a hitch holds an object."""
+
+    REST = "rest"
+    """Its rim lies on the clasps."""
+    GRIP = "grip"
+    """Cables are wrapped around its section."""
+
+
 @dataclass(frozen=True)
-class Phase:
+class Hold:
+    """What a hitch holds in a phase; the certificate verifies it from the polynomials.
+
+    Attributes
+    ----------
+    object: name of the object.
+    by: how it is held.
+    cables: those that hold it, and may touch it.
+    """
+
+    object: str
+    by: HoldBy
+    cables: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Phase(OneLine):
     """A span of a plan's time.
 
     Attributes
@@ -56,6 +82,8 @@ class Phase:
     tension: smallest and largest tension [N] that the step allows during its motion; None where
         all tensions are the team's. Like the limits it is part of the problem: the check
         ``tension`` requires it within the phase, and the team's tensions at both of its ends.
+    hold: what the hitch holds, from where its cables may touch that until they no longer do; None
+        where it holds nothing.
     """
 
     name: str
@@ -65,6 +93,7 @@ class Phase:
     remark: str = ""
     state: CableState = CableState.HITCHED
     tension: tuple[float, float] | None = None
+    hold: Hold | None = None
 
     @property
     def formed(self) -> bool:

@@ -19,7 +19,9 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.motion.motion import JOINT, POLYNOMIALS, CableState, Motion, Phase
+from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, CableState, Motion, Phase
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
@@ -31,8 +33,8 @@ Arrays = dict[str, NDArray[Any]]
 
 FORMAT = "hitchopt-plan/1"
 
-LEG_TENSIONS = "leg_tensions"
-"""Polynomials that are stored as well where there is friction; a setting of this name is true."""
+OBJECTS = "objects"
+"""Setting with the objects by name, stored where there are any."""
 
 PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
@@ -61,8 +63,14 @@ EARLIER_STATES = {
 all others hang free."""
 
 
-def write_plan(path: Path, motion: Motion, title: str = "") -> None:
+def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
     """Write the plan; the same plan gives the same bytes.
+
+    Parameters
+    ----------
+    path: file, replaced if there is one.
+    motion, title: the plan.
+    problem: the text of its problem file, if it is known.
 
     Raises
     ------
@@ -93,9 +101,14 @@ def write_plan(path: Path, motion: Motion, title: str = "") -> None:
         values = {field.name: getattr(team, field.name) for field in fields(team)}
         arrays |= {name: values.pop(name) for name in PER_ROBOT}
         settings["team"] = {name: value for name, value in values.items() if name != "quadrotor"}
-    if motion.leg_tensions is not None:
-        polynomials += (LEG_TENSIONS,)
-        settings[LEG_TENSIONS] = True
+    if requirements.objects:
+        settings[OBJECTS] = requirements.objects
+    for name in FURTHER:  # a setting of the same name says that they are there
+        if getattr(motion, name) is not None:
+            polynomials += (name,)
+            settings[name] = True
+    if problem:
+        settings["problem"] = problem
     if motion.assignment is not None:
         settings["assignment"] = motion.assignment
     arrays["breaks"] = motion.drones.breaks
@@ -134,6 +147,16 @@ def read_title(path: Path) -> str:
     return _read(path, lambda settings, _: str(settings["title"]))
 
 
+def read_problem_text(path: Path) -> str:
+    """Return the text of the problem file that a plan was made of; empty if it is not known.
+
+    Raises
+    ------
+    FileError: it cannot be read, or does not hold a plan.
+    """
+    return _read(path, lambda settings, _: str(settings.get("problem", "")))
+
+
 def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
     """Return what ``made`` makes of the settings and arrays in a file."""
     try:
@@ -145,8 +168,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         hitched = (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names = ["breaks", POLYNOMIALS[0], *PER_KIND, *hitched]
-        if settings.get(LEG_TENSIONS) is True:
-            names.append(LEG_TENSIONS)
+        names += [name for name in FURTHER if settings.get(name) is True]
         if settings.get(CONTROL) is True:
             names += PER_CONTROLLER
         arrays = read_arrays(path, names)
@@ -160,7 +182,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
 
 def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     parts = {}
-    for name in (name for name in (*POLYNOMIALS, LEG_TENSIONS) if name in arrays):
+    for name in (name for name in (*POLYNOMIALS, *FURTHER) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
@@ -169,6 +191,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         Separation(**settings["separation"]),
         None if settings["arena"] is None else Arena(**settings["arena"]),
         tuple(Prism(**entry) for entry in settings.get("keep_out", ())),
+        {name: _object(**entry) for name, entry in settings.get(OBJECTS, {}).items()},
     )
     given = settings["team"]
     kinds = _kinds(arrays)
@@ -188,6 +211,22 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
     return motion
+
+
+def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:
+    """Return an object as it is stored."""
+    thin = None if rim is None else Rim(Section(**rim["section"]), rim["height"])
+    return SolidObject(Section(**section), rim=thin, **values)
+
+
+def _hold(entry: dict[str, Any] | None) -> Hold | None:
+    """Return what a phase holds, as it is stored."""
+    if entry is None:
+        return None
+    name, cables = entry["object"], entry["cables"]
+    if type(name) is not str or not all(type(k) is int and k >= 0 for k in cables):
+        raise InputError("phases.hold", entry, "an object and cables", "do not edit it")
+    return Hold(name, HoldBy(entry["by"]), tuple(cables))
 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
@@ -228,6 +267,7 @@ def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
     """
     given = dict(entry)
     formed, state = given.pop("formed", None), given.pop("state", None)
+    hold = _hold(given.pop("hold", None))
     phase = Phase(**given)
     for value, kinds, words in (
         (phase.name, {str}, "with a name"),
@@ -251,6 +291,7 @@ def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
         end=finite("phases.end", phase.end),
         state=CableState(state),
         tension=_tension_range(phase.tension),
+        hold=hold,
     )
 
 

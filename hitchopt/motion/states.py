@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,8 +15,12 @@ from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.statics import cable_force_rates, cable_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import tautness
+from hitchopt.one_line import OneLine
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array, not_negative, positive
+from hitchopt.values import Array, as_array, not_negative, positive
+
+if TYPE_CHECKING:
+    from hitchopt.model.evaluation import Attitudes
 
 END_TOLERANCE = 1e-6
 """Distance of a plan's end from the last regular sample [s] below which it is no sample."""
@@ -32,14 +37,17 @@ AT_REST = (
     "accelerations",
     "jerks",
     "cable_force_rates",
-    "body_rates",
     "vertex_velocities",
 )
 """Fields of states that are zero after a plan's end."""
 
+BLOCK = 1 << 20
+"""Number of coordinates of drones that are evaluated at once: their coefficients take ten times the
+memory of their values."""
+
 
 @dataclass(frozen=True, eq=False)
-class States:
+class States(OneLine):
     """States of drones and vertices at some times (…).
 
     Attributes
@@ -54,13 +62,14 @@ class States:
         there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
         to it, the one passes continuously into the other (``hitchopt.motion.tensions``).
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
-    quaternions: (…, 2n, 4), w, x, y, z: attitude of each drone with yaw 0, from its axes to the
-        world's; its z axis points along the thrust (``hitchopt.model.attitude``).
-    body_rates: (…, 2n, 3) [rad/s], angular velocity of that attitude about the drone's own axes.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
+    object_poses: (…, objects, 5), where objects are: x, y, z [m] of their bases, cosine and sine of
+        their yaws.
+    borne: (…, objects), the share of each object's weight that clasps carry.
+    masses: (…, 2n) [kg], of the drones.
     """
 
     t: Array
@@ -71,12 +80,13 @@ class States:
     jerks: Array
     cable_forces: Array
     cable_force_rates: Array
-    quaternions: Array
-    body_rates: Array
     vertices: Array
     vertex_velocities: Array
     legs: Array
     tensions: Array
+    object_poses: Array
+    borne: Array
+    masses: Array
 
     def thrusts(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N] the thrust vectors ``m (a + g ẑ) - cable force``."""
@@ -86,6 +96,27 @@ class States:
         """Return (…, 2n, 3) [N/s] the derivatives of the thrust vectors by time."""
         rates: Array = team.mass[:, None] * self.jerks - self.cable_force_rates
         return rates
+
+    @cached_property
+    def _attitudes(self) -> Attitudes:
+        from hitchopt.model.evaluation import attitudes  # casadi takes a while to import
+
+        masses = self.masses[..., None]
+        thrusts = masses * (self.accelerations + [0.0, 0.0, GRAVITY]) - self.cable_forces
+        return attitudes(thrusts, masses * self.jerks - self.cable_force_rates)
+
+    @property
+    def quaternions(self) -> Array:
+        """Attitude of each drone with yaw 0, from its axes to the world's, (…, 2n, 4), w, x, y, z.
+
+        Its z axis points along the thrust (``hitchopt.model.attitude``).
+        """
+        return self._attitudes.quaternions
+
+    @property
+    def body_rates(self) -> Array:
+        """Angular velocity of the attitude about the drone's own axes, (…, 2n, 3) [rad/s]."""
+        return self._attitudes.body_rates
 
 
 def thrusts_of(team: Team | Swarm, accelerations: Array, cable_forces: Array) -> Array:
@@ -131,12 +162,13 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     ------
     InputError: no time, a time before the start, or one that is not finite.
     """
-    asked = np.asarray(t, dtype=np.float64)
+    asked = as_array(t)
     if asked.size == 0 or not np.all((asked >= -TIME_TOLERANCE) & np.isfinite(asked)):
         raise InputError("t", t, "finite times from 0 s on", "count from the plan's start")
     times = np.minimum(asked, motion.duration)
     order = np.argsort(times, axis=None, kind="stable")
-    blocks = list(iterate_states(motion, times.ravel()[order], times.size))
+    size = max(1, BLOCK // (3 * len(motion.team.drone_names)))
+    blocks = list(iterate_states(motion, times.ravel()[order], size))
     back = np.argsort(order)
     states: dict[str, Any] = {}
     for field in fields(States):
@@ -149,60 +181,50 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
-    """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``.
+    """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``."""
+    h = motion.drones.durations[:, None, None]
+    drones = [motion.drones.coefficients]
+    for _ in range(3):
+        drones.append(bernstein.differentiate(drones[-1]) / h[..., None])
+    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    parts = [motion.vertices.coefficients, pulls, tautness(motion)]
+    part_rates = [
+        bernstein.differentiate(part) / h.reshape(-1, *[1] * (part.ndim - 1)) for part in parts
+    ]
+    poses, shares = motion.object_poses.coefficients, motion.object_shares.coefficients
+    breaks = motion.drones.breaks - motion.drones.breaks[0]
+    pieces = np.searchsorted(breaks[1:-1], times, side="right")
+    x = np.clip((times - breaks[pieces]) / motion.drones.durations[pieces], 0.0, 1.0)
+    for first in range(0, len(times), size):
+        block = slice(first, first + size)
 
-    A block lies within one piece, so that its values are one matrix product per quantity.
-    """
-    from hitchopt.model.evaluation import attitudes  # casadi takes a while to import
+        def at(coefficients: Array, block: slice = block) -> Array:
+            return _values(coefficients, pieces[block], x[block])
 
-    starts = motion.drones.breaks - motion.drones.breaks[0]
-    formed, taut, p = motion.formed, tautness(motion), motion.vertices.coefficients
-    pulls = np.where(formed[:, None, None], motion.pulls.coefficients, 0.0)
-    firsts = np.searchsorted(times, starts[1:-1], side="left")
-    bounds = np.concatenate([[0], firsts, [len(times)]])
-    for piece in np.flatnonzero(np.diff(bounds)):
-        h = motion.drones.durations[piece]
-        drones = [motion.drones.coefficients[piece]]
-        for _ in range(3):
-            drones.append(bernstein.differentiate(drones[-1]) / h)
-        for first in range(bounds[piece], bounds[piece + 1], size):
-            t = times[first : min(first + size, bounds[piece + 1])]
-            x = np.clip((t - starts[piece]) / h, 0.0, 1.0)
-            positions, velocities, accelerations, jerks = (_values(c, x) for c in drones)
-            values = (positions, *(_values(part[piece], x) for part in (p, pulls, taut)))
-            rates = (
-                velocities,
-                *(
-                    _values(bernstein.differentiate(part[piece]) / h, x)
-                    for part in (p, pulls, taut)
-                ),
-            )
-            forces = cable_forces(motion.team, *values)
-            force_rates = cable_force_rates(motion.team, values, rates)
-            attitude = attitudes(
-                thrusts_of(motion.team, accelerations, forces),
-                motion.team.mass[:, None] * jerks - force_rates,
-            )
-            yield States(
-                t,
-                np.full(len(t), formed[piece]),
-                positions,
-                velocities,
-                accelerations,
-                jerks,
-                forces,
-                force_rates,
-                attitude.quaternions,
-                attitude.body_rates,
-                values[1],
-                rates[1],
-                _values(motion.legs.coefficients[piece], x),
-                _values(motion.tensions.coefficients[piece], x),
-            )
+        positions, velocities, accelerations, jerks = map(at, drones)
+        values = positions, *map(at, parts)
+        rates = velocities, *map(at, part_rates)
+        yield States(
+            t=times[block],
+            formed=motion.formed[pieces[block]],
+            positions=positions,
+            velocities=velocities,
+            accelerations=accelerations,
+            jerks=jerks,
+            cable_forces=cable_forces(motion.team, *values),
+            cable_force_rates=cable_force_rates(motion.team, values, rates),
+            vertices=values[1],
+            vertex_velocities=rates[1],
+            legs=at(motion.legs.coefficients),
+            tensions=at(motion.tensions.coefficients),
+            object_poses=at(poses),
+            borne=at(shares),
+            masses=np.broadcast_to(motion.team.mass, positions.shape[:-1]),
+        )
 
 
-def _values(coefficients: Array, x: Array) -> Array:
-    """Return the polynomials (*shape, degree + 1) at x (times,), as (times, *shape)."""
-    order = bernstein.degree(coefficients)
-    flat = bernstein.basis(x, order) @ coefficients.reshape(-1, order + 1).T
-    return flat.reshape(len(x), *coefficients.shape[:-1])
+def _values(coefficients: Array, pieces: NDArray[np.intp], x: Array) -> Array:
+    """Return polynomials (pieces, *shape, degree + 1) at x within pieces, as (times, *shape)."""
+    weights = bernstein.basis(x, bernstein.degree(coefficients))
+    values: Array = np.einsum("s...i,si->s...", coefficients[pieces], weights)
+    return values

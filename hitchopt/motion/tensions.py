@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.trajectory import bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ROUNDING = 1e-9
 """Relative: a tension that is this close to the least stated one draws its cable taut."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from hitchopt.errors import InputError
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.shape_moves import adjust
 from hitchopt.steps.end_hitch import split_hitch
@@ -29,6 +30,11 @@ class Adjust(ActionStep):
     legs: Annotated[SlackSplit, Key("Legs", LEGS_TEXT, ("balanced",))]
     duration: Seconds = None
     blend: Blend = False
+
+    def __post_init__(self) -> None:
+        if self.legs is None:
+            raise InputError("legs", None, "balanced, spread or a list of d_k", "write balanced")
+        super().__post_init__()
 
     def action(self, task: StepTask) -> Action:
         """Return the action."""

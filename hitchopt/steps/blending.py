@@ -30,7 +30,7 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     """
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
-        here = StepTask(Situation.holding(hitches[-1]), i, requirements)
+        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
         end = step.end(here).hitch
         step.check_end(end, here)
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:

@@ -25,7 +25,7 @@ class Certified:
 
 def certified(motion: Motion) -> Certified:
     """Return the motion of one step with its certificate, the whole plan's duration left open."""
-    return Certified(motion, certify(motion.untimed))
+    return Certified(motion, certify(motion.untimed, part=True))
 
 
 def checked(motion: Motion, when: str = "") -> Certified:

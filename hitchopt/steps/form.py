@@ -24,11 +24,12 @@ from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import LEVEL, lasting, staged
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE, Key, Seconds, Section
 from hitchopt.steps.route_choice import Route, first_certified
-from hitchopt.steps.situation import Situation, StepPlan, StepTask
+from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying_site import lifted, tying_site
-from hitchopt.values import Array, coordinate
+from hitchopt.units import HEIGHT, check_unit
+from hitchopt.values import Array, coordinate, instance, text
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -96,7 +97,9 @@ class Form(Step):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
-        if self.assign not in {"auto", "fixed"}:
+        check_unit("altitude", self.altitude, HEIGHT)
+        instance("swap", self.swap, SwapSettings)
+        if text("assign", self.assign) not in {"auto", "fixed"}:
             raise InputError("assign", self.assign, "auto or fixed", "write assign: auto")
         super().__post_init__()
 
@@ -129,7 +132,9 @@ class Form(Step):
         if abs(site.hitch.altitude - wanted.altitude) > LEVEL:
             parts.append(lifted(site.hitch, wanted.altitude, "lower", task))
         senses = np.sign(site.pre.turns.rise)
-        after = Situation(team, wanted.drones, wanted, senses, self.swap)
+        after = replace(
+            task.before, drones=wanted.drones, hitch=wanted, senses=senses, swap=self.swap
+        )
         return StepPlan(lasting(joined_motions(parts), self.duration, i, self.name), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
@@ -185,5 +190,4 @@ def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
         return staged(stages, hitch, task.index, task.requirements)
 
     routes = [Route(planner(*asked), motion_of) for planner in (DirectApproach, GatheredApproach)]
-    (found,) = first_certified(routes, "no other route to the pre-hitch was found").values()
-    return found.motion
+    return first_certified(routes, "no other route to the pre-hitch was found")[0].motion

@@ -14,14 +14,19 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.flying import ActionFlight, Flying
-from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import Certified, check_at_rest, flying, resting
+from hitchopt.steps.certified_motions import check_at_rest, flying, resting
 from hitchopt.steps.edits import StepEdit, points_scaled
 from hitchopt.steps.end_hitch import End, broken_on_the_way, end_of_action
 from hitchopt.steps.friction_lean import against_friction
-from hitchopt.steps.route_choice import OptimisedRoute, Route, first_certified
+from hitchopt.steps.route_choice import (
+    SHUT,
+    OptimisedRoute,
+    Route,
+    fastest_certified,
+    first_certified,
+)
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import SlackSplit
 from hitchopt.steps.step import Step, convex_outline, numbers
@@ -73,25 +78,23 @@ class ShapeStep(HitchStep):
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         end = self.end(task)
         self.check_end(end.hitch, task)
-        routes: list[Planner[object, Certified]] = [self.own_route(task, end)]
+        own = self.own_route(task, end)
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
-        if task.optimiser:
-            phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-            ends, duration = (task.hitch, end.hitch), self.given_duration
-            routes.append(OptimisedRoute(*ends, task.requirements, phase, duration, lead))
-        slow = self.given_duration is not None
-        what = "route that is fast enough either" if slow else "other route"
-        found = first_certified(
-            routes, f"the optimiser found no {what}", every=lead or tension is not None
-        )
-        best = min(found, key=lambda i: found[i].motion.duration)
-        motion = found[best].motion
-        if best > 0:
-            slower = "faster than the step's own route"
-            words = slower if 0 in found else "the step's own route is infeasible"
+        phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
+        ends, duration = (task.hitch, end.hitch), self.given_duration
+        other = OptimisedRoute(*ends, task.requirements, phase, duration, lead)
+        what = "other route" if duration is None else "route that is fast enough either"
+        note = f"the optimiser found no {what}"
+        if task.optimiser and (lead or tension is not None):
+            found, words = fastest_certified(own, other, note)
+        else:
+            found, tried = first_certified([own, other] if task.optimiser else [own], note)
+            words = SHUT if tried else ""
+        motion = found.motion
+        if words:
             (phase,) = motion.phases
             motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
-        return task.ended(motion, end.hitch, found[best].certificate)
+        return task.ended(motion, end.hitch, found.certificate)
 
 
 class ActionStep(ShapeStep):

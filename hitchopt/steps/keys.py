@@ -66,3 +66,17 @@ LegsAtEnd = Annotated[SlackSplit | None, Key("Legs", f"{LEGS_TEXT}, at the step'
 By = Annotated[Array | None, Key("Point2", "By how much, [dx, dy] [m]")]
 VERTEX = Key("Index", "Which, from 0", (0,))
 """Index of a vertex or an edge."""
+
+OBJECT = Key("Name", "Name of the object", ("box",))
+"""Name of an object of the problem."""
+
+MAX_TURNS = 5
+"""Most turns of one step: a bounded number of polynomials would not follow more closely."""
+
+YAW = Key(
+    "Angle",
+    "By how much it turns, counter-clockwise [°]",
+    name="yaw_deg",
+    bounds={"ge": -360 * MAX_TURNS, "le": 360 * MAX_TURNS},
+)
+"""Turn of what is carried."""

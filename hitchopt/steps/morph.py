@@ -19,7 +19,7 @@ from hitchopt.steps.hitch_step import ShapeStep
 from hitchopt.steps.keys import OUTLINE_TEXT, Blend, Key, LegsAtEnd, Seconds, Section
 from hitchopt.steps.route_choice import Route
 from hitchopt.steps.situation import StepTask
-from hitchopt.values import Array, positive
+from hitchopt.values import Array, positive, sequence
 
 TENSION = Section(
     "TensionKeys",
@@ -62,9 +62,13 @@ class Morph(ShapeStep):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.tension is not None:
+            given = sequence("tension", self.tension)
+            if len(given) != 2:
+                bound = "a smallest and a largest tension [N]"
+                raise InputError("tension", self.tension, bound, "write (0.3, 0.6)")
             least, most = (
                 positive(f"tension.{name}", value)
-                for name, value in zip(("min", "max"), self.tension, strict=True)
+                for name, value in zip(("min", "max"), given, strict=True)
             )
             if least > most:
                 bound = f"at least tension.min, {least:g} N"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from hitchopt.motion.motion import joined_motions
 from hitchopt.planners.forming.tying_stages import tied, undone
 from hitchopt.steps.free_cables import LEVEL, lasting, staged
 from hitchopt.steps.keys import Seconds
-from hitchopt.steps.situation import Situation, StepPlan, StepTask
+from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying_site import lifted, tying_site
 
@@ -44,6 +44,6 @@ class Release(Step):
         parts = [staged(stages, site.hitch, task.index, requirements)]
         if abs(site.hitch.altitude - hitch.altitude) > LEVEL:
             parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task))
-        after = Situation(before.team, site.pre.drones, swap=before.swap)
+        after = replace(before, drones=site.pre.drones, hitch=None, senses=None)
         motion = lasting(joined_motions(parts), self.duration, task.index, self.name)
         return StepPlan(motion, after)

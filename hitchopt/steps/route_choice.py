@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
+from hitchopt.checks import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.optimise.candidates import Candidate, OptimisedMorph
+from hitchopt.planners.optimise.candidates import OptimisedMorph
+from hitchopt.planners.optimise.search_task import Judge
 from hitchopt.planners.path.leading_legs import leading
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.planners.timing.fly_path import fly
+from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import Certified, certified, checked, flying
 
 Solution = TypeVar("Solution")
+
+FASTER = "faster than the step's own route"
+SHUT = "the step's own route is infeasible"
+
+GRID = 80
+"""Number of steps of toppra's grid on which the step's own route is timed before it is flown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +82,7 @@ class OptimisedRoute:
     @property
     def planner(self) -> OptimisedMorph:
         """The search for paths."""
-        ends = (self.start, self.end)
-        return OptimisedMorph(*ends, self.requirements, self._judged, self.phase.tension)
+        return self._planner(self._judged)
 
     @property
     def problem(self) -> object:
@@ -82,69 +91,135 @@ class OptimisedRoute:
 
     def solve(self) -> Certified:
         """Return the fastest motion that was found, flown in the step's duration."""
-        found = self.planner.solve()
+        accepted: list[tuple[Flight, Certificate]] = []
+
+        def judge(path: ShapePath) -> Flight | None:
+            return self._judged(path, accepted)
+
+        found = self._planner(judge).solve()
         if not found:
             raise HitchoptError("no route was found")
         flight = found[0].flight
-        if self.lead and flight.duration > (self.duration or 0.0):
-            flight = self._led(found[0])
+        remark = f"on an optimised route, first guess {found[0].name}"
         if self.duration is not None:
             check_duration(self.duration, flight.duration)
-            flight = flight.lasting(self.duration)
-        return checked(self._motion(flight, f"on an optimised route, first guess {found[0].name}"))
+            return checked(self._motion(flight.lasting(self.duration), remark))
+        certificate = next(held for judged, held in accepted if judged is flight)
+        return Certified(self._motion(flight, remark), certificate)
+
+    def _planner(self, judge: Judge) -> OptimisedMorph:
+        ends = (self.start, self.end)
+        return OptimisedMorph(*ends, self.requirements, judge, self.phase.tension)
 
     def _motion(self, flight: Flight, remark: str = "") -> Motion:
         phase = replace(self.phase, end=flight.duration, remark=remark)
         return flying(flight, self.start.team, self.requirements, [phase])
 
-    def _judged(self, path: ShapePath) -> Flight | None:
-        """Return the flight along a path if its certificate holds."""
-        flight = fly(path, self.requirements.limits)
-        return flight if certified(self._motion(flight)).certificate.certified else None
+    def _judged(
+        self, path: ShapePath, accepted: list[tuple[Flight, Certificate]] | None = None
+    ) -> Flight | None:
+        """Return the flight along a path, or one on which legs lead and lag, if it is certified.
 
-    def _led(self, found: Candidate) -> Flight:
-        """Return the flight that was found, or a faster one on which legs lead and lag."""
-        for path in leading(found.path, self.requirements.limits):
+        Parameters
+        ----------
+        path: as the search found it.
+        accepted: takes the flight and its certificate.
+        """
+        limits = self.requirements.limits
+        led = (p for p in leading(path, limits) if legs_clear(p, self.requirements))
+        for tried in (*(led if self.lead else ()), path):
             try:
-                flight = self._judged(path) if legs_clear(path, self.requirements) else None
+                flight = fly(tried, limits)
             except HitchoptError:
+                if tried is path:
+                    raise
                 continue
-            if flight is not None:
-                return min(found.flight, flight, key=lambda each: each.duration)
-        return found.flight
+            certificate = certified(self._motion(flight)).certificate
+            if certificate.certified:
+                if accepted is not None:
+                    accepted.append((flight, certificate))
+                return flight
+        return None
+
+
+def fastest_certified(own: Route[Any], other: OptimisedRoute, note: str) -> tuple[Certified, str]:
+    """Return the faster one of two motions that satisfy all limits, and why the other one is not.
+
+    The step's own route is flown only where it may be the faster one.
+
+    Parameters
+    ----------
+    own: the step's own route; its planner's problem is a path.
+    other: the search for a faster one.
+    note: added to the refusal where neither does.
+
+    Raises
+    ------
+    InfeasibleError, HitchoptError: as ``first_certified``.
+    """
+    found: dict[int, Certified] = {}
+    refusals: dict[int, HitchoptError] = {}
+    for i, route in ((1, other), (0, own)):
+        try:
+            if i == 0 and found:
+                fastest = found[1].motion.duration
+                if _least_time(own, other.requirements) > fastest:
+                    return found[1], FASTER
+                motion = own.motion()
+                if motion.duration > fastest:  # whatever its certificate says
+                    return found[1], FASTER
+                found[0] = checked(motion)
+            else:
+                found[i] = route.solve()
+        except TimeLimitError:
+            raise
+        except HitchoptError as error:
+            refusals[i] = error
+    if not found:
+        raise _refusal([refusals[0], refusals[1]], note)
+    best = min(sorted(found), key=lambda i: found[i].motion.duration)
+    return found[best], (FASTER if 0 in found else SHUT) if best else ""
+
+
+def _least_time(own: Route[Any], requirements: Requirements) -> float:
+    """Return an estimate of the shortest duration of the step's own route [s], 0 if unknown."""
+    path = own.problem
+    if not isinstance(path, ShapePath):
+        return 0.0
+    least = time_estimate(path, requirements.limits, path_grid(GRID))
+    return least if math.isfinite(least) else 0.0
 
 
 def first_certified(
-    routes: Sequence[Planner[object, Certified]], note: str, *, every: bool = False
-) -> dict[int, Certified]:
-    """Return the first route's motion that satisfies all limits, by its index in ``routes``.
+    routes: Sequence[Planner[object, Certified]], note: str
+) -> tuple[Certified, int]:
+    """Return the first route's motion that satisfies all limits, and its index in ``routes``.
 
     Parameters
     ----------
     routes: in the order in which they are tried.
     note: added to the refusal where more than one was tried.
-    every: return all of them.
 
     Raises
     ------
     InfeasibleError: none does; says what binds on the first of them.
     HitchoptError: as the first of them, where none tells what binds.
     """
-    found: dict[int, Certified] = {}
     refusals: list[HitchoptError] = []
     for i, route in enumerate(routes):
         try:
-            found[i] = route.solve()
+            return route.solve(), i
         except TimeLimitError:
             raise
         except HitchoptError as error:
             refusals.append(error)
-        if found and not every:
-            break
-    if found:
-        return found
+    raise _refusal(refusals, note)
+
+
+def _refusal(refusals: Sequence[HitchoptError], note: str) -> HitchoptError:
+    """Return what is said where no route satisfies all limits."""
     for refusal in refusals:
         if isinstance(refusal, InfeasibleError):
             added = note if len(refusals) > 1 else ""
-            raise InfeasibleError(refusal.violations, refusal.note or added)
-    raise refusals[0]
+            return InfeasibleError(refusal.violations, refusal.note or added)
+    return refusals[0]

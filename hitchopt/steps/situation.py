@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from hitchopt.checks import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
+from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.held_motion import HeldHitch
+from hitchopt.planners.carrying.rest_polygon import RestPolygons
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """An object that a hitch is around, or holds.
+
+    Attributes
+    ----------
+    name: of the object.
+    polygons: of the hitch, in the object's frame.
+    tension: (n,) [N], what cables pull with from grasping to loosening.
+    held: the hitch below it; None while it is only around it.
+    borne: whether clasps carry its weight.
+    """
+
+    name: str
+    polygons: RestPolygons
+    tension: Array
+    held: HeldHitch | None = None
+    borne: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +49,8 @@ class Situation:
     senses: (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that
         was there at first is taken to have been formed so.
     swap: the settings of these turns.
+    holding: what the hitch is around or holds; ``hitch`` is then as if it carried nothing.
+    objects: where objects are by now; None where the problem has them.
     """
 
     team: Team
@@ -32,11 +58,17 @@ class Situation:
     hitch: Hitch | None = None
     senses: Array | None = None
     swap: SwapSettings = field(default_factory=SwapSettings)
+    holding: Holding | None = None
+    objects: Mapping[str, SolidObject] | None = None
 
     @classmethod
-    def holding(cls, hitch: Hitch) -> Situation:
+    def formed(cls, hitch: Hitch) -> Situation:
         """Return the situation of a hitch that is there at first."""
         return cls(hitch.team, hitch.drones, hitch)
+
+    def at_objects(self, requirements: Requirements) -> Requirements:
+        """Return requirements with objects where they are by now."""
+        return requirements if self.objects is None else replace(requirements, objects=self.objects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +110,19 @@ class StepTask:
         if self.before.hitch is None:
             raise InputError(f"mission[{self.index}]", None, "given a hitch", "form one before")
         return self.before.hitch
+
+    @property
+    def holding(self) -> Holding:
+        """What the hitch is around or holds; raises InputError where that is nothing."""
+        if self.before.holding is None:
+            raise InputError(
+                f"mission[{self.index}]", None, "around an object", "enclose it before"
+            )
+        return self.before.holding
+
+    def within(self, requirements: Requirements, situation: Situation) -> StepTask:
+        """Return the same task in another situation, with other requirements."""
+        return replace(self, before=situation, requirements=requirements)
 
     def ended(
         self, motion: Motion, hitch: Hitch, certificate: Certificate | None = None

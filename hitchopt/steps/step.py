@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,14 +14,25 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
+from hitchopt.one_line import OneLine
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
-from hitchopt.values import Array, as_array, positive
+from hitchopt.units import DURATION, check_unit
+from hitchopt.values import Array, as_array, flag, positive
+
+
+class Stage(StrEnum):
+    """How far a hitch is with an object."""
+
+    FREE = "free of objects"
+    AROUND = "around an object"
+    GRASPED = "holding an object that stands"
+    LIFTED = "carrying an object"
 
 
 @dataclass(frozen=True, eq=False)
-class Step(ABC):
+class Step(OneLine, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
     name: ClassVar[str]
@@ -35,9 +47,15 @@ class Step(ABC):
     blendable: ClassVar[bool] = False
     """Whether it can follow another step, or be followed, without a stop."""
 
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
+    """Where it begins and ends with respect to an object that is carried; None for anywhere."""
+
     def __post_init__(self) -> None:
+        for name in ("blend", "optimize"):
+            flag(name, getattr(self, name, False))
         if self.given_duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.given_duration))
+            check_unit("duration", vars(self)["duration"], DURATION)
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:

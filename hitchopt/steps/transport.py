@@ -8,20 +8,18 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.path.path_feasibility import check_loads
 from hitchopt.planners.path.rigid_path import RigidPath
 from hitchopt.planners.timing.fly_path import fly
 from hitchopt.steps.hitch_step import HitchStep
-from hitchopt.steps.keys import Key, Seconds
+from hitchopt.steps.keys import MAX_TURNS, YAW, Key, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import convex_outline, numbers
+from hitchopt.units import warn_of_unit
 from hitchopt.values import MAX_COORDINATE, Array, finite
-
-MAX_TURNS = 5
-"""Most turns of one transport: a bounded number of polynomials would not follow more closely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +36,7 @@ class Transport(HitchStep):
     name: ClassVar[str] = "transport"
     summary: ClassVar[str] = "Carry the whole hitch"
     to: Annotated[Array, Key("Point3", "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],))]
-    yaw: Annotated[
-        float,
-        Key(
-            "Angle",
-            "By how much it turns, counter-clockwise [°]",
-            name="yaw_deg",
-            bounds={"ge": -360 * MAX_TURNS, "le": 360 * MAX_TURNS},
-        ),
-    ] = 0.0
+    yaw: Annotated[float, YAW] = 0.0
     duration: Seconds = None
 
     def __post_init__(self) -> None:
@@ -54,7 +44,11 @@ class Transport(HitchStep):
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))
         if abs(self.yaw) > MAX_TURNS * 2.0 * math.pi:
             bound = f"at most {MAX_TURNS} turns either way"
-            raise InputError("yaw", self.yaw, bound, "turn in several steps")
+            remedy = f"turn in several steps; if degrees were meant, {math.radians(self.yaw):.3g}"
+            raise InputError("yaw", self.yaw, bound, remedy)
+        if abs(self.yaw) > 2.0 * math.pi and self.yaw == round(self.yaw):  # rarely of radians
+            meant = f"if degrees were meant, {math.radians(self.yaw):.3g}"
+            warn_of_unit(UnitWarning("yaw", f"{self.yaw:g} rad, more than a turn; {meant}"))
         super().__post_init__()
 
     @classmethod

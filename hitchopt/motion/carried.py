@@ -1,0 +1,126 @@
+"""What clasps carry of objects that rest on them, as the plan's polynomials tell it.
+
+An object of mass m rests with its rim on all clasps of a hitch that moves with it. Clasp k carries
+the share ``μ_k`` of its mass, ``Σ μ_k = 1``, ``Σ μ_k p_k`` its centre of mass seen from above; of
+all such shares those with the least sum of squares, as equally stiff supports have. A mass
+accelerates with its clasp. Since the centre of mass is h above the clasps, its acceleration a moves
+weight from clasp to clasp besides, by ``m h G_k·a``. Forces and moments then balance, except that
+the moment of inertia about the vertical is that of the masses at the clasps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import HoldBy
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_frame
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Supports:
+    """How the clasps below an object share its weight.
+
+    Attributes
+    ----------
+    shares: (…, clasps) of its mass.
+    gains: (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's share grows as the point in which
+        the force meets the clasps' plane moves, in the object's frame.
+    """
+
+    shares: Array
+    gains: Array
+
+    @classmethod
+    def at(cls, places: Array, centre: Array) -> Supports:
+        """Return the shares of clasps at places (…, clasps, 2) [m] below a centre (2,) [m]."""
+        away = places - centre
+        rows = np.concatenate([np.ones_like(away[..., :1]), away], axis=-1)
+        gains = np.swapaxes(np.linalg.pinv(rows), -1, -2)  # (…, clasps, 3)
+        return cls(gains[..., 0], gains[..., 1:])
+
+
+def object_loads(motion: Motion) -> Array | None:
+    """Return the forces ``w_k`` of carried objects on clasps (pieces, clasps, 3, …) [N].
+
+    None where clasps carry no objects.
+    """
+    if motion.borne is None or not np.any(motion.borne.coefficients):
+        return None
+    total: Array | None = None
+    for index, (name, each) in enumerate(motion.requirements.objects.items()):
+        share = motion.borne.coefficients[:, index]
+        if not np.any(share):
+            continue
+        loads = _loads(motion, index, each)
+        resting = np.zeros(motion.drones.pieces, dtype=np.bool_)
+        phase_of = motion.phase_of_piece
+        for i, phase in enumerate(motion.phases):
+            if phase.hold is not None and phase.hold.object == name:
+                resting |= (phase_of == i) & (phase.hold.by is HoldBy.REST)
+        loads = np.where(resting[:, None, None, None], loads, 0.0)
+        if total is None:
+            total = loads
+        else:
+            order = max(bernstein.degree(total), bernstein.degree(loads))
+            total = bernstein.elevate(total, order) + bernstein.elevate(loads, order)
+    return total
+
+
+def _loads(motion: Motion, index: int, body: SolidObject) -> Array:
+    """Return the forces of one object (pieces, clasps, 3, degree + 1) [N]."""
+    pose = motion.object_poses
+    clasps = motion.team.layout.clasps
+    supports = supports_of(motion, index, body)
+    share = motion.object_shares.coefficients[:, index]
+    lifted = np.all(share > 0.0, axis=-1)[:, None, None, None]
+    vertices = motion.vertices.differentiated(2).coefficients[:, clasps]
+    vertices = np.where(lifted, vertices, 0.0)  # what stands does not move
+    order = max(bernstein.degree(vertices), bernstein.degree(share))
+    pulled = bernstein.elevate(vertices, order).copy()
+    pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
+    loads = -body.mass * supports.shares[..., None, None] * pulled
+    centre = centre_path(pose.coefficients[:, index], body)
+    durations = motion.drones.durations[:, None, None]
+    pushed = bernstein.differentiate(bernstein.differentiate(centre)) / durations**2
+    heading = pose.coefficients[:, index, 3:]
+    turned = turned_back(np.where(lifted[..., 0], pushed[:, :2], 0.0), heading)
+    height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
+    moved = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
+    order = max(bernstein.degree(loads), bernstein.degree(moved))
+    found = bernstein.elevate(loads, order).copy()
+    found[:, :, 2] += bernstein.elevate(moved, order)
+    return found
+
+
+def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
+    """Return how clasps share an object's weight where each piece begins (pieces, clasps)."""
+    poses = motion.object_poses.coefficients[:, index, :, 0]
+    points = motion.vertices.coefficients[..., 0][:, motion.team.layout.clasps]
+    places = in_frame(poses[:, None], points)
+    return Supports.at(places[..., :2], body.centre_of_mass[:2])
+
+
+def centre_path(pose: Array, body: SolidObject) -> Array:
+    """Return the path of the centre of mass (pieces, 3, …) [m], given its object's poses."""
+    x, y, z = body.centre_of_mass
+    c, s = pose[:, 3], pose[:, 4]
+    offset = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
+    centre: Array = pose[:, :3] + offset
+    return centre
+
+
+def turned_back(vectors: Array, heading: Array) -> Array:
+    """Return level vectors (pieces, 2, …) as seen from bodies with headings (pieces, 2, …)."""
+    if np.all(heading == heading[..., :1]):
+        heading = heading[..., :1]
+    c, s = heading[:, 0], heading[:, 1]
+    x, y = vectors[:, 0], vectors[:, 1]
+    along = bernstein.multiply(x, c) + bernstein.multiply(y, s)
+    return np.stack([along, bernstein.multiply(y, c) - bernstein.multiply(x, s)], axis=1)

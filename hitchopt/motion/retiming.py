@@ -1,0 +1,131 @@
+"""A plan flown on a clock, as a motion of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.values import Array, Indices
+
+LONGEST = 0.1
+"""[s] Longest piece: on so short ones polynomials of degree 7 differ from what they are fitted to
+by little more than rounding."""
+
+SHORTEST = 4e-3
+"""[s] Breaks of a plan this close to one of the clock are left out: derivatives of short pieces
+suffer from rounding."""
+
+ORDERS = 4
+"""Number of derivatives, the zeroth included, that are met at both ends of every piece."""
+
+
+def retimed(motion: Motion, clock: ClockPhases) -> Motion:
+    """Return the motion flown on one clock, from t = 0, with three derivatives met at all breaks.
+
+    Parameters
+    ----------
+    clock: its phases in a row, within the motion's time.
+    """
+    cells, pieces = clock.cut(motion.drones.breaks)
+    pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
+    times = np.concatenate([[0.0], np.cumsum(cells.duration)])
+    edges = np.concatenate([[0.0], np.cumsum(clock.duration)])
+    breaks = _spaced(times, edges)
+    sides = []
+    for ends, side in ((breaks[:-1], "right"), (breaks[1:], "left")):
+        inner = ends + (1e-12 if side == "right" else -1e-12)
+        cell = np.clip(np.searchsorted(times, inner) - 1, 0, len(cells) - 1)
+        sides.append((pieces[cell], advanced(cells.jets[cell], ends - times[cell])))
+
+    middles = 0.5 * (breaks[1:] + breaks[:-1])
+    here = pieces[np.searchsorted(times, middles) - 1]
+    index = motion.phase_of_piece[here]
+    states = np.array([phase.state for phase in motion.phases])[index]
+    smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        left, right = (_jets(whole, *side) for side in sides)
+        left[:3, smooth + 1] = right[:3, smooth]
+        return PiecewisePolynomial.hermite(breaks, left, right)
+
+    return motion.changed(part, _phases(motion.phases, breaks, index))
+
+
+def _spaced(times: Array, edges: Array) -> Array:
+    """Return the breaks: all edges, other times that are far enough from these, and more."""
+    near = np.min(np.abs(times[:, None] - edges), axis=1)
+    breaks = np.union1d(edges, times[near > SHORTEST])
+    parts = [breaks[-1:]]
+    for first, last in pairwise(breaks):
+        count = max(1, int(np.ceil((last - first) / LONGEST)))
+        parts.append(np.linspace(first, last, count + 1)[:-1])
+    return np.sort(np.concatenate(parts))
+
+
+def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
+    """Return derivatives by time (ORDERS, ends, *shape) where a clock has jets (ends, 4)."""
+    c = part.coefficients[pieces]
+    axes = (-1, *(1,) * len(part.shape))
+    h = part.durations[pieces].reshape(axes)
+    x = np.clip((clock[:, 0] - part.breaks[pieces]) / part.durations[pieces], 0.0, 1.0)
+    x = x.reshape(axes)
+    orders = []
+    for order in range(ORDERS):
+        orders.append(bernstein.evaluate(c, x) / h**order)
+        c = bernstein.differentiate(c)
+    f, f1, f2, f3 = orders
+    s, a, j = (clock[:, k].reshape(axes) for k in (1, 2, 3))
+    return np.stack([f, s * f1, s**2 * f2 + a * f1, s**3 * f3 + 3.0 * s * a * f2 + j * f1])
+
+
+def _phases(phases: Sequence[Phase], breaks: Array, index: Indices) -> list[Phase]:
+    """Return the phases of pieces whose phases have these indices."""
+    found, first = [], 0
+    for i, run in groupby(index.tolist()):
+        last = first + len(list(run))
+        found.append(replace(phases[i], start=float(breaks[first]), end=float(breaks[last])))
+        first = last
+    return found
+
+
+def before(motion: Motion, time: float) -> Motion:
+    """Return the motion up to a time [s], exactly."""
+    breaks = motion.drones.breaks
+    breaks = np.append(breaks[breaks < time - 1e-9], time)
+    phases = [replace(p, end=min(p.end, time)) for p in motion.overlapping(breaks[0], time)]
+    return motion.changed(lambda part: on_breaks(part, breaks), phases)
+
+
+def followed(first: Motion, second: Motion) -> Motion:
+    """Return two motions in a row; a phase that goes on in the second one remains one phase."""
+    motion = joined_motions([first, second])
+    count = len(first.phases)
+    last, following = motion.phases[count - 1 : count + 1]
+    if replace(following, start=last.start, end=last.end) != last:
+        return motion
+    one = replace(last, end=following.end)
+    phases = (*motion.phases[: count - 1], one, *motion.phases[count + 1 :])
+    return replace(motion, phases=phases)
+
+
+def resting(
+    motion: Motion, seconds: float, phase: Phase | None = None, *, first: bool = False
+) -> Motion:
+    """Return the motion that stays where another one ends, in a phase or else its last one.
+
+    With ``first`` it stays where the other one begins.
+    """
+    end = (0, ..., 0) if first else (-1, ..., -1)
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
+
+    own = motion.phases[0 if first else -1] if phase is None else phase
+    return motion.changed(part, [replace(own, start=0.0, end=seconds)])

@@ -1,0 +1,126 @@
+"""What objects stand on, from where they are, and which of them overlap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry.vectors import length
+from hitchopt.objects.section import Section
+from hitchopt.objects.slab import Slab
+from hitchopt.objects.solid_object import SolidObject
+from hitchopt.values import Array
+
+TOUCH = 1e-6
+"""[m] Surfaces that are no farther apart touch."""
+
+STILL = 1e-9
+"""[m] What moves by no more, or whose heading changes by no more, stands still."""
+
+
+def in_frame(pose: Array, points: Array) -> Array:
+    """Return points (…, 3) [m] as seen from objects with poses (…, 5): x, y, z, cos and sin yaw."""
+    away = points - pose[..., :3]
+    return _turned(away, pose[..., 3], -pose[..., 4])
+
+
+def in_world(pose: Array, points: Array) -> Array:
+    """Return points (…, 3) [m] in objects' frames as seen from the world; poses as above."""
+    return _turned(points, pose[..., 3], pose[..., 4]) + pose[..., :3]
+
+
+def _turned(vectors: Array, c: Array, s: Array) -> Array:
+    """Return vectors (…, 3) turned about the vertical by angles of cosine and sine (…)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([c * x - s * y, s * x + c * y, z + 0.0 * c], axis=-1)
+
+
+def surface_below(
+    objects: Mapping[str, SolidObject], poses: Array, name: str, floor: float
+) -> tuple[float, str | None]:
+    """Return the height [m] of what is under an object's centre of mass, and whose it is.
+
+    Parameters
+    ----------
+    objects, poses: all of them, and where they are (objects, 5).
+    name: of the object that is to stand there.
+    floor: height of the ground [m].
+    """
+    places = dict(zip(objects, poses, strict=True))
+    centre = in_world(places[name], objects[name].centre_of_mass)
+    found: tuple[float, str | None] = (floor, None)
+    for other, each in objects.items():
+        if other == name:
+            continue
+        seen = in_frame(places[other], centre)
+        top = float(places[other][2]) + each.upper
+        on_it = float(each.section.clearance(seen[:2])[0]) <= 0.0
+        if on_it and found[0] < top <= centre[2] + TOUCH:
+            found = top, other
+    return found
+
+
+def poses_of(objects: Mapping[str, SolidObject]) -> Array:
+    """Return where all objects stand at first (objects, 5)."""
+    return np.array([each.pose for each in objects.values()], dtype=np.float64).reshape(-1, 5)
+
+
+def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
+    """Raise InputError for an object that floats or stands in another one."""
+    for name, each in objects.items():
+        if each.fixed:
+            continue
+        bottom = float(each.at[2]) + each.lower
+        surface, under = surface_below(objects, poses_of(objects), name, floor)
+        if abs(bottom - surface) > TOUCH:
+            what = "the ground" if under is None else f"objects.{under}"
+            raise InputError(
+                f"objects.{name}.at",
+                each.at.tolist(),
+                f"such that it stands on {what}, its floor at {surface:.6g} m not {bottom:.6g} m",
+                f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}",
+            )
+    for (name, one), (other, two) in combinations(objects.items(), 2):
+        if (one.fixed and two.fixed) or not overlapping(one, two):
+            continue
+        bound = f"apart from objects.{other}"
+        raise InputError(f"objects.{name}.at", one.at.tolist(), bound, "move one of them")
+
+
+def overlapping(one: SolidObject, two: SolidObject) -> bool:
+    """Return whether two objects, where they stand, share more than surfaces."""
+    return any(_overlap(one, a, two, b) for a in one.slabs for b in two.slabs)
+
+
+def _overlap(one: SolidObject, a: Slab, two: SolidObject, b: Slab) -> bool:
+    lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
+    upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
+    if lower >= upper - TOUCH:
+        return False
+    return sections_apart(a.section, one.pose, b.section, two.pose) < -TOUCH
+
+
+def sections_apart(first: Section, here: Array, second: Section, there: Array) -> float:
+    """Return the distance [m] of two placed sections, seen from above; negative where they meet.
+
+    Where their cores meet it is minus both of their roundings, or minus infinity without any.
+    """
+    a, b = (
+        section.placed(pose[:2], math.atan2(pose[4], pose[3]))
+        for section, pose in ((first, here), (second, there))
+    )
+    sides = [np.stack([core, np.roll(core, -1, axis=0)], axis=1) for core in (a, b)]
+    each = differences(sides[0][:, None], sides[1][None])
+    apart = float(np.min(length(shortest_offset(each))))
+    within = min(
+        float(first.clearance(in_frame(here, np.append(b[0], 0.0))[:2])[0]),
+        float(second.clearance(in_frame(there, np.append(a[0], 0.0))[:2])[0]),
+    )
+    if within < 0.0 or apart == 0.0:
+        return min(within, -first.rounding - second.rounding, -2.0 * TOUCH)
+    return apart - first.rounding - second.rounding

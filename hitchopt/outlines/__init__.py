@@ -1,0 +1,1 @@
+"""Outlines of objects, read from drawings. It knows no hitch."""

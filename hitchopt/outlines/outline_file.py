@@ -1,0 +1,209 @@
+"""Outlines from drawings: SVG, DXF, GeoJSON, tables of coordinates; and from shapely's geometries.
+
+A drawing that states its unit is converted to metres; other numbers are metres. Curves are
+flattened to chords. Lines that meet are joined to closed outlines, holes are left out, and of
+several outlines apart from each other the convex hull is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
+from hitchopt.storage.strict_json import parsed_json
+from hitchopt.values import Array
+
+FLATNESS = 1e-4
+"""[m] Largest distance of a curve to its chords, of chords to the corners that are kept, and of a
+convex outline to its hull."""
+
+GRID = 1e-6
+"""[m] Ends of lines that are nearer than this are one point."""
+
+MAX_SIZE = 20_000_000
+"""Largest file [B]: a larger one is no drawing of a single part."""
+
+MOST_CHORDS = 4096
+"""Chords of one curve; a curve that needs more is larger than any object."""
+
+INCH, PIXELS = 0.0254, 96.0
+"""[m] An inch, and pixels on it, by CSS: lengths with units in SVG are converted to pixels."""
+
+Lines = list[Array]
+
+
+def read_outline(path: str | Path) -> Array:
+    """Return the outline of a drawing, (m, 2) [m], its first point not repeated.
+
+    Raises
+    ------
+    FileError: the file cannot be read as what its name says.
+    InputError: there is no closed outline in it.
+    UnsupportedError: a package for such files is not installed.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        known = ", ".join(READERS)
+        raise InputError("outline", path.name, f"a drawing ({known})", "save it as one of these")
+    try:
+        if path.stat().st_size > MAX_SIZE:
+            raise FileError(f"{path}: has more than {MAX_SIZE:.0e} bytes, too many for an outline")
+        lines = reader(path)
+    except HitchoptError:
+        raise
+    except ImportError as error:
+        raise _missing(error) from None
+    except Exception as error:  # parsers raise their own kinds, and builtin ones
+        reason = str(error).splitlines()
+        raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
+    return _joined(lines, path.name)
+
+
+def outline_of_geometry(geometry: Any) -> Array:
+    """Return the outline (m, 2) [m] of a geometry of shapely, or of what shapely can read."""
+    return _joined(_rings(_shapely("geometry").shape(geometry)), "geometry")
+
+
+def _read_svg(path: Path) -> Lines:
+    elements: Any = import_module("svgelements")
+    drawing = elements.SVG.parse(str(path), reify=True)
+    stated = {size is not None and size[-2:].isalpha() for size in _svg_sizes(path)}
+    if len(stated) == 2:
+        bound, remedy = "a drawing with both width and height in units", "add the other one"
+        raise InputError("outline", path.name, bound, remedy)
+    scale = INCH / PIXELS if stated == {True} else 1.0
+    lines: Lines = []
+    for shape in drawing.elements(lambda each: isinstance(each, elements.Shape)):
+        for part in elements.Path(shape).as_subpaths():
+            ends = [
+                _chords(segment.npoint, scale, curved=not isinstance(segment, elements.Line))
+                for segment in part
+                if segment.start is not None and not isinstance(segment, elements.Move)
+            ]
+            if ends:
+                lines.append(np.concatenate(ends) * [1.0, -1.0])  # y points down in drawings
+    return lines
+
+
+def _svg_sizes(path: Path) -> list[str | None]:
+    from xml.etree import ElementTree  # expat bounds how far entities expand
+
+    for _, element in ElementTree.iterparse(path, events=("start",)):
+        return [element.get("width"), element.get("height")]
+    return []
+
+
+def _chords(points: Callable[[Array], Any], scale: float, *, curved: bool) -> Array:
+    """Return chords (points, 2) [m] of a curve that is given by its parameter from 0 to 1."""
+    count = 4 if curved else 1
+    while True:
+        found = scale * np.asarray(points(np.linspace(0.0, 1.0, 2 * count + 1)), dtype=np.float64)
+        start, middle, end = found[:-1:2], found[1::2], found[2::2]
+        off = np.hypot(*(middle - 0.5 * (start + end)).T)
+        if not curved or float(np.max(off)) < FLATNESS or count >= MOST_CHORDS:
+            return found
+        count *= 2
+
+
+def _read_dxf(path: Path) -> Lines:
+    dxf: Any = import_module("ezdxf")
+    paths: Any = import_module("ezdxf.path")
+    units: Any = import_module("ezdxf.units")
+    drawing = dxf.readfile(str(path))
+    scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
+    lines: Lines = []
+    for entity in drawing.modelspace():
+        try:
+            curve = paths.make_path(entity)
+        except TypeError:
+            continue  # texts, dimensions and the like have no path
+        points = np.array([[p.x, p.y] for p in curve.flattening(FLATNESS / scale)])
+        if len(points) > 1:
+            lines.append(scale * points)
+    return lines
+
+
+def _read_geojson(path: Path) -> Lines:
+    content = parsed_json(path.read_text("utf-8"))
+    if isinstance(content, list):
+        return [_ring(np.array(content, dtype=np.float64))]
+    shape = _shapely("geometry").shape
+    return [line for each in _geometries(content) for line in _rings(shape(each))]
+
+
+def _geometries(content: Any) -> Iterator[Any]:
+    """Return the geometries of a GeoJSON document."""
+    kind = content.get("type")
+    if kind == "FeatureCollection":
+        for feature in content["features"]:
+            yield from _geometries(feature)
+    elif kind == "Feature":
+        yield content["geometry"]
+    else:
+        yield content
+
+
+def _read_table(path: Path) -> Lines:
+    text = path.read_text("utf-8").replace(",", " ").splitlines()
+    return [_ring(np.loadtxt(text, ndmin=2))]
+
+
+def _rings(geometry: Any) -> Lines:
+    """Return the outer rings and lines of a geometry of shapely."""
+    if hasattr(geometry, "geoms"):
+        return [line for part in geometry.geoms for line in _rings(part)]
+    line = geometry.exterior if hasattr(geometry, "exterior") else geometry
+    return [np.array(line.coords, dtype=np.float64)[:, :2]]
+
+
+def _ring(points: Array) -> Array:
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError("an outline is a list of points [x, y]")
+    return np.concatenate([points, points[:1]])
+
+
+def _joined(lines: Lines, name: str) -> Array:
+    """Return the outer outline (m, 2) [m] that lines make."""
+    shapely = _shapely()
+    rings = [np.round(line / GRID) * GRID for line in lines]
+    if not all(np.all(np.isfinite(ring)) for ring in rings):
+        raise InputError("outline", name, "finite", "check its coordinates")
+    usable = [shapely.LineString(ring) for ring in rings if len(ring) > 1]
+    areas = list(_shapely("ops").polygonize(shapely.unary_union(usable)))
+    if not areas:
+        bound, remedy = "a drawing with a closed outline", "join the ends of its lines"
+        raise InputError("outline", name, bound, remedy)
+    whole = shapely.unary_union(areas)
+    hull = whole.convex_hull
+    one = hasattr(whole, "exterior")
+    if not one or hull.exterior.hausdorff_distance(whole.exterior) < FLATNESS:
+        whole = hull
+    return np.array(whole.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
+
+
+def _shapely(part: str = "") -> Any:
+    try:
+        return import_module(f"shapely.{part}" if part else "shapely")
+    except ImportError as error:
+        raise _missing(error) from None
+
+
+def _missing(error: ImportError) -> UnsupportedError:
+    return UnsupportedError(f"drawings need {error.name}; pip install 'hitchopt[fit]'")
+
+
+READERS: dict[str, Callable[[Path], Lines]] = {
+    ".svg": _read_svg,
+    ".dxf": _read_dxf,
+    ".geojson": _read_geojson,
+    ".json": _read_geojson,
+    ".csv": _read_table,
+    ".txt": _read_table,
+}
+"""Readers by the endings of files' names; each returns lines (points, 2) [m]."""

@@ -1,0 +1,1 @@
+"""Holding and carrying of objects: polygons around them, and motions of hitches that hold one."""

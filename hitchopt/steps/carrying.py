@@ -1,0 +1,278 @@
+"""Shared by the steps that hold an object: motions with it, and whether it can be held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import GRAVITY, Hitch
+from hitchopt.hitch.cable_slack import cable_slack
+from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world, poses_of
+from hitchopt.planners.carrying.held_motion import HeldFlight, Move, held_flight
+from hitchopt.planners.carrying.rest_capacity import suggestion
+from hitchopt.planners.carrying.rest_polygon import ROOM
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.planners.timing.flight_curves import check_duration
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.requirements import Requirements
+from hitchopt.steps.certified_motions import certified, infeasible
+from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+LIFT_SPEED = 0.1
+"""[m/s] Speed upright with an object, and against its rim."""
+
+AROUND_SPEED = 0.15
+"""[m/s] Speed upright around an object."""
+
+PRELOAD = 1.5
+"""[s] The weight passes from support to clasps, or back, in this time."""
+
+CARRY_ACCELERATION = 1.0
+"""[m/s²] Largest acceleration of what is carried."""
+
+LIFT_ACCELERATION = 0.3
+"""[m/s²] The same where it is lifted or set down."""
+
+SHARE = 0.8
+"""Share of what friction and supports allow that is used."""
+
+STRETCHES = 5
+"""So often a move is slowed down until no limit of motion is broken."""
+
+BELOW = 0.01
+"""[m] How much farther than ``separation.object`` cables pass below a rim."""
+
+
+def gap_around(requirements: Requirements) -> float:
+    """Return how far edges around an object keep from it [m]."""
+    return requirements.separation.object + ROOM
+
+
+def gap_below(requirements: Requirements) -> float:
+    """Return how far below a rim cables pass before they touch it [m]."""
+    return requirements.separation.object + BELOW
+
+
+def object_of(task: StepTask, name: str) -> SolidObject:
+    """Return an object that can be held by its rim, where it is by now.
+
+    Raises
+    ------
+    InputError: a fixed one, one without a rim, or an open chain.
+    """
+    body = task.requirements.objects[name]
+    key = f"objects.{name}"
+    if not task.before.team.layout.closed:
+        raise InputError("team.topology", "open", "closed where objects are held", "close it")
+    if body.fixed:
+        raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
+    if body.rim is None:
+        raise InputError(f"{key}.rim", None, "given where it is held by rest", "give it a rim")
+    return body
+
+
+def polygon_at(body: SolidObject, places: Array) -> ConvexPolygon:
+    """Return a polygon (n, 2) [m] in an object's frame as seen from the world."""
+    flat = np.column_stack([places, np.zeros(len(places))])
+    return ConvexPolygon(in_world(body.pose, flat)[:, :2])
+
+
+def moved_to(body: SolidObject, place: Array) -> SolidObject:
+    """Return an object whose base is at (4,) x, y, z [m] and yaw [rad]."""
+    return replace(body, at=place[:3], yaw=float(place[3]))
+
+
+def place_of(body: SolidObject) -> Array:
+    """Return where an object's base is (4,): x, y, z [m] and yaw [rad]."""
+    return np.append(body.at, body.yaw)
+
+
+def resting_move(task: StepTask, seconds: float) -> Move:
+    """Return the move in which nothing changes for ``seconds`` [s]."""
+    return changed_move(task, SmoothLaw(0.5 * seconds))
+
+
+def changed_move(
+    task: StepTask,
+    law: SmoothLaw,
+    to: Array | None = None,
+    tension: tuple[Array, Array] | None = None,
+    borne: tuple[float, float] | None = None,
+    below: tuple[float, float] = (0.0, 0.0),
+) -> Move:
+    """Return a move from where an object is, with everything unchanged that is not given."""
+    holding = task.holding
+    start = place_of(task.requirements.objects[holding.name])
+    share = float(holding.borne)
+    pulls = (holding.tension, holding.tension) if tension is None else tension
+    return Move(
+        start,
+        start if to is None else to,
+        np.stack(pulls),
+        (share, share) if borne is None else borne,
+        below,
+        law,
+    )
+
+
+def transferred(task: StepTask, before: float, after: float) -> Move:
+    """Return the move in which weight passes to the clasps or back."""
+    return changed_move(task, SmoothLaw(0.5 * PRELOAD), borne=(before, after))
+
+
+def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
+    """Return the fastest move of a carried object within all limits.
+
+    Parameters
+    ----------
+    start, to: (4,) x, y, z [m] and yaw [rad], in a straight line.
+    speed: largest one of the object and of drones about it [m/s]
+
+    Raises
+    ------
+    InfeasibleError: the weight cannot be carried.
+    """
+    holding, limits = task.holding, task.requirements.limits
+    held = holding.held
+    assert held is not None
+    drones, _ = held.drones(holding.tension, np.zeros(held.places.shape))
+    radius = float(np.max(np.linalg.norm(drones[:, :2], axis=1)))
+    length = float(np.linalg.norm((to - start)[:3])) + abs(float(to[3] - start[3])) * radius
+    upright = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
+    acceleration = min(
+        LIFT_ACCELERATION if upright else CARRY_ACCELERATION,
+        limits.acceleration,
+        SHARE * held.body.friction * GRAVITY,
+        SHARE * GRAVITY * held.support_width / max(abs(held.height), 1e-9),
+    )
+    if length == 0.0 or acceleration == 0.0:
+        law = SmoothLaw(0.5)
+    else:
+        top = min(speed, limits.speed, limits.vertex_speed)
+        law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
+    lifted = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
+    for _ in range(STRETCHES):
+        move = replace(changed_move(lifted, law, to=to), start=start)
+        flight = held_flight(held, move).flight
+        parts = flight.drones, flight.vertices, flight.pulls
+        factor = needed_stretch(held.team, limits, *parts)
+        if not 1.0 < factor < math.inf:
+            break
+        law = law.slowed(1.01 * factor)
+    return move
+
+
+def lasting_moves(moves: Sequence[Move], duration: float | None, task: StepTask) -> list[Move]:
+    """Return moves that take exactly as long as a step was given, all slowed alike."""
+    total = sum(move.law.duration for move in moves)
+    if duration is None:
+        return list(moves)
+    check_duration(duration, total, f"of step {task.index}")
+    return [replace(move, law=move.law.slowed(duration / total)) for move in moves]
+
+
+def held_plan(task: StepTask, after: Holding, moves: Sequence[Move], name: str) -> StepPlan:
+    """Return the plan of moves one after the other, and that it ends holding ``after``."""
+    held = task.holding.held
+    assert held is not None
+    motion = held_motion(task, [held_flight(held, move) for move in moves], name)
+    return ended_holding(task, after, motion, moves[-1].end, moves[-1].below[1])
+
+
+def ended_holding(
+    task: StepTask, after: Holding, motion: Motion, place: Array, below: float = 0.0
+) -> StepPlan:
+    """Return the plan of a motion that ends with the object's base at a place (4,)."""
+    objects = dict(task.requirements.objects)
+    body = objects[after.name] = moved_to(objects[after.name], place)
+    held = after.held
+    hitch = task.hitch
+    if held is not None:
+        altitude = float(place[2]) + float(held.places[0, 2]) - below
+        polygon = polygon_at(body, held.places[:, :2])
+        hitch = Hitch(
+            held.team, polygon, altitude, held.fractions * cable_slack(held.team, polygon)
+        )
+    drones = motion.drones.at(float(motion.drones.breaks[-1]))
+    situation = replace(task.before, drones=drones, hitch=hitch, holding=after, objects=objects)
+    return StepPlan(motion, situation)
+
+
+def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Motion:
+    """Return the motion of a hitch that holds an object, as one phase."""
+    holding, requirements = task.holding, task.requirements
+    hold = Hold(holding.name, HoldBy.REST, tuple(range(task.before.team.robots)))
+    parts = []
+    for each in flights:
+        breaks = each.pose.breaks
+        index = list(requirements.objects).index(holding.name)
+        poses = np.repeat(
+            poses_of(requirements.objects)[None, :, :, None], each.pose.pieces, axis=0
+        )
+        poses = np.repeat(poses, each.pose.degree + 1, axis=-1)
+        poses[:, index] = each.pose.coefficients
+        share = np.zeros((each.borne.pieces, len(requirements.objects), each.borne.degree + 1))
+        share[:, index] = each.borne.coefficients
+        parts.append(
+            Motion(
+                task.before.team,
+                requirements,
+                **vars(each.flight),
+                phases=(Phase(name, task.index, 0.0, each.flight.duration),),
+                poses=PiecewisePolynomial(breaks, poses),
+                borne=PiecewisePolynomial(breaks, share),
+            )
+        )
+    return one_phase(joined_motions(parts), task, name, hold)
+
+
+def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = None) -> Motion:
+    """Return a motion as one phase of a step, in which an object may be held."""
+    tension = None
+    pulls = motion.tensions.coefficients
+    least, most = float(np.min(pulls)), float(np.max(pulls))
+    if np.any(pulls != task.before.team.tension[:, None]):
+        tension = (least, most)
+    phase = Phase(name, task.index, 0.0, motion.duration, tension=tension, hold=hold)
+    return replace(motion, requirements=task.requirements, phases=(phase,))
+
+
+def check_hold(task: StepTask, holding: Holding) -> None:
+    """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
+    held = holding.held
+    assert held is not None
+    bearing = replace(holding, borne=True)
+    here = replace(task, before=replace(task.before, holding=bearing))
+    limits, words = task.requirements.limits, f"with objects.{holding.name} on the clasps"
+    gap = gap_around(task.requirements)
+    try:
+        flight = held_flight(held, resting_move(here, 1.0))
+    except InfeasibleError as error:
+        capacity, ways = suggestion(holding.name, held, holding.tension, limits, gap)
+        raise InfeasibleError(
+            [
+                replace(v, when=words, remedy=f"{ways} ({capacity.binding} binds)")
+                for v in error.violations
+            ]
+        ) from None
+    found = certified(held_motion(here, [flight], "hold"))
+    if found.certificate.certified:
+        return
+    capacity, ways = suggestion(holding.name, held, holding.tension, limits, gap)
+    broken = infeasible(found.certificate, found.motion, words)
+    weighty = {"thrust", "tilt", "equilibrium"}
+    raise InfeasibleError([_advised(v, ways, weighty) for v in broken.violations])
+
+
+def _advised(violation: Violation, ways: str, weighty: set[str]) -> Violation:
+    return replace(violation, remedy=ways) if violation.constraint in weighty else violation

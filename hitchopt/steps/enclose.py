@@ -1,0 +1,121 @@
+"""Enclose: a hitch comes down around an object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.rest_polygon import RestPolygons, rest_polygons
+from hitchopt.requirements import Requirements
+from hitchopt.steps.carrying import (
+    AROUND_SPEED,
+    gap_around,
+    gap_below,
+    object_of,
+    one_phase,
+    polygon_at,
+)
+from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.keys import OBJECT, Seconds
+from hitchopt.steps.morph import Morph
+from hitchopt.steps.situation import Holding, Situation, StepPlan, StepTask
+from hitchopt.steps.step import Stage, Step
+from hitchopt.steps.transport import Transport
+
+LEVEL = 1e-6
+"""[m] Heights that differ by less are the same."""
+
+OVER = 0.10
+"""[m] Room between drones' lowest places and objects below, besides ``separation.radius``."""
+
+
+@dataclass(frozen=True)
+class Enclose(Step):
+    """The hitch goes above an object, takes a polygon around it, and comes down below its rim.
+
+    Parameters
+    ----------
+    object: its name.
+    duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.
+    """
+
+    name: ClassVar[str] = "enclose"
+    summary: ClassVar[str] = "Come down around an object"
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.AROUND)
+    object: Annotated[str, OBJECT]
+    duration: Seconds = None
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan from anywhere to around the object."""
+        requirements, hitch = task.requirements, task.hitch
+        body = object_of(task, self.object)
+        assert body.rim is not None
+        found = rest_polygons(self.object, body, len(hitch.polygon), gap_around(requirements))
+        polygons, polygon = _numbered(found, body, hitch.polygon)
+        inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
+        steps = [
+            Transport(np.append(hitch.polygon.centroid, altitude_over(task))),
+            Transport(np.append(polygon.centroid, altitude_over(task))),
+            Morph(polygon),
+        ]
+        motions: list[Motion] = []
+        situation = task.before
+        for step in steps:
+            if isinstance(step, Transport) and _there(step, situation):
+                continue
+            planned = step.plan(task.within(requirements, situation))
+            motions.append(planned.motion)
+            situation = planned.after
+        down = Transport(np.append(polygon.centroid, inside))
+        planned = down.plan(task.within(slowly(requirements), situation))
+        motions.append(planned.motion)
+        motion = one_phase(joined_motions(motions), task, self.name)
+        holding = Holding(self.object, polygons, task.before.team.tension)
+        after = replace(planned.after, holding=holding)
+        return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
+
+
+def altitude_over(task: StepTask) -> float:
+    """Return the hitch's altitude, or a higher one at which it passes above all objects [m]."""
+    requirements = task.requirements
+    tops = [float(each.at[2]) + each.upper for each in requirements.objects.values()]
+    over = requirements.separation.radius + OVER
+    sink = task.hitch.altitude - float(np.min(task.hitch.drones[:, 2]))
+    return max(task.hitch.altitude, *(top + over + max(sink, 0.0) for top in tops))
+
+
+def slowly(requirements: Requirements) -> Requirements:
+    """Return requirements with the speed at which hitches come down around objects."""
+    limits = requirements.limits
+    slow = replace(
+        limits,
+        speed=min(limits.speed, AROUND_SPEED),
+        vertex_speed=min(limits.vertex_speed, AROUND_SPEED),
+    )
+    return replace(requirements, limits=slow)
+
+
+def _there(step: Transport, situation: Situation) -> bool:
+    """Return whether a hitch is where it would be carried to."""
+    hitch = situation.hitch
+    assert hitch is not None
+    here = np.append(hitch.polygon.centroid, hitch.altitude)
+    return bool(np.max(np.abs(here - step.to)) < LEVEL)
+
+
+def _numbered(
+    found: RestPolygons, body: SolidObject, polygon: Outline
+) -> tuple[RestPolygons, ConvexPolygon]:
+    """Return the polygons numbered so that vertices have the shortest ways, and that around."""
+    around = polygon_at(body, found.around)
+    here = polygon.vertices - polygon.centroid
+    there = around.vertices - around.centroid
+    ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
+    best = int(np.argmin(ways))
+    shifted = RestPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.below)))
+    return shifted, around.renumbered(best)

@@ -1,0 +1,115 @@
+"""Grasp: the hitch closes below an object's rim and touches it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+
+from hitchopt.errors import UnsupportedError
+from hitchopt.motion.motion import joined_motions
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.planners.carrying.held_motion import HeldHitch, held_flight
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.requirements import Requirements
+from hitchopt.steps.carrying import (
+    LIFT_SPEED,
+    PRELOAD,
+    changed_move,
+    check_hold,
+    ended_holding,
+    gap_below,
+    held_motion,
+    object_of,
+    one_phase,
+    place_of,
+    polygon_at,
+)
+from hitchopt.steps.enclose import slowly
+from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.keys import OBJECT, Key, Seconds
+from hitchopt.steps.morph import Morph
+from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.steps.step import Stage, Step
+from hitchopt.values import positive
+
+By = Literal["rest", "grip"]
+"""How an object is held."""
+
+
+@dataclass(frozen=True)
+class Grasp(Step):
+    """The hitch closes below the object's rim, pulls as hard as asked, and rises to the rim.
+
+    Parameters
+    ----------
+    object: its name.
+    by: ``rest``: its rim lies on the clasps.
+    tension: of all cables from here on [N]; None for the team's.
+    duration: as of Enclose.
+    """
+
+    name: ClassVar[str] = "grasp"
+    summary: ClassVar[str] = "Close around an object"
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.GRASPED)
+    object: Annotated[str, OBJECT]
+    by: Annotated[
+        By, Key(("rest", "grip"), "rest: its rim lies on the clasps; grip: cables around it")
+    ] = "rest"
+    tension: Annotated[
+        float | None, Key("Positive", "Of all cables from here on [N]; without it the team's")
+    ] = None
+    duration: Seconds = None
+
+    def __post_init__(self) -> None:
+        if self.tension is not None:
+            object.__setattr__(self, "tension", positive("tension", self.tension))
+        super().__post_init__()
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan from around the object to clasps that touch its rim."""
+        if self.by == "grip":
+            raise UnsupportedError("grasp by grip: this version holds objects by their rims only")
+        body, team, requirements = object_of(task, self.object), task.before.team, task.requirements
+        assert body.rim is not None
+        below = polygon_at(body, task.holding.polygons.below)
+        closing = Morph(below).plan(task.within(slowly(without(task, self.object)), task.before))
+        hitch = closing.after.hitch
+        assert hitch is not None
+        heights = np.full(team.robots, body.rim.height)
+        places = np.column_stack([task.holding.polygons.below, heights])
+        held = HeldHitch(team, body, places, hitch.fractions)
+        asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
+        holding = Holding(self.object, task.holding.polygons, asked, held)
+        here = replace(task, before=replace(closing.after, holding=holding))
+        check_hold(replace(here, requirements=requirements), holding)
+        gap = gap_below(requirements)
+        speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
+        moves = [changed_move(here, speed, below=(gap, 0.0))]
+        if np.any(asked != team.tension):
+            law = SmoothLaw(0.5 * PRELOAD)
+            tension = team.tension, asked
+            moves.insert(0, changed_move(here, law, tension=tension, below=(gap, gap)))
+        touching = held_motion(
+            replace(here, requirements=requirements),
+            [held_flight(held, move) for move in moves],
+            self.name,
+        )
+        hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
+        closed = one_phase(closing.motion, task, self.name, hold)
+        motion = one_phase(joined_motions([closed, touching]), task, self.name, hold)
+        motion = lasting(motion, self.duration, task.index, self.name)
+        return ended_holding(task, holding, motion, place_of(body))
+
+
+def gentle_rates(task: StepTask, length: float) -> tuple[float, float]:
+    """Return limits of acceleration and jerk over a length, gentle ones."""
+    limits = task.requirements.limits
+    return 0.5 * limits.acceleration / length, 0.5 * limits.jerk / length
+
+
+def without(task: StepTask, name: str) -> Requirements:
+    """Return the requirements without an object that cables may touch."""
+    others = {key: each for key, each in task.requirements.objects.items() if key != name}
+    return replace(task.requirements, objects=others)

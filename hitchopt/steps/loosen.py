@@ -1,0 +1,73 @@
+"""Loosen: the hitch leaves an object's rim and opens around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from hitchopt.motion.motion import joined_motions
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.planners.carrying.held_motion import held_flight
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.steps.carrying import (
+    LIFT_SPEED,
+    PRELOAD,
+    changed_move,
+    ended_holding,
+    gap_below,
+    held_motion,
+    object_of,
+    one_phase,
+    place_of,
+    polygon_at,
+)
+from hitchopt.steps.enclose import slowly
+from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.grasp import gentle_rates, without
+from hitchopt.steps.keys import OBJECT, Seconds
+from hitchopt.steps.morph import Morph
+from hitchopt.steps.situation import StepPlan, StepTask
+from hitchopt.steps.step import Stage, Step
+
+
+@dataclass(frozen=True)
+class Loosen(Step):
+    """The hitch sinks below the rim, pulls as the team does, and opens around the object.
+
+    Parameters
+    ----------
+    object: its name.
+    duration: as of Enclose.
+    """
+
+    name: ClassVar[str] = "loosen"
+    summary: ClassVar[str] = "Open around an object"
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.AROUND)
+    object: Annotated[str, OBJECT]
+    duration: Seconds = None
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan from clasps below the rim to a hitch around the object."""
+        body, team, holding = object_of(task, self.object), task.before.team, task.holding
+        held = holding.held
+        assert held is not None
+        gap = gap_below(task.requirements)
+        speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
+        moves = [changed_move(task, speed, below=(0.0, gap))]
+        if np.any(holding.tension != team.tension):
+            law = SmoothLaw(0.5 * PRELOAD)
+            tension = holding.tension, team.tension
+            moves.append(changed_move(task, law, tension=tension, below=(gap, gap)))
+        sinking = held_motion(task, [held_flight(held, move) for move in moves], self.name)
+        freed = replace(holding, tension=team.tension)
+        low = ended_holding(task, freed, sinking, place_of(body), gap).after
+        around = polygon_at(body, holding.polygons.around)
+        opening = Morph(around).plan(task.within(slowly(without(task, self.object)), low))
+        hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
+        opened = one_phase(opening.motion, task, self.name, hold)
+        motion = one_phase(joined_motions([sinking, opened]), task, self.name, hold)
+        motion = lasting(motion, self.duration, task.index, self.name)
+        after = replace(opening.after, holding=replace(freed, held=None))
+        return StepPlan(motion, after)

@@ -1,0 +1,181 @@
+"""A tray carried by three robots: what the certificate says against samples and force balances."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.objects.placing import in_frame
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+MASS = 0.2
+TO = [-0.3, 0.9, 0.1]
+
+
+def tray(**changes: Any) -> dict[str, Any]:
+    """A tray off the origin, to be set down on a low table, turned."""
+    held = {"circle": 0.1, "to": 0.3, "mass": MASS, "at": [1.1, 0.2, 0.0], "yaw_deg": 20.0}
+    held["rim"] = {"circle": 0.3, "at": 0.25}
+    table = {"circle": 0.3, "to": 0.1, "at": [*TO[:2], 0.0], "fixed": True}
+    given: dict[str, Any] = {
+        "team": {"robots": 3, "cable_length": 2.2, "tension": 0.8, "cable_density": 0.004},
+        "limits": {"tilt_deg": 60},
+        "objects": {"tray": {**held, **changes}, "table": table},
+        "start": {
+            "hitch": {"polygon": [[1.5, 0.2], [0.9, -0.1], [0.9, 0.5]], "altitude": 0.9},
+        },
+    }
+    step = {"object": "tray", "to": TO, "tension": 1.0, "yaw_deg": 40.0, "lift": 0.1}
+    given["mission"] = [{"transport_object": step}]
+    return given
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    plan = ho.solve(ho.problem_from_dict(tray()))
+    assert plan.certificate.certified
+    return plan.motion
+
+
+def lifted(motion: Motion) -> Array:
+    """Times at which the tray is off its supports."""
+    lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))
+    return np.linspace(lift.start + 1.6, down.end - 1.6, 301)
+
+
+def test_the_tray_ends_where_it_was_sent(motion: Motion) -> None:
+    states = ho.solve(ho.problem_from_dict(tray())).at(motion.duration)
+    np.testing.assert_allclose(states.object_poses[0, :3], TO, atol=1e-9)
+    yaw = np.degrees(np.arctan2(states.object_poses[0, 4], states.object_poses[0, 3]))
+    assert yaw == pytest.approx(60.0)
+    assert states.borne[0] == 0.0
+
+
+def test_cables_carry_weight_and_inertia(motion: Motion) -> None:
+    """The cables' forces on clasps, from the drones alone, add up to what moves the tray."""
+    t = lifted(motion)
+    p, drones, tensions = motion.vertices.at(t), motion.drones.at(t), motion.tensions.at(t)
+    layout, team = motion.team.layout, motion.team
+    legs = drones - p[:, layout.anchors]
+    legs /= np.linalg.norm(legs, axis=-1, keepdims=True)
+    pulls = np.repeat(tensions, 2, axis=1)[..., None] * legs
+    on_clasps = pulls[:, 2 * layout.ahead] + pulls[:, 2 * layout.behind + 1]
+    edges = layout.edges(p)
+    edges /= np.linalg.norm(edges, axis=-1, keepdims=True)
+    on_clasps += tensions[:, layout.ahead, None] * edges[:, layout.ahead]
+    on_clasps -= tensions[:, layout.behind, None] * edges[:, layout.behind]
+    a = motion.object_poses.differentiated(2).at(t)[:, 0, :3]
+    wanted = MASS * (a + [0.0, 0.0, GRAVITY])
+    cables = team.cable_density * GRAVITY * float(np.sum(team.cable_length))
+    found = np.sum(on_clasps, axis=1)
+    np.testing.assert_allclose(found[:, :2], wanted[:, :2], atol=0.01)
+    extra = found[:, 2] - wanted[:, 2]  # of cables, half of the legs being on the drones
+    assert np.all((extra > 0.2 * cables) & (extra < cables))
+    centre = motion.object_poses.at(t)[:, 0, :3] + [0.0, 0.0, 0.15]
+    moments = np.sum(np.cross(p - centre[:, None], on_clasps), axis=1)
+    assert np.max(np.abs(moments[:, :2])) < 0.01
+
+
+def test_support_is_below_the_force_line(motion: Motion) -> None:
+    check = RULE_OF["support"].check(motion)
+    assert check is not None
+    t = lifted(motion)
+    poses = motion.object_poses.at(t)[:, 0]
+    a = motion.object_poses.differentiated(2).at(t)[:, 0, :3]
+    p = motion.vertices.at(t)
+    height = (poses[:, 2] + 0.15 - p[:, 0, 2])[:, None]
+    foot = poses[:, :2] - height * a[:, :2] / (GRAVITY + a[:, 2:])
+    onward = (np.roll(p, -1, axis=1) - p)[..., :2]
+    inward = np.stack([onward[..., 1], -onward[..., 0]], axis=-1)
+    inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+    apart = np.sum(inward * (foot[:, None] - p[..., :2]), axis=-1)
+    assert check.bound <= float(np.min(apart)) + 1e-9
+    assert check.bound >= float(np.min(apart)) - 2e-3
+
+
+def test_distances_are_below_all_samples(motion: Motion) -> None:
+    t = np.linspace(0.0, motion.duration, 2000)
+    poses, drones = motion.object_poses.at(t), motion.drones.at(t)
+    nearest = np.inf
+    for i, body in enumerate(motion.requirements.objects.values()):
+        seen = in_frame(poses[:, None, i], drones)
+        nearest = min(nearest, *(float(np.min(s.clearance(seen).distance)) for s in body.slabs))
+    check = RULE_OF["keep_out"].check(motion)
+    assert check is not None
+    assert nearest - 2e-3 <= check.bound <= nearest
+
+
+def shares(motion: Motion, value: float) -> PiecewisePolynomial:
+    assert motion.borne is not None
+    return PiecewisePolynomial(motion.borne.breaks, value * motion.borne.coefficients)
+
+
+@pytest.mark.parametrize("kind", ["half borne", "not borne", "not held", "elsewhere", "apart"])
+def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) -> None:
+    changed = motion
+    assert motion.poses is not None
+    if kind == "half borne":
+        changed = replace(motion, borne=shares(motion, 0.5))
+    elif kind == "not borne":
+        changed = replace(motion, borne=None)
+    elif kind == "not held":
+        changed = replace(motion, phases=tuple(replace(p, hold=None) for p in motion.phases))
+    elif kind == "elsewhere":
+        moved = motion.poses.coefficients + np.array([0.2, 0, 0, 0, 0])[:, None]
+        changed = replace(motion, poses=PiecewisePolynomial(motion.poses.breaks, moved))
+    else:
+        raised = motion.poses.coefficients + np.array([0, 0, 0.01, 0, 0])[:, None]
+        changed = replace(motion, poses=PiecewisePolynomial(motion.poses.breaks, raised))
+    check = RULE_OF["support"].check(changed)
+    assert check is not None
+    assert not check.holds
+
+
+def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
+    objects = dict(motion.requirements.objects)
+    objects["tray"] = replace(objects["tray"], mass=1.1 * MASS)
+    requirements = replace(motion.requirements, objects=objects)
+    check = RULE_OF["equilibrium"].check(replace(motion, requirements=requirements))
+    assert check is not None
+    assert not check.holds
+
+
+def refused(problem: dict[str, Any], text: str) -> None:
+    with pytest.raises(ho.HitchoptError, match=re.escape(text)):
+        ho.solve(ho.problem_from_dict(problem))
+
+
+def test_too_heavy_an_object_is_refused_with_what_to_change() -> None:
+    refused(tray(mass=0.6), "lower objects.tray.mass to 0.")
+    refused(tray(mass=0.6), "load binds")
+
+
+def test_a_narrow_rim_is_refused() -> None:
+    refused(tray(rim={"circle": 0.12, "at": 0.25}), "give objects.tray a wider rim")
+
+
+@pytest.mark.parametrize(
+    ("steps", "text"),
+    [
+        ([{"lift": {"by": 0.2}}], "must be one holding an object that stands"),
+        ([{"enclose": {"object": "tr"}}], "must be one of objects: tray, table"),
+        (
+            [{"enclose": {"object": "tray"}}, {"leave": {"object": "tray"}}]
+            + [{"move_vertex": {"vertex": 0, "by": [0.1, 0]}}],
+            "morph before",
+        ),
+        ([{"enclose": {"object": "table"}}], "false where it is held"),
+        ([{"grasp": {"object": "tray", "tension": -1}}], "greater than"),
+    ],
+)
+def test_steps_in_a_wrong_order_are_refused(steps: list[dict[str, Any]], text: str) -> None:
+    refused({**tray(), "mission": steps}, text)

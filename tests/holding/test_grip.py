@@ -1,0 +1,196 @@
+"""Grips: shortest paths around sections, balance, figures of rope simulations, capacities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+import hitchopt as ho
+from hitchopt.holding.grip_limits import grip_margins, largest_tension
+from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.holding.wraps import wraps_around
+from hitchopt.requirements import Requirements
+from hitchopt.values import Array
+
+BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
+DISC = ho.Section(radius=0.2)
+ODD = ho.Section([[0.35, 0.1], [0.15, -0.2], [-0.15, -0.15], [-0.2, 0.2], [0.15, 0.25]])
+SECTIONS = (BOX, DISC, ODD)
+SIMULATED_FRICTION = 0.15
+STEEP = Requirements(ho.Limits(tilt=math.radians(60.0)))
+
+
+def regular(n: int, radius: float, turn: float = 0.5 * math.pi) -> Array:
+    angles = turn - 2.0 * math.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def rhombus(off: float) -> Array:
+    return np.array([[0, 0.15 + off], [0.2 + off, 0], [0, -0.15 - off], [-0.2 - off, 0]])
+
+
+def disc_triangle(total: float) -> Array:
+    """Vertices of three cables that wrap a disc of 0.2 m by ``total`` [deg] in all."""
+    half = 0.5 * math.radians((total + 180.0) / 3.0)
+    return regular(3, 0.2 / math.sin(half))
+
+
+def boundary(section: ho.Section, count: int = 3000) -> Array:
+    angles = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+    disc = section.rounding * np.column_stack([np.cos(angles), np.sin(angles)])
+    return (section.core[:, None] + disc).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(3, 6))
+def test_a_taut_edge_is_the_hull_of_section_and_clasps(
+    section: ho.Section, seed: int, n: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    centre, size = section.centroid, section.circumradius + np.linalg.norm(section.centroid)
+    vertices = centre + regular(n, 1.0, rng.uniform(0, 6)) * size * rng.uniform(1.02, 1.9, (n, 1))
+    wraps = wraps_around(section, vertices)
+    for k in range(n):
+        first, last = vertices[k], vertices[(k + 1) % n]
+        chord = last - first
+        points = boundary(section)
+        away = points - first
+        left = points[chord[0] * away[:, 1] - chord[1] * away[:, 0] > 0.0]  # past the chord
+        if len(left) == 0:
+            assert wraps.angles[k] == pytest.approx(0.0, abs=0.05)
+            continue
+        hull = ConvexHull(np.concatenate([[first, last], left]))
+        shortest = hull.area - float(np.linalg.norm(chord))  # a hull's area is its perimeter in 2-D
+        assert wraps.lengths[k] == pytest.approx(shortest, rel=2e-5, abs=2e-6)
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_wraps_and_clasps_close_a_turn_and_move_with_the_section(section: ho.Section) -> None:
+    vertices = section.centroid + regular(4, 1.25 * section.circumradius, 0.4)
+    wraps = wraps_around(section, vertices)
+    turned = np.sum(wraps.angles) + np.sum(math.pi - wraps.clasp_angles)
+    assert turned == pytest.approx(2.0 * math.pi, abs=1e-9)
+    many = wraps_around(section, np.stack([vertices, 1.1 * vertices]))
+    np.testing.assert_allclose(many.lengths[0], wraps.lengths, rtol=1e-12)
+    renumbered = wraps_around(section, np.roll(vertices, -1, axis=0))
+    np.testing.assert_allclose(renumbered.angles, np.roll(wraps.angles, -1), atol=1e-12)
+    if section.outline is not None:
+        moved = ho.Section(section.outline + [0.3, -0.2])
+        again = wraps_around(moved, vertices + [0.3, -0.2])
+        np.testing.assert_allclose(again.lengths, wraps.lengths, rtol=1e-12)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.8])
+@pytest.mark.parametrize("ratio", [0.8, 1.0, 1.1])
+def test_clasps_balance_and_lift_without_moments(weight: float, ratio: float) -> None:
+    grip = ho.Grip.of(ODD, regular(3, 0.38) + ODD.centroid, 1.6, 1.3, weight=weight, ratio=ratio)
+    q, r = grip.leg_directions[:, 0], np.roll(grip.leg_directions[:, 1], 1, axis=0)
+    np.testing.assert_allclose(np.linalg.norm(grip.leg_directions, axis=-1), 1.0, atol=1e-12)
+    behind, ahead = grip.wraps.at_clasps
+    level = np.roll(grip.wraps.arriving, 1, axis=0) * behind[:, None]
+    arriving = np.column_stack([level, grip.vertices[:, 2]])
+    leaving = np.column_stack([grip.wraps.leaving * ahead[:, None], -grip.vertices[:, 2]])
+    arriving /= np.linalg.norm(arriving, axis=1)[:, None]
+    leaving /= np.linalg.norm(leaving, axis=1)[:, None]
+    np.testing.assert_allclose(q + r, ratio * (arriving - leaving), atol=1e-12)
+    if ratio == 1.0 and weight == 0.0:
+        np.testing.assert_allclose(q, arriving, atol=1e-12)  # legs along neighbours' tangents
+    assert grip.pulls[:, 2].sum() == pytest.approx(weight, rel=1e-4, abs=1e-12)
+    arms = grip.vertices - np.append(ODD.centroid, 0.0)
+    moments = np.cross(arms, grip.pulls).sum(axis=0)
+    np.testing.assert_allclose(moments[:2], 0.0, atol=1e-5 * max(weight, 1.0))
+    edges = math.cos(0.5 * math.acos(float(np.dot(arriving[0], -leaving[0]))))
+    legs = math.cos(0.5 * math.acos(float(np.dot(q[0], r[0]))))
+    assert legs == pytest.approx(ratio * edges, rel=1e-9)
+
+
+def test_an_edge_that_pulls_harder_than_legs_can_is_refused() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"equilibrium: 2\.747"):
+        ho.Grip.of(DISC, regular(3, 0.39), 1.6, 1.0, ratio=1.6)
+
+
+def test_figures_of_rope_simulations() -> None:
+    """Drones 0.24 m apart at 212°; 77 g at 1 N with 60° per cable; the rhombus about a box."""
+    grip = ho.Grip.of(DISC, disc_triangle(212.0), 1.95, 1.0)
+    assert np.degrees(grip.wraps.angles).sum() == pytest.approx(212.0)
+    assert np.linalg.norm(grip.drones[0, 0] - grip.drones[0, 1]) == pytest.approx(0.24, abs=1e-3)
+    grip = ho.Grip.of(DISC, disc_triangle(180.0), 1.6, 1.0, clasp_friction=SIMULATED_FRICTION)
+    assert grip.slip_load(0.5) / (1.5 * 9.81) == pytest.approx(0.077, abs=1e-3)
+    for off, wrap, apart in ((0.09, 137.0, 0.23), (0.12, 77.0, 0.34)):
+        grip = ho.Grip.of(BOX, rhombus(off), 0.9, 1.3)
+        assert np.degrees(grip.wraps.angles).sum() == pytest.approx(wrap, abs=5.0)
+        drones = grip.drones.reshape(-1, 3)
+        pairs = np.linalg.norm(drones[:, None] - drones, axis=-1)[np.triu_indices(8, 1)]
+        assert np.min(pairs) == pytest.approx(apart, abs=0.01)
+
+
+@given(weight=st.floats(0.05, 1.0))
+@settings(max_examples=20, deadline=None)
+def test_drones_rise_by_leg_and_tangent(weight: float) -> None:
+    grip = ho.Grip.of(DISC, disc_triangle(200.0), 1.6, 1.3, weight=weight)
+    steep = weight / (2.0 * 3 * 1.3)
+    run = grip.legs[0, 0] + math.hypot(grip.wraps.tangents[0, 0], grip.vertices[0, 2])
+    np.testing.assert_allclose(grip.drones[..., 2], run * steep, rtol=1e-4)
+    np.testing.assert_allclose(grip.leg_directions[..., 2], steep, rtol=1e-4)
+
+
+def test_friction_at_clasps_only_lowers_the_slip_load() -> None:
+    loads = [
+        float(ho.Grip.of(ODD, regular(3, 0.38), 1.6, 1.3, clasp_friction=mu).slip_load(0.5))
+        for mu in (0.0, 0.1, 0.2)
+    ]
+    assert loads[0] > loads[1] > loads[2] > 0.0
+    plain = ho.Grip.of(ODD, regular(3, 0.38), 1.6, 1.3)
+    assert loads[0] == pytest.approx(0.5 * 1.3 * np.sum(plain.wraps.angles))
+
+
+def task(section: ho.Section, n: int, cable: float, tension: float = 1.3) -> GripTask:
+    return GripTask(section, n, cable, tension, SIMULATED_FRICTION, STEEP, ho.Quadrotor())
+
+
+@pytest.mark.parametrize(("section", "n", "cable"), [(DISC, 3, 1.6), (BOX, 4, 0.95)])
+def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
+    section: ho.Section, n: int, cable: float
+) -> None:
+    found = best_grip(task(section, n, cable))
+    margins = grip_margins(found, STEEP, ho.Quadrotor())
+    assert min(float(np.min(each)) for each in margins.values()) >= 0.0
+    np.testing.assert_allclose(found.level_imbalance, 0.0, atol=1e-5)
+    rng = np.random.default_rng(5)
+    base = regular(n, 1.0) if section is DISC else rhombus(0.0) / np.array([0.2, 0.15])
+    for _ in range(200):
+        scale = np.array([1.0, 1.0]) * rng.uniform(0.2, 0.45, 2 if section is BOX else 1)
+        vertices = base * scale
+        if np.min(section.clearance(vertices)[0]) <= 0.021:
+            continue
+        tried = task(section, n, cable).grip(vertices)
+        kept = task(section, n, cable).margins(tried)
+        if min(float(np.min(each)) for each in kept.values()) >= 0.05:
+            assert tried.slip_load(0.5) <= found.slip_load(0.5) * (1.0 + 1e-4)
+
+
+def test_a_cylinder_of_100_g_needs_a_tension_of_1_3_n() -> None:
+    held = [
+        grip_capacity(made, best_grip(made), 0.5, 1.5)
+        for made in (task(DISC, 3, 1.6, tension) for tension in (1.0, 1.3))
+    ]
+    assert held[0].mass < 0.1 < held[1].mass
+    assert held[1].binding == "grip"
+
+
+def test_more_cables_do_not_grip_a_disc() -> None:
+    with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables"):
+        best_grip(task(DISC, 6, 1.0))
+
+
+def test_level_pulls_are_limited_by_tilt() -> None:
+    most, binding = largest_tension(Requirements(), ho.Quadrotor())
+    assert binding == "tilt"
+    assert 1.29 < most < 1.3
+    assert largest_tension(STEEP, ho.Quadrotor())[0] > 1.5

@@ -1,0 +1,158 @@
+"""Sections, slabs and how objects stand: distances against brute force, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+import hitchopt as ho
+from hitchopt.objects import Slab
+from hitchopt.objects.placing import check_placed, in_frame, in_world, surface_below
+from hitchopt.values import Array
+
+SEEDS = st.integers(0, 10_000)
+BOX = [[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]
+
+
+def some_section(rng: np.random.Generator) -> ho.Section:
+    if rng.random() < 0.3:
+        return ho.Section(radius=float(rng.uniform(0.1, 0.5)))
+    points = rng.normal(size=(12, 2)) * [0.3, 0.2] + rng.normal(size=2) * 0.2
+    hull = points[ConvexHull(points).vertices]
+    return ho.Section(hull[:: rng.choice([-1, 1])])
+
+
+def inner_points(section: ho.Section, rng: np.random.Generator, count: int) -> Array:
+    """Points of the section, its corners among them."""
+    weights = rng.dirichlet(np.full(len(section.core), 0.5), count)
+    angles = rng.uniform(0.0, 2.0 * np.pi, count)
+    round_ = section.rounding * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.vstack([weights @ section.core + round_, section.core])
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
+def test_distances_are_those_of_the_nearest_point(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    section = some_section(rng)
+    points = inner_points(section, rng, 400)
+    places = rng.normal(size=(20, 2))
+    distance, normals = section.clearance(places)
+    brute = np.min(np.linalg.norm(places[:, None] - points, axis=-1), axis=1)
+    assert np.all(np.maximum(distance, 0.0) <= brute + 1e-12)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    feet = places - distance[:, None] * normals
+    assert np.all(np.abs(section.clearance(feet)[0]) < 1e-9)
+    directions = rng.normal(size=(5, 2))
+    assert np.all(section.support(directions) >= np.max(directions @ points.T, axis=1) - 1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
+def test_segments_are_as_far_as_the_nearest_of_their_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    section = some_section(rng)
+    ends = rng.normal(size=(10, 2, 2))
+    found = section.segment_distance(ends[:, 0], ends[:, 1])
+    shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    points = (1.0 - shares) * ends[:, 0] + shares * ends[:, 1]
+    brute = np.min(section.distance(points), axis=0)
+    assert np.all(found <= brute + 1e-12)
+    assert np.all(found >= brute - 2e-3)
+
+
+def test_a_polygon_of_many_corners_is_nearly_a_circle() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    outline = 0.3 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    polygon, circle = ho.Section(outline), ho.Section(radius=0.3)
+    assert polygon.area == pytest.approx(circle.area, rel=1e-3)
+    np.testing.assert_allclose(polygon.centroid, circle.centroid, atol=1e-12)
+    places = np.array([[0.5, 0.2], [0.1, 0.0], [-1.0, 1.0]])
+    np.testing.assert_allclose(polygon.clearance(places)[0], circle.clearance(places)[0], atol=1e-4)
+
+
+def test_outlines_are_stored_clockwise_without_points_in_line() -> None:
+    given_ = [*BOX[:2], [0.4, 0.0], *BOX[2:]]
+    for outline in (given_, given_[::-1]):
+        found = ho.Section(outline).outline
+        assert found is not None
+        assert len(found) == 4
+        assert ho.ConvexPolygon(found).area == pytest.approx(0.48)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({}, "give either an outline or a circle's radius"),
+        ({"outline": BOX, "radius": 0.1}, "give either an outline or a circle's radius"),
+        ({"radius": -0.1}, "greater than 0"),
+        ({"outline": [[0, 0], [1, 0], [2, 0]]}, "not in line"),
+        ({"outline": [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]}, "give the hull: [[0.0, 1.0]"),
+    ],
+)
+def test_wrong_sections_are_refused(values: dict[str, object], text: str) -> None:
+    with pytest.raises(ho.InputError, match=re.escape(text)):
+        ho.Section(**values)  # type: ignore[arg-type]
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
+def test_slabs_have_signed_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    slab = Slab(some_section(rng), 0.1, 0.5)
+    places = rng.normal(size=(30, 3))
+    found = slab.clearance(places)
+    feet = places - found.distance[:, None] * found.normals
+    assert np.all(np.abs(slab.clearance(feet).distance) < 1e-9)
+    behind = slab.support(found.normals) - np.einsum("md,md->m", found.normals, places)
+    outside = found.distance > 0.0
+    np.testing.assert_allclose(found.distance[outside], -behind[outside], atol=1e-9)
+
+
+def test_frames_are_turned_back() -> None:
+    rng = np.random.default_rng(3)
+    pose = np.array([1.0, -2.0, 0.5, math.cos(0.7), math.sin(0.7)])
+    points = rng.normal(size=(4, 3))
+    np.testing.assert_allclose(in_world(pose, in_frame(pose, points)), points, atol=1e-12)
+
+
+def solid(at: list[float], **others: object) -> ho.SolidObject:
+    return ho.SolidObject(ho.Section(BOX), at=at, **others)  # type: ignore[arg-type]
+
+
+def test_objects_stand_on_the_ground_or_on_each_other() -> None:
+    objects = {"table": solid([1, 2, 0], upper=0.5, fixed=True), "box": solid([1, 2, 0.5])}
+    check_placed(objects, 0.0)
+    poses = np.stack([each.pose for each in objects.values()])
+    assert surface_below(objects, poses, "box", 0.0) == (0.5, "table")
+    poses[1, 0] += 2.0
+    assert surface_below(objects, poses, "box", 0.0) == (0.0, None)
+
+
+@pytest.mark.parametrize(
+    ("at", "text"),
+    [
+        ([1.0, 2.0, 0.6], "objects.box.at = [1.0, 2.0, 0.6]: must be such that it stands on"),
+        ([3.0, 2.0, 0.1], "write [3.0, 2.0, 0.0]"),
+        ([1.7, 2.0, 0.0], "objects.table.at = [1.0, 2.0, 0.0]: must be apart from objects.box"),
+    ],
+)
+def test_floating_and_overlapping_objects_are_refused(at: list[float], text: str) -> None:
+    objects = {"table": solid([1, 2, 0], upper=0.5, fixed=True), "box": solid(at)}
+    with pytest.raises(ho.InputError, match=re.escape(text)):
+        check_placed(objects, 0.0)
+
+
+def test_wrong_objects_are_refused() -> None:
+    with pytest.raises(ho.InputError, match=r"to = 0.1: must be above from, 0.2 m"):
+        solid([0, 0, 0], lower=0.2, upper=0.1)
+    with pytest.raises(ho.InputError, match="put the rim on the body"):
+        solid([0, 0, 0], rim=ho.Rim(ho.Section(radius=1.0), 0.9))
+    with pytest.raises(ho.InputError, match=r"at = .*: must be a point"):
+        solid([0, 0])

@@ -1,0 +1,126 @@
+"""Outlines from drawings: units, curves, lines that meet, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.outlines.outline_file import FLATNESS, outline_of_geometry, read_outline
+from hitchopt.values import Array
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" {size}viewBox="0 0 400 300">{shape}</svg>'
+RECTANGLE = '<rect x="0" y="0" width="400" height="300"/>'
+RING = [[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3], [0.0, 0.0]]
+
+
+def size_and_area(outline: Array) -> tuple[float, float, float]:
+    section = ho.Section(outline)
+    assert section.outline is not None
+    width, depth = np.ptp(section.outline, axis=0)
+    return float(width), float(depth), ConvexPolygon(section.outline).area
+
+
+@pytest.mark.parametrize(
+    ("size", "metres"),
+    [('width="400mm" height="300mm" ', 1e-3), ("", 1.0), ('width="800" height="600" ', 2.0)],
+)
+def test_svg_states_its_unit_or_is_in_metres(tmp_path: Path, size: str, metres: float) -> None:
+    drawing = tmp_path / "box.svg"
+    drawing.write_text(SVG.format(size=size, shape=RECTANGLE))
+    found = size_and_area(read_outline(drawing))
+    assert found == pytest.approx((400 * metres, 300 * metres, 120_000 * metres**2), rel=1e-4)
+
+
+def test_svg_is_not_mirrored(tmp_path: Path) -> None:
+    drawing = tmp_path / "wedge.svg"
+    drawing.write_text(SVG.format(size="", shape='<polygon points="0,0 4,0 0,2"/>'))
+    assert sorted(read_outline(drawing).tolist()) == [[0.0, -2.0], [0.0, 0.0], [4.0, 0.0]]
+
+
+def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    drawing = tmp_path / "disc.svg"
+    drawing.write_text(SVG.format(size="", shape='<circle cx="1" cy="2" r="0.2"/>'))
+    outline = read_outline(drawing) - [1.0, -2.0]
+    assert np.max(np.abs(np.hypot(*outline.T) - 0.2)) < 2.0 * FLATNESS
+    middles = 0.5 * (outline + np.roll(outline, -1, axis=0))
+    assert np.min(np.hypot(*middles.T)) > 0.2 - 2.0 * FLATNESS
+    assert ho.Section(outline).area == pytest.approx(math.pi * 0.04, rel=2e-3)
+
+
+def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
+    ezdxf = pytest.importorskip("ezdxf")
+    for units, scale in ((4, 1e-3), (0, 1.0), (1, 0.0254)):
+        document = ezdxf.new(units=units)
+        space = document.modelspace()
+        corners = [(0, 0), (400, 0), (400, 300), (0, 300)]
+        for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
+            space.add_line(first, last)
+        space.add_text("not a part of it")
+        document.saveas(tmp_path / "box.dxf")
+        found = size_and_area(read_outline(tmp_path / "box.dxf"))
+        assert found == pytest.approx((400 * scale, 300 * scale, 120_000 * scale**2), rel=1e-4)
+
+
+def test_dxf_arcs_close_an_outline(tmp_path: Path) -> None:
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new(units=6)
+    space = document.modelspace()
+    space.add_arc((0, 0), 0.2, 90, 270)
+    space.add_line((0, -0.2), (0.3, -0.2))
+    space.add_arc((0.3, 0), 0.2, 270, 90)
+    space.add_line((0.3, 0.2), (0, 0.2))
+    document.saveas(tmp_path / "slot.dxf")
+    area = size_and_area(read_outline(tmp_path / "slot.dxf"))[2]
+    assert area == pytest.approx(math.pi * 0.04 + 0.12, rel=2e-3)
+
+
+@pytest.mark.parametrize("wrap", ["Polygon", "Feature", "FeatureCollection", "list"])
+def test_geojson_and_coordinates(tmp_path: Path, wrap: str) -> None:
+    polygon = {"type": "Polygon", "coordinates": [RING]}
+    feature = {"type": "Feature", "properties": {}, "geometry": polygon}
+    content = {
+        "Polygon": polygon,
+        "Feature": feature,
+        "FeatureCollection": {"type": "FeatureCollection", "features": [feature]},
+        "list": RING[:-1],
+    }[wrap]
+    path = tmp_path / "box.json"
+    path.write_text(json.dumps(content))
+    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
+
+
+def test_a_table_and_shapely(tmp_path: Path) -> None:
+    shapely = pytest.importorskip("shapely")
+    path = tmp_path / "box.csv"
+    path.write_text("# x, y\n" + "\n".join(f"{x}, {y}" for x, y in RING[:-1]))
+    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
+    holed = shapely.box(0, 0, 0.4, 0.3).difference(shapely.box(0.1, 0.1, 0.2, 0.2))
+    assert size_and_area(outline_of_geometry(holed)) == pytest.approx((0.4, 0.3, 0.12))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind", "words"),
+    [
+        ("a.svg", "<svg", ho.FileError, "cannot be read"),
+        ("a.dxf", "abc", ho.FileError, "cannot be read"),
+        ("a.json", "[1", ho.FileError, "cannot be read"),
+        ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", ho.FileError, "a list of points"),
+        ("a.csv", "0, nan\n1, 0\n1, 1", ho.InputError, "finite"),
+        ("a.csv", "0, 0\n1, 0", ho.InputError, "closed outline"),
+        ("a.svg", SVG.format(size="", shape=""), ho.InputError, "closed outline"),
+        ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), ho.InputError, "both"),
+        ("a.step", "", ho.InputError, "a drawing"),
+    ],
+)
+def test_what_is_no_outline_is_refused(
+    tmp_path: Path, name: str, text: str, kind: type[ho.HitchoptError], words: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(kind, match=words):
+        read_outline(tmp_path / name)
