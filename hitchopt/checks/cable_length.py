@@ -9,7 +9,6 @@ stand for where the clasps may lie: where it does for some places of the clasps,
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
@@ -20,8 +19,7 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LIMIT = 1e-4
 """Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hitchopt.checks.certificate_card import certificate_card
 from hitchopt.errors import HitchoptError, InputError, Violation, broken_limit
+from hitchopt.one_line import OneLine
 
 FORMAT = "hitchopt-certificate/1"
 
@@ -35,7 +37,7 @@ def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> f
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(OneLine):
     """One quantity held against its limit.
 
     Attributes
@@ -95,6 +97,15 @@ class Check:
             holds = bool(worst >= least if sense == "min" else worst <= least)
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
+    def _parts(self) -> Iterator[str]:
+        relation = "≥" if self.sense == "min" else "≤"
+        limit = "" if self.limit is None else f" {relation} {self.limit:.6g}"
+        worst = "nothing counted" if self.worst is None else f"{self.worst:.6g}{limit} {self.unit}"
+        yield f"{self.name}: {worst}"
+        yield "holds" if self.holds else "broken"
+        yield f"t = {self.time:.4g} s"
+        yield from [f"at {' '.join(self.where)}"] if self.where else []
+
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
         return Violation(
@@ -132,7 +143,7 @@ def most_pressing(checks: Iterable[Check | None]) -> Check | None:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(OneLine):
     """All checks of one plan.
 
     Attributes
@@ -143,6 +154,16 @@ class Certificate:
 
     duration: float
     checks: tuple[Check, ...]
+
+    def _parts(self) -> Iterator[str]:
+        violated = ", ".join(check.name for check in self.violated)
+        yield f"not certified: {violated}" if violated else "certified"
+        yield f"{len(self.checks)} checks"
+        yield f"{self.duration:.4g} s"
+
+    def _repr_html_(self) -> str:
+        """Return the card that notebooks show."""
+        return certificate_card(self)
 
     @property
     def certified(self) -> bool:

@@ -10,11 +10,15 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Found
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.motion.motion import Motion
-from hitchopt.values import not_negative
+from hitchopt.values import instance, not_negative
 
 
 def certify(
-    motion: Motion, progress: Callable[[str], None] | None = None, gamma: float = GAMMA
+    motion: Motion,
+    progress: Callable[[str], None] | None = None,
+    gamma: float = GAMMA,
+    *,
+    part: bool = False,
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -32,23 +36,28 @@ def certify(
     Parameters
     ----------
     motion: the plan.
-    progress: called with the name of every check as it starts.
+    progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
+    part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
 
     Raises
     ------
     InputError: a gamma that is negative or not finite.
     """
+    instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
-    for rule in RULES:
+    total = len(RULES) + len(REPORTS)
+    for i, rule in enumerate(RULES):
         if progress is not None and rule.limit_of(motion) is not None:
-            progress(rule.name)
+            progress(f"{rule.name}, {i} of {total}")
         found[rule.name] = rule.findings(motion)
     checks = [most_pressing(each.check for each in spans) for spans in found.values()]
-    for report in REPORTS:
+    for i, report in enumerate(REPORTS, len(RULES)):
+        if part and report.whole:
+            continue
         if progress is not None:
-            progress(report.name)
+            progress(f"{report.name}, {i} of {total}")
         checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
@@ -59,7 +68,8 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     A bound for all of the time is the worst of the bounds for its spans. Joining moves times and
     raises degrees, which changes coefficients by units in the last place; the margins of rounding,
     a thousand times these, are already in every ``worst``. Rules of the ``whole`` are applied anew:
-    continuity and tensions, joints included, the duration, and how cables have become interlaced.
+    continuity and tensions, joints included, the duration, how cables have become interlaced, and
+    stops.
 
     Parameters
     ----------
@@ -75,5 +85,8 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     checks = [
         rule.check(motion) if rule.whole else most_pressing(found[rule.name]) for rule in RULES
     ]
-    checks += [most_pressing(found[rule.name]) for rule in REPORTS]
+    checks += [
+        rule.check(motion, {}, GAMMA) if rule.whole else most_pressing(found[rule.name])
+        for rule in REPORTS
+    ]
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))

@@ -35,7 +35,8 @@ def _find(motion: Motion, _: float) -> Finding:
     edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
     rows = np.concatenate([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
     start = _angles_at(rows[0, :, :, 0])
-    places: list[tuple[str, ...]] = [(motion.team.point_names[k],) for k in layout.clasps]
+    names = motion.team.point_names
+    places: list[tuple[str, ...]] = [(names[k],) for k in layout.clasps]
     offsets = np.zeros(len(places))
     if layout.closed:
         room = 360.0 * (1 - round(float(np.sum(start)) / 360.0))
@@ -45,7 +46,7 @@ def _find(motion: Motion, _: float) -> Finding:
         room = 360.0 - float(np.sum(start))
         ends = np.concatenate([edges[:, -1:], -edges[:, :1]], axis=2)
         rows, offsets = np.concatenate([rows, ends], axis=1), np.append(offsets, 180.0)
-        places.append((motion.team.point_names[0], motion.team.point_names[-1]))
+        places.append((names[0], names[-1]))
     added = np.broadcast_to(offsets[:, None, None], (*rows.shape[:2], 1, 1))
     bound = partial(_bound, noise=position_margin(motion))
     found = smallest(Cells.over(motion.vertices.breaks, [rows, added]), bound)

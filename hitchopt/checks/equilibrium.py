@@ -6,7 +6,6 @@ import math
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.clasp_weights import (
@@ -16,6 +15,7 @@ from hitchopt.checks.bounds.clasp_weights import (
     weight_enclosure,
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
+from hitchopt.checks.bounds.pressed_loads import pressed_loads
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
@@ -25,8 +25,7 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
@@ -45,7 +44,8 @@ def _find(motion: Motion, _: float) -> Finding:
     times the tension, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a
     chain's ends it wraps none. The weight that a clasp carries is its load and what the drones do
     not carry of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the
-    share that they are taut. Where there is weight cables have to press on each other as well: a
+    share that they are taut; of objects it carries what ``hitchopt.motion.carried`` says, their
+    inertia included. Where there is weight cables have to press on each other as well: a
     clasp that does not bear is infinitely far from balance.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
@@ -59,8 +59,11 @@ def _find(motion: Motion, _: float) -> Finding:
     vectors = np.stack(meeting, axis=2)
     rows = vectors.reshape(*vectors.shape[:2], 12, -1)
     blocks = [rows, _pulls(motion)]
-    if motion.team.loaded:
+    pressed = pressed_loads(motion)
+    if motion.team.loaded or pressed is not None:
         blocks += clasp_weights(motion)
+    if pressed is not None:
+        blocks.append(pressed)
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
     found = largest(cells, partial(_bound, noise=noise))
@@ -69,7 +72,7 @@ def _find(motion: Motion, _: float) -> Finding:
         beyond = beyond_friction(motion)
         if beyond.worst > worst:
             worst, time, point = beyond.worst, beyond.time, layout.anchors[beyond.item]
-    if motion.team.loaded:
+    if len(blocks) > 2:
         lifted = largest(cells, partial(contact_bound, noise=noise), within(0.0, "max"))
         if lifted.worst >= 0.0:
             worst, time, point = math.inf, lifted.time, layout.clasps[lifted.item]
@@ -83,7 +86,8 @@ def _pulls(motion: Motion) -> Array:
     """
     layout = motion.team.layout
     tension = motion.tensions.coefficients
-    if motion.leg_tensions is None and not motion.team.loaded:
+    carries = motion.team.loaded or motion.borne is not None
+    if motion.leg_tensions is None and not carries:
         tension = lowered(tension)
         return np.stack([tension[:, layout.ahead], tension[:, layout.behind]], axis=2)
     pull = chord_pulls(motion)
@@ -99,7 +103,7 @@ def _pulls(motion: Motion) -> Array:
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
-    rows, pulls, weights = blocks[0], blocks[1], blocks[2:]
+    rows, pulls, weights, pressed = blocks[0], blocks[1], blocks[2:4], blocks[4:]
     vectors = rows.reshape(len(rows), 4, 3, -1)
     shared = 4 // pulls.shape[1]  # directions along which one pull acts
     tension = pulls if shared == 2 else pulls[:, 1::2]
@@ -112,6 +116,9 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
         order = max(bernstein.degree(residual), bernstein.degree(weight.coefficients))
         residual = bernstein.elevate(residual, order)
         residual[:, 2] -= bernstein.elevate(weight.coefficients, order)
+    for load in pressed:
+        order = max(bernstein.degree(residual), bernstein.degree(load))
+        residual = bernstein.elevate(residual, order) + bernstein.elevate(load[:, :3], order)
     norms = np.linalg.norm(residual, axis=1)
     radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
@@ -119,6 +126,8 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     norms = norms + np.sum(sizes * radius[..., None], axis=1)
     if weights:
         norms = norms + bernstein.elevate(weight.radius, bernstein.degree(norms))
+    for load in pressed:
+        norms = norms + load[:, 3, :1]
     # {|S| <= θ T} is a convex cone in (S, T): coefficients within it keep the curve within it.
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
     pulling = np.max(least, axis=-1, keepdims=True) > 0.0
@@ -134,6 +143,8 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     total = np.sum(forces, axis=1)
     if weights:
         total[:, 2] -= weight_at(weights[0], weights[1], x)
+    for load in pressed:
+        total += bernstein.evaluate(load[:, :3], x[:, None])
     unbalanced = np.linalg.norm(total, axis=-1) + unknown
     weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)

@@ -1,26 +1,39 @@
-"""Check ``keep_out``: drones stay out of prisms, by the radius of their ellipsoids."""
+"""Check ``keep_out``: drones stay off prisms and objects, by the radius of their ellipsoids."""
 
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 
+from hitchopt.checks.bounds.bodies import drone_points
+from hitchopt.checks.bounds.object_frames import seen_from
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
+from hitchopt.checks.bounds.slab_distance import smallest_gap
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Prism
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
-from hitchopt.values import Array
+from hitchopt.trajectory.extremum import Extremum
 
 
 def _find(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of any drone to a prism, zero within."""
+    """Return the smallest distance of any drone to a prism or an object, zero within.
+
+    ``where`` names the drone, and the object where it is one.
+    """
     found = smallest_clearance(motion.drones, motion.requirements.keep_out, limit)
-    where = (motion.team.drone_names[found.item],)
+    where: tuple[str, ...] = (motion.team.drone_names[found.item],)
+    points, poses = drone_points(motion).corners, motion.object_poses.coefficients
+    aim = within(limit, "min", magnitude(motion), 0.5)
+    for index, (name, each) in enumerate(motion.requirements.objects.items()):
+        seen = seen_from(poses[:, index], points)
+        for slab in each.slabs:
+            margin = seen.error + ROUNDING * (magnitude(motion) + slab.size)
+            apart = smallest_gap(motion.drones.breaks, seen.points, slab, margin, aim)
+            if apart.worst < found.worst:
+                found, where = apart, (motion.team.drone_names[apart.item], name)
     return Finding(found.worst, found.time, where, magnitude(motion))
 
 
@@ -37,42 +50,24 @@ def smallest_clearance(
     aim = within(limit, "min", size, 0.5)
     for prism in prisms:
         margin = ROUNDING * (size + float(np.max(np.abs(prism.corners))))
-        cells = Cells.over(part.breaks, [part.coefficients], margin)
-        found = smallest(cells, partial(_bound, prism=prism), aim)
+        points = part.coefficients[:, :, None]
+        found = smallest_gap(part.breaks, points, prism.slab, margin, aim)
         if found.worst < best.worst:
             best = found
-    return Extremum(max(best.worst, 0.0), best.value, best.item, best.time)
+    return best
 
 
-def _bound(blocks: tuple[Array, ...], prism: Prism) -> Estimate:
-    """Return what bounds the distance to a prism from below.
-
-    The distance is the largest, over vectors n no longer than one, of n·p minus the largest n·v of
-    the prism's corners v. Along the normals at both ends of a cell, and between them in between.
-    """
-    (rows,) = blocks
-    degree = rows.shape[-1] - 1
-    first, last = prism.clearance(rows[..., 0]), prism.clearance(rows[..., -1])
-    lengths = np.maximum(np.stack([first.distance, last.distance]), 0.0)
-    towards = []
-    for clearance in (first, last):
-        reach = np.max(clearance.normals @ prism.corners.T, axis=1)
-        product = np.einsum("md,mdk->mk", clearance.normals, rows)
-        towards.append(product - reach[:, None])
-    weight = np.arange(degree + 2) / (degree + 1)
-    coefficients = np.zeros((len(rows), degree + 2))
-    coefficients[:, :-1] = (1.0 - weight[:-1]) * towards[0]
-    coefficients[:, 1:] += weight[1:] * towards[1]
-    x = np.argmin(lengths, axis=0)
-    lowest = np.maximum(np.min(coefficients, axis=-1), 0.0)
-    return Estimate(lowest, np.min(lengths, axis=0), x.astype(np.float64))
+def _limit(motion: Motion) -> float | None:
+    requirements = motion.requirements
+    kept = requirements.keep_out or requirements.objects
+    return requirements.separation.radius if kept else None
 
 
 RULE = CheckRule(
     "keep_out",
     "m",
     "min",
-    lambda motion: motion.requirements.separation.radius if motion.requirements.keep_out else None,
+    _limit,
     (Finder(_find, exported=True),),
-    "move the keep-out volumes, fly farther from them, or lower separation.radius",
+    "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )

@@ -17,9 +17,12 @@ from hitchopt.checks import (
     jerk,
     keep_out,
     legs,
+    object_clearance,
     separation,
     span,
     speed,
+    stoppable,
+    support,
     tension,
     thrust,
     tilt,
@@ -48,11 +51,13 @@ RULES = (
     tension.RULE,
     continuity.RULE,
     interlacing.RULE,
+    object_clearance.RULE,
+    support.RULE,
     duration.RULE,
 )
 """One rule per check; a new check is one file and one line here."""
 
-REPORTS = (tracking_radius.RULE,)
+REPORTS = (tracking_radius.RULE, stoppable.RULE)
 """What a certificate reports after its checks, without a limit."""
 
 RULE_OF = {rule.name: rule for rule in RULES}

@@ -144,12 +144,15 @@ class ReportRule:
     ----------
     name, unit, sense: as in ``Check``.
     find: returns the worst value of a motion; with the findings and ``gamma`` of ``Check``.
+    whole: whether a joined motion has to be looked at anew, its parts not telling of what begins in
+        one and ends in the next. Such a value assumes no ``gamma``.
     """
 
     name: str
     unit: str
     sense: str
     find: Callable[[Motion, Findings, float], Finding]
+    whole: bool = False
 
     def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
         """Return the value as a check that holds."""
@@ -162,5 +165,5 @@ class ReportRule:
             self.unit,
             worst.time,
             worst.where,
-            gamma=gamma,
+            gamma=None if self.whole else gamma,
         )

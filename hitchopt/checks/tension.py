@@ -16,8 +16,8 @@ from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.motion.tensions import ranged_phases, stated_tensions
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LIMIT = 1e-4
@@ -34,7 +34,8 @@ def _find(motion: Motion, _: float) -> Finding:
 
     - A range that the phase states (``Phase.tension``). It is part of the problem, as limits and
       the team's tension are: the plan's file is believed in what was asked for, never in whether it
-      is kept. It holds within its phase only; at both of the phase's ends tensions are the team's.
+      is kept. It holds within its phase only; at both of the phase's ends tensions are the team's,
+      except from one phase to the next while an object is held.
     - A ramp, in which a tension is from 0 to the team's. No file names it: it is next to a span of
       time without a hitch, nothing moves in it, and it ends where the tension comes to the team's,
       which it has to.
@@ -147,12 +148,20 @@ def _ranges(motion: Motion) -> Array:
 
 
 def _off_at_ends(motion: Motion) -> Finding:
-    """Return how far tensions are from the team's where phases that state a range begin or end."""
+    """Return how far tensions are from the team's where phases that state a range begin or end.
+
+    Not where an object is held before and after, as if on before and after the motion: the range is
+    that of a grasp, which its steps share.
+    """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
+    held = [phase.hold is not None for phase in motion.phases] or [False]
+    holding = np.array(held)[motion.phase_of_piece]
+    holding = np.concatenate([holding[:1], holding, holding[-1:]])
     c, team = motion.tensions.coefficients, motion.team.tension
     off = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
         changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.formed
+        changes &= ~(holding[1:-1] & holding[other])
         joints = np.flatnonzero(changes) + shift
         off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
     joint, cable = np.unravel_index(int(np.argmax(off)), off.shape)

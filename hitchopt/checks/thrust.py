@@ -22,14 +22,18 @@ def _find(motion: Motion, _: float) -> Finding:
     ``worst`` and ``limit`` are that drone's; the check holds if all drones satisfy theirs.
     """
     limits = motion.team.max_thrust
-    cells, bound = thrust_cells(motion, limits), partial(_bound, noise=position_margin(motion))
+    cells, bound = (
+        thrust_cells(motion, limits),
+        partial(thrust_bound, noise=position_margin(motion)),
+    )
     found = largest(cells, bound, within(1.0, "max", share=0.5))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)
 
 
-def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+def thrust_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    """Bound the thrusts of cells from above."""
     thrust = thrust_enclosure(blocks, noise)
     norms = np.linalg.norm(thrust.coefficients, axis=-2)
     x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))

@@ -25,12 +25,13 @@ def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
     cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
     aim = within(limit, "max", share=0.5)
-    found = largest(cells, partial(_bound, noise=position_margin(motion)), aim)
+    found = largest(cells, partial(tilt_bound, noise=position_margin(motion)), aim)
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 
 
-def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+def tilt_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+    """Bound the tilts of cells from above [deg]."""
     thrust = thrust_enclosure(blocks, noise)
     f, radius = thrust.coefficients, thrust.radius[:, None]
     angles = _angle(np.linalg.norm(f[:, :2], axis=1), f[:, 2])

@@ -22,7 +22,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.bodies import drone_points
 from hitchopt.checks.bounds.ellipsoid_distance import ellipsoid_metric
@@ -34,8 +33,7 @@ from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 GAMMA = 1.0
 """How many times farther than drones vertices are taken to be off, where nobody says."""

@@ -114,6 +114,12 @@ def interpolate(values: Array) -> Array:
 
 
 @lru_cache
+def interpolation_error(order: int) -> float:
+    """Return by how much coefficients of ``interpolate`` may err, relative to the values."""
+    return float(np.max(np.sum(np.abs(_interpolation(order)), axis=1))) * 2.0**-48
+
+
+@lru_cache
 def nodes(order: int) -> Array:
     """(order + 1,): Chebyshev points of the second kind on [0, 1], ends included."""
     if order == 0:

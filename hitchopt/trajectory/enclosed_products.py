@@ -7,12 +7,10 @@ All are functions on [0, 1] with coefficients (…, d, degree + 1), d = 1 of a s
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosure import Enclosure
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def exact(coefficients: Array, radius: Array | float = 0.0) -> Enclosure:

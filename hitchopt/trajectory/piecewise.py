@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import factorial
 from typing import TYPE_CHECKING
@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.one_line import OneLine
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array
+from hitchopt.values import Array, as_array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewisePolynomial:
+class PiecewisePolynomial(OneLine):
     """Functions of time with values of any shape, polynomial between common breaks.
 
     Parameters
@@ -36,8 +37,7 @@ class PiecewisePolynomial:
     coefficients: Array
 
     def __post_init__(self) -> None:
-        breaks = np.array(self.breaks, dtype=np.float64)
-        coefficients = np.array(self.coefficients, dtype=np.float64)
+        breaks, coefficients = as_array(self.breaks), as_array(self.coefficients)
         if breaks.ndim != 1 or len(breaks) < 2 or coefficients.ndim < 2:
             raise InputError("breaks", breaks.shape, "(pieces + 1,)", "give at least one piece")
         if len(coefficients) != len(breaks) - 1 or coefficients.shape[-1] == 0:
@@ -51,6 +51,11 @@ class PiecewisePolynomial:
         for name, array in (("breaks", breaks), ("coefficients", coefficients)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{self.pieces} pieces of degree {self.degree}"
+        yield f"shape {self.shape}"
+        yield f"{self.breaks[0]:.4g} to {self.breaks[-1]:.4g} s"
 
     @classmethod
     def constant(cls, breaks: ArrayLike, value: ArrayLike, order: int = 0) -> PiecewisePolynomial:

@@ -153,6 +153,7 @@ def test_translation_rotation_mirror_and_reverse_change_nothing_slower_is_slower
     assert checked(slower).bound < 0.51 * worst
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_without_a_limit_nothing_is_checked() -> None:
     motion = random_motion(3, 2)
     assert RULE.check(motion) is None

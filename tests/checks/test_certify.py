@@ -35,6 +35,7 @@ ORDER = [
     "continuity",
     "duration",
     "tracking_radius",
+    "stoppable",
 ]
 ARENA = Arena([-40.0, -50.0, -1.0], [45.0, 40.0, 3.0])
 
@@ -116,7 +117,7 @@ def test_the_checks_come_in_the_order_of_the_table_and_progress_hears_of_each() 
     motion = random_motion(3, 1, arena=ARENA, limits=Limits(duration=10.0))
     heard: list[str] = []
     certificate = certify(motion, heard.append)
-    assert heard == ORDER
+    assert heard == [f"{name}, {i} of {len(ORDER)}" for i, name in enumerate(ORDER)]
     assert [check.name for check in certificate.checks] == ORDER
     assert certificate.duration == motion.duration
     assert certificate["duration"].worst == motion.duration
@@ -153,6 +154,7 @@ def test_limits_and_senses_are_those_of_the_problem() -> None:
         "continuity": ("max", 1e-6),
         "duration": ("max", 9.0),
         "tracking_radius": ("min", None),
+        "stoppable": ("max", None),
     }
 
 

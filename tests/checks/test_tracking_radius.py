@@ -160,10 +160,10 @@ def test_a_larger_gamma_never_helps_and_is_stated() -> None:
     radii = [radius_of(motion, gamma).bound for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
     assert radii == sorted(radii, reverse=True)
     certificate = certify(motion, gamma=1.5)
-    entry = certificate.to_dict()["checks"][-1]
+    entry = certificate.to_dict()["checks"][-2]
     assert (entry["name"], entry["gamma"], entry["limit"]) == ("tracking_radius", 1.5, None)
     assert entry["holds"] is True
-    assert all("gamma" not in other for other in certificate.to_dict()["checks"][:-1])
+    assert all("gamma" not in other for other in certificate.to_dict()["checks"][:-2])
     text = json.dumps(certificate.to_dict(), allow_nan=False)
     assert Certificate.from_dict(json.loads(text)) == certificate
     with pytest.raises(ho.InputError, match="gamma"):

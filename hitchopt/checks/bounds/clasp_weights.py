@@ -97,10 +97,11 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     Parameters
     ----------
     blocks: the four vectors that meet at each clasp (cells, 12, degree + 1), what the cables pull
-        with along each (cells, 4, …), and what ``clasp_weights`` returns.
+        with along each (cells, 4, …), what ``clasp_weights`` returns, and what objects press with
+        on the clasp (cells, 4, …), if any does: half of that is on each cable.
     noise: of positions [m].
     """
-    rows, pulls, others, shares = blocks
+    rows, pulls, others, shares, *pressed = blocks
     vectors = rows.reshape(len(rows), 4, 3, -1)
     along = enclosure.direction(vectors, noise)
     pressing = -np.sum(bernstein.multiply(pulls[:, :2, None], along.coefficients[:, :2]), axis=1)
@@ -108,8 +109,13 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     order = max(bernstein.degree(pressing), bernstein.degree(weight.coefficients))
     pressing = bernstein.elevate(pressing, order)
     pressing[:, 2] += bernstein.elevate(weight.coefficients, order)
+    for load in pressed:
+        order = max(order, bernstein.degree(load))
+        pressing = bernstein.elevate(pressing, order) - 0.5 * bernstein.elevate(load[:, :3], order)
     turned = bernstein.elevate(np.abs(pulls[:, :2]), order) * along.radius[:, :2, None]
     slop = np.sum(turned, axis=1) + bernstein.elevate(weight.radius, order)
+    for load in pressed:
+        slop = slop + load[:, 3, :1]
     products = bernstein.dot(pressing[:, None], along.coefficients) * CONTACT_SIGNS[:, None]
     order = bernstein.degree(products)
     # |C·y - c·y'| <= |C - c| |y| + |c| |y - y'|, for unit vectors y.
@@ -128,11 +134,13 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
 
 def _products_at(blocks: tuple[Array, ...], x: Array) -> Array:
     """Return the largest product of ``contact_bound`` over its tension at x (cells,)."""
-    rows, pulls, others, shares = blocks
+    rows, pulls, others, shares, *pressed = blocks
     y = unit(bernstein.evaluate(rows, x[:, None]).reshape(-1, 4, 3))
     P = bernstein.evaluate(pulls, x[:, None])
     C = -np.sum(P[:, :2, None] * y[:, :2], axis=1)
     C[:, 2] += _halves_at(others, shares, x)[:, 0]
+    for load in pressed:
+        C -= 0.5 * bernstein.evaluate(load[:, :3], x[:, None])
     largest = np.max(np.einsum("cd,cid->ci", C, y) * CONTACT_SIGNS, axis=1)
     tension = np.min(P[:, 1::2], axis=1)
     known = tension > 0.0

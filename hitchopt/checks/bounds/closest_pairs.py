@@ -11,6 +11,7 @@ from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distan
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
+from hitchopt.one_line import OneLine
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, smallest
@@ -24,7 +25,7 @@ MOST_PAIRS = 12
 
 
 @dataclass(frozen=True)
-class ClosestSpan:
+class ClosestSpan(OneLine):
     """A span of time and the pair that comes closest on it.
 
     Attributes
@@ -45,7 +46,7 @@ class ClosestSpan:
 
 
 @dataclass(frozen=True)
-class ClosestPair:
+class ClosestPair(OneLine):
     """A pair of drones over the whole plan.
 
     Attributes
@@ -65,7 +66,7 @@ class ClosestPair:
 
 
 @dataclass(frozen=True)
-class Closeness:
+class Closeness(OneLine):
     """The closest neighbours over time.
 
     Attributes

@@ -9,13 +9,11 @@ cell the bound closes in on the distance, as ``trajectory.distance`` does for po
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.proximity import Metric
 from hitchopt.requirements import Separation
 from hitchopt.trajectory.extremum import Estimate
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 NEWTON = 12
 """Number of Newton iterations for the nearest point; a normal that is off costs tightness only."""

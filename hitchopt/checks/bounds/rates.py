@@ -19,6 +19,8 @@ def rate_rule(
 ) -> CheckRule:
     """Return the rule that holds a derivative of drones, or of vertices, against ``Limits.name``.
 
+    Of acceleration and jerk, plans use the share ``Limits.reserve``.
+
     Parameters
     ----------
     name, unit: of the check; its limit has the same name.
@@ -37,7 +39,7 @@ def rate_rule(
         return Finding(found.worst, found.time, (names[found.item],), 0.0)
 
     def limit_of(motion: Motion) -> float:
-        limit: float = getattr(motion.requirements.limits, name)
+        limit: float = getattr(motion.requirements.limits.planned, name)
         return limit
 
     states = HITCHED_STATE if vertices else frozenset(CableState)

@@ -31,15 +31,18 @@ NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
 
 
-def thrust_cells(motion: Motion, unit: Array) -> Cells:
+def thrust_cells(motion: Motion, unit: Array, *, moving: bool = True) -> Cells:
     """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
 
     Parameters
     ----------
     unit: (drones,) [N], what each drone's forces are divided by.
+    moving: with the drones' accelerations; without, the thrusts of hovering at every place.
     """
     mass = (motion.team.mass / unit)[:, None]
     free = motion.drones.differentiated(2).coefficients * mass[..., None]
+    if not moving:
+        free = np.zeros((*free.shape[:3], 1))
     free[:, :, 2] += mass * GRAVITY
     if motion.team.has_cables:
         legs = pull_vectors(motion)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.hanging_links import steepness_range
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
@@ -30,8 +29,7 @@ from hitchopt.trajectory.enclosed_products import (
 )
 from hitchopt.trajectory.enclosure import Enclosure, direction, inverse_norm, norm
 from hitchopt.trajectory.extremum import Bound, Cells, Estimate
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ORDER = 6
 """Degree in which factors are written: on the cells that matter they err by 1e-9 then."""
@@ -68,30 +66,50 @@ def turning_cells(motion: Motion) -> Cells:
 
 def turning_bound(motion: Motion) -> Bound:
     """Return what bounds the turning rate on ``turning_cells`` from above [rad/s]."""
-    rate_noise = float(np.max(derivative_margin(motion.drones, 1), initial=0.0))
-    rate_noise += float(np.max(derivative_margin(motion.vertices, 1), initial=0.0))
-    return partial(_bound, noise=position_margin(motion), rate_noise=rate_noise)
+    return partial(_bound, noise=position_margin(motion), rate_noise=rate_margin(motion))
+
+
+def rate_margin(motion: Motion) -> float:
+    """Return what rounding adds to the velocity of a leg [m/s]."""
+    parts = (motion.drones, motion.vertices)
+    return sum(float(np.max(derivative_margin(part, 1), initial=0.0)) for part in parts)
 
 
 def _bound(blocks: tuple[Array, ...], noise: float, rate_noise: float) -> Estimate:
+    force, slopes, slop = _divided(blocks)
+    rate = total(exact(slopes[0], slop), load_rate(blocks, noise, rate_noise))
+    return turning(thrust_enclosure(force, noise), rate)
+
+
+def _divided(blocks: tuple[Array, ...]) -> tuple[tuple[Array, ...], tuple[Array, ...], Array]:
+    """Return the blocks of the force, those of its derivatives, and the slop (cells,)."""
     count = FORCE_BLOCKS[len(blocks)]
-    force, slopes, slop = blocks[:count], blocks[count:-1], blocks[-1][:, 0, 0]
-    thrust = reduced(thrust_enclosure(force, noise), ORDER)
-    parts = [exact(slopes[0], slop), _leg_rate(force[1:3], slopes[1:3], noise, rate_noise)]
-    if count > 4:
+    return blocks[:count], blocks[count:-1], blocks[-1][:, 0, 0]
+
+
+def load_rate(blocks: tuple[Array, ...], noise: float, rate_noise: float) -> Enclosure:
+    """Enclose the derivative (cells, 3) of what cables add to the thrust [N/s]."""
+    force, slopes, _ = _divided(blocks)
+    parts = [_leg_rate(force[1:3], slopes[1:3], noise, rate_noise)]
+    if len(force) > 4:
         parts.append(_carried_rate(force[1], force[4], slopes[1], slopes[3], noise, rate_noise))
-    if count > 5:
+    if len(force) > 5:
         parts.append(_hanging_rate(force[5:], slopes[4:]))
-    rate = reduced(total(*parts), ORDER)
+    return total(*parts)
+
+
+def turning(thrust: Enclosure, rate: Enclosure) -> Estimate:
+    """Bound from above how fast a thrust (cells, 3) with a derivative by time turns [rad/s]."""
+    thrust, rate = reduced(thrust, ORDER), reduced(rate, ORDER)
     inverse = inverse_norm(thrust.coefficients, thrust.radius)
-    turning = reduced(scaled(crossed(thrust, rate), inverse), ORDER)
-    turning = scaled(turning, inverse)
-    norms = np.linalg.norm(turning.coefficients, axis=-2)
+    found = reduced(scaled(crossed(thrust, rate), inverse), ORDER)
+    found = scaled(found, inverse)
+    norms = np.linalg.norm(found.coefficients, axis=-2)
     x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))
-    here = np.linalg.norm(bernstein.evaluate(turning.coefficients, x[:, None]), axis=-1)
-    bound = (np.max(norms, axis=-1) + turning.radius) * (1.0 + ROUNDING)
+    here = np.linalg.norm(bernstein.evaluate(found.coefficients, x[:, None]), axis=-1)
+    bound = (np.max(norms, axis=-1) + found.radius) * (1.0 + ROUNDING)
     bound = np.where(np.isfinite(inverse.radius), bound, np.inf)  # a thrust of no direction
-    return Estimate(bound, np.maximum(here - turning.radius, 0.0), x)
+    return Estimate(bound, np.maximum(here - found.radius, 0.0), x)
 
 
 def _leg_rate(

@@ -1,0 +1,198 @@
+"""Certified stops of the common clock: from where on it may slow down from full rate to rest.
+
+A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
+shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
+running on, until a stop can begin; a plan that ends at rest has reached rest there in any case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
+from hitchopt.motion.cutting import REST
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.values import Array, Indices
+
+USUAL_DURATIONS = (0.1, 0.2, 0.3, 0.4, 0.52, 0.68, 0.88)
+"""[s] Durations of stops that are tried first; the shortest is the shortest there is."""
+
+LONG_DURATIONS = (1.15, 1.5, 1.9, 2.5)
+"""[s] Durations that are tried where none of these can be."""
+
+DURATIONS = USUAL_DURATIONS + LONG_DURATIONS
+
+SLOW_DURATIONS = (5.0, 10.0, 20.0)
+"""[s] Longer ones, for plans with a reserve: a small one allows no shorter stops."""
+
+CUTS = 6
+"""Parts, equal in logarithms, of the interval in which the shortest duration lies: it is found to
+within 5 %."""
+
+SPACING = 0.07
+"""[s] Largest distance of stops that are looked at first."""
+
+FINEST = 0.025
+"""Distance of stops at which no more are put between them, relative to the time to rest."""
+
+DECISIVE = 0.97
+"""Share of the longest time to rest from which on stops are put closer to each other."""
+
+PARTS = 6
+"""Largest number of parts into which stretches between stops are divided in one round."""
+
+ROUNDS = 4
+"""Maximum rounds in which stops are put closer."""
+
+
+def stop_phases(start: Array, duration: Array) -> ClockPhases:
+    """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
+    start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
+    jerk = 4.0 / duration**2
+    zero = np.zeros_like(start)
+    first = np.stack([start, zero + 1.0, zero, -jerk], axis=-1)
+    second = advanced(first, 0.5 * duration)
+    second[..., 3] = jerk
+    jets = np.stack([first, second], axis=1).reshape(-1, 4)
+    return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class StopTable:
+    """Stops that keep all limits, by the plan time at which they begin.
+
+    Attributes
+    ----------
+    end: plan time at which the plan ends [s].
+    starts: (stops,) [s], increasing.
+    durations: (stops,) [s]; infinite where no stop was found to begin.
+    """
+
+    end: float
+    starts: Array
+    durations: Array
+
+    @property
+    def waits(self) -> Array:
+        """(stops,) [s]: time from each start to the first rest, its own stop or a later one's."""
+        rests = self.starts + self.durations
+        first = np.minimum.accumulate(rests[::-1])[::-1]
+        found: Array = np.minimum(first, self.end) - self.starts
+        return found
+
+    @property
+    def chosen(self) -> Indices:
+        """(stops,): index of the stop that is at rest first for a command at each start."""
+        rests = self.starts + self.durations
+        index = np.arange(len(rests))
+        first = np.minimum.accumulate(rests[::-1])[::-1]
+        later = np.where(rests == first, index, len(rests) - 1)
+        found: Indices = np.minimum.accumulate(later[::-1])[::-1]
+        return found
+
+    @property
+    def longest(self) -> tuple[Array, Array]:
+        """Longest time to rest [s] from each stretch between starts, (stops,), and its begin [s].
+
+        The last stretch lies between the last start and the end of the plan.
+        """
+        begins = np.concatenate([[min(0.0, self.starts[0])], self.starts])
+        reach = np.append(self.starts + self.waits, self.end)
+        return reach - begins, begins
+
+    def after(self, time: float) -> tuple[float, float]:
+        """Return start and duration [s] of the stop that is first at rest for a command at a time.
+
+        Where running on to the end of the plan is sooner, the end and zero.
+        """
+        first = int(np.searchsorted(self.starts, time))
+        rests = self.starts[first:] + self.durations[first:]
+        if not len(rests) or np.min(rests) >= self.end:
+            return self.end, 0.0
+        best = first + int(np.argmin(rests))
+        return float(self.starts[best]), float(self.durations[best])
+
+
+def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
+    """Return stops that keep all limits of a motion, close to each other where these are longest.
+
+    The end counts as rest only if the drones rest there.
+    """
+    bounds = StopBounds(limits or ClockLimits(motion))
+    begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
+    count = max(2, int(np.ceil((end - begin) / SPACING)) + 1)
+    starts = np.linspace(begin, end, count)[:-1]
+    table = StopTable(_rest(motion), starts, _shortest(bounds, starts))
+    for _ in range(ROUNDS):
+        longest, begins = table.longest
+        ends = np.append(table.starts, end)
+        most = np.max(longest)
+        if not np.isfinite(most):
+            most = np.max(longest, initial=0.0, where=np.isfinite(longest))
+        decisive = longest >= DECISIVE * most
+        # Stops may become shorter near these commands, and near the stops that they lead to.
+        chosen = table.chosen[np.flatnonzero(decisive[:-1])]
+        near = decisive.copy()
+        near[chosen] = near[chosen + 1] = True
+        wide = near & (ends - begins > FINEST * most)
+        if not np.any(wide):
+            break
+        parts = np.minimum(np.ceil((ends - begins)[wide] / (FINEST * most)), PARTS).astype(int)
+        share = np.concatenate([np.arange(1, count) / count for count in parts])
+        more = np.repeat(begins[wide], parts - 1)
+        more += share * np.repeat((ends - begins)[wide], parts - 1)
+        starts = np.concatenate([table.starts, more])
+        durations = np.concatenate([table.durations, _shortest(bounds, more)])
+        order = np.argsort(starts)
+        table = StopTable(table.end, starts[order], durations[order])
+    return table
+
+
+def _rest(motion: Motion) -> float:
+    """Return the end of a motion [s]; infinite if drones move or accelerate there."""
+    moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
+    return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
+
+
+def _shortest(bounds: StopBounds, starts: Array) -> Array:
+    """Return the shortest durations (m,) [s] of stops; infinite where none is found."""
+    high = np.full(len(starts), np.inf)
+    low = np.full(len(starts), DURATIONS[0])
+    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
+    for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
+        left = np.flatnonzero(np.isinf(high))
+        if len(left) and group:
+            tried = np.tile(group, (len(left), 1))
+            low[left], high[left] = _first(bounds, starts[left], low[left], tried)
+    left = np.flatnonzero(np.isfinite(high) & (low < high))
+    tried = low[left, None] * (high / low)[left, None] ** (np.arange(1, CUTS + 1) / CUTS)
+    tried[:, -1] = high[left]
+    high[left] = np.fmin(high[left], _first(bounds, starts[left], low[left], tried[:, :-1])[1])
+    return high
+
+
+def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple[Array, Array]:
+    """Return the durations before and at the first of those ``tried`` (m, k) that can be.
+
+    Where none can be, the last one and infinity.
+    """
+    count = tried.shape[1]
+    kept = _keep(bounds, np.repeat(starts, count), tried.ravel()).reshape(tried.shape)
+    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), count)
+    row = np.arange(len(starts))
+    steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
+    return steps[row, first], steps[row, first + 1]
+
+
+def _keep(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
+    """Return (m,) whether stops are shown to keep all limits."""
+    kept = bounds.keep(starts, durations)
+    if bounds.limits.motion.requirements.limits.body_rate is not None:
+        left = np.flatnonzero(kept)
+        clocks = stop_phases(starts[left], durations[left])
+        kept[left] = bounds.limits.keep(clocks, len(left))
+    return kept

@@ -1,0 +1,141 @@
+"""A plan's derivatives on a grid of times, with bounds between its nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.rounding_margins import derivative_margin
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array, Indices
+
+WIDTH = 0.01
+"""[s] Largest distance of nodes, for plans of up to ``WIDTH * NODES``."""
+
+NODES = 20_000
+"""Largest number of nodes at that distance."""
+
+CURVED = 0.02
+"""Share of the largest jerk by which it may bend between two nodes."""
+
+DENSER = 8.0
+"""How many times closer nodes may be where the jerk bends more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Bounds on cells of a grid, for each drone (cells, drones) or the largest of all (cells, 1).
+
+    Attributes
+    ----------
+    first, second, third: norms of the derivatives by plan time.
+    """
+
+    first: Array
+    second: Array
+    third: Array
+
+    @property
+    def largest(self) -> Sizes:
+        """The largest of all drones."""
+        return Sizes(*(np.max(each, axis=1, keepdims=True) for each in vars(self).values()))
+
+    def taken(self, index: Indices) -> Sizes:
+        """Return those of the chosen cells."""
+        return Sizes(*(each[index] for each in vars(self).values()))
+
+
+class DerivativeGrid:
+    """Nodes at all breaks of a plan and between them; cells lie between nodes of one piece.
+
+    Parameters
+    ----------
+    limits: of the motion.
+
+    Attributes
+    ----------
+    piece: (cells,) in which each lies.
+    begin, until, width: (cells,) [s].
+    values: (nodes, drones, 3), derivatives of orders 1 to 3 by plan time, and static thrusts.
+    fourth, fifth: (pieces, drones), bounds of the norms of these derivatives.
+    slope, bend: (pieces, drones), bounds of the norms of the static thrusts' derivatives.
+    sizes, largest: bounds on all cells, for each drone and for all.
+    """
+
+    def __init__(self, limits: ClockLimits) -> None:
+        drones = limits.motion.drones
+        self.fourth, self.fifth = (
+            np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=2), axis=-1)
+            + derivative_margin(drones, order)
+            for order in (4, 5)
+        )
+        width = max(WIDTH, drones.duration / NODES)
+        bend = np.max(self.fifth, axis=-1) / (8.0 * CURVED * limits.motion.requirements.limits.jerk)
+        density = np.clip(np.nan_to_num(np.sqrt(bend)), 1.0 / width, DENSER / width)
+        parts = np.ceil(drones.durations * density).astype(np.intp)
+        self.piece = np.repeat(np.arange(drones.pieces), parts)
+        within = np.arange(len(self.piece)) - np.repeat(np.cumsum(parts) - parts, parts)
+        x = within / parts[self.piece]
+        self.width = (drones.durations / parts)[self.piece]
+        self.begin = drones.breaks[self.piece] + x * drones.durations[self.piece]
+        self.until = np.append(self.begin[1:], drones.breaks[-1])
+        # Nodes are those where cells begin, and the end of each piece once more.
+        self._left = np.arange(len(self.piece)) + self.piece
+        nodes = np.repeat(np.arange(drones.pieces), parts + 1)
+        place = np.zeros(len(nodes))
+        place[self._left] = x
+        place[np.cumsum(parts + 1) - 1] = 1.0
+        force = limits.static.thrust.coefficients
+        self.values = [_at(c, nodes, place) for c in (*limits.derivatives, force)]
+        slope = _slope(force, drones.durations)
+        self.slope, self.bend = (
+            np.max(np.linalg.norm(c, axis=2), axis=-1)
+            for c in (slope, _slope(slope, drones.durations))
+        )
+        self.sizes = self._bounded(limits.margins)
+        self.largest = self.sizes.largest
+
+    def _bounded(self, margins: list[Array]) -> Sizes:
+        """Return bounds on all cells, for each drone."""
+        bend = (self.width**2 / 8.0)[:, None]
+        first, second, third = (margin[self.piece] for margin in margins)
+
+        def ends(values: Array) -> Array:
+            sizes = lengths(values)
+            most: Array = np.maximum(sizes[self._left], sizes[self._left + 1])
+            return most
+
+        J = ends(self.values[2]) + bend * self.fifth[self.piece] + third
+        A = ends(self.values[1]) + bend * self.fourth[self.piece] + second
+        return Sizes(ends(self.values[0]) + bend * J + first, A, J)
+
+    def on_chord(self, order: int, cell: Indices, tau: Array) -> Array:
+        """Return (rows, drones, 3): ``values[order]`` on the chords between nodes."""
+        left = self._left[cell]
+        share = tau[:, None, None]
+        found: Array = self.values[order][left]
+        found += share * (self.values[order][left + 1] - found)
+        return found
+
+
+def _at(coefficients: Array, pieces: Indices, x: Array) -> Array:
+    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces."""
+    weights = bernstein.basis(x, bernstein.degree(coefficients))
+    found = np.zeros((len(x), *coefficients.shape[1:3]))
+    for k in range(weights.shape[-1]):  # one coefficient at a time: little memory
+        found += weights[:, k, None, None] * coefficients[pieces, :, :, k]
+    return found
+
+
+def _slope(coefficients: Array, durations: Array) -> Array:
+    """Return the derivative by time of polynomials (pieces, drones, 3, m)."""
+    slope: Array = bernstein.differentiate(coefficients) / durations[:, None, None, None]
+    return slope
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the norms of vectors (…, 3)."""
+    length: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return length

@@ -1,0 +1,123 @@
+"""Distances of carried objects to all others, bounded for all t.
+
+Upright bodies are as far apart as their level distance and the difference of their heights tell;
+each of the two is bounded on its own.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.bounds.object_frames import heading_error, seen_from
+from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
+from hitchopt.checks.bounds.slab_distance import nearest
+from hitchopt.checks.rule import Finding
+from hitchopt.motion.motion import Motion
+from hitchopt.objects import Slab
+from hitchopt.objects.placing import STILL, TOUCH
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+from hitchopt.values import Array
+
+TALL = 1e3
+"""[m] Half of the height of what stands for an object as seen from above."""
+
+
+def carried_gap(motion: Motion) -> Finding:
+    """Return the smallest distance of an object that moves to another one [m].
+
+    While it goes straight up or down it may touch what is below it: there it counts only
+    that it does not go into that. ``where`` names the two.
+    """
+    best = Finding(math.inf, 0.0)
+    if motion.poses is None:
+        return best
+    objects, poses = motion.requirements.objects, motion.poses.coefficients
+    moving = np.ptp(poses, axis=-1)  # (pieces, objects, 5)
+    going = np.any(moving > STILL, axis=-1)
+    upright = np.max(moving[..., [0, 1, 3, 4]], axis=-1) <= TOUCH
+    size = magnitude(motion)
+    for index, (name, each) in enumerate(objects.items()):
+        if not np.any(going[:, index]):
+            continue
+        for slab in each.slabs:
+            corners = placed_core(poses[:, index], slab)
+            for other, (label, obstacle) in enumerate(objects.items()):
+                if other == index:
+                    continue
+                seen = seen_from(poses[:, other], corners[:, None])
+                for body in obstacle.slabs:
+                    margin = seen.error + ROUNDING * (size + slab.size + body.size)
+                    margin += heading_error(poses[:, index, 3:]) * slab.section.circumradius
+                    rows = seen.points.reshape(*seen.points.shape[:2], -1, seen.points.shape[-1])
+                    cells = Cells.over(motion.drones.breaks, [rows], margin)
+                    touching = upright[:, index] & _above(seen.points[:, 0], body)
+                    cells = cells.take(going[:, index] & ~touching)
+                    if len(cells) == 0:
+                        continue
+                    found = smallest(cells, partial(_bound, slab=slab, body=body))
+                    if found.worst < best.worst:
+                        best = Finding(max(found.worst, 0.0), found.time, (name, label), size)
+    return best
+
+
+def placed_core(poses: Array, slab: Slab) -> Array:
+    """Return where a slab's core and its floor are (pieces, corners, 3, degree + 1) [m].
+
+    Parameters
+    ----------
+    poses: of its object, (pieces, 5, degree + 1).
+    slab: in the object's frame.
+    """
+    core = slab.section.core[:, :, None]
+    c, s = poses[:, None, 3], poses[:, None, 4]
+    x = core[:, 0] * c - core[:, 1] * s + poses[:, None, 0]
+    y = core[:, 0] * s + core[:, 1] * c + poses[:, None, 1]
+    z = np.broadcast_to(poses[:, None, 2] + slab.lower, x.shape)
+    return np.stack([x, y, z], axis=2)
+
+
+def _above(corners: Array, body: Slab) -> NDArray[np.bool_]:
+    """Return (pieces,) where corners (pieces, corners, 3, …) stay on or above a body."""
+    lowest: Array = np.min(corners[:, :, 2], axis=(1, 2))
+    return lowest >= body.upper - TOUCH
+
+
+def _bound(blocks: tuple[Array, ...], slab: Slab, body: Slab) -> Estimate:
+    """Bound the distance of a slab with given corners to a body from below."""
+    (rows,) = blocks
+    corners = rows.reshape(len(rows), -1, 3, rows.shape[-1])
+    half = bernstein.basis(np.array(0.5), bernstein.degree(rows))
+    heights, tallness = corners[:, 0, 2], slab.upper - slab.lower
+    level, middle = _level(corners[:, :, :2], half, slab, body)
+    over = np.maximum(heights - body.upper, body.lower - heights - tallness)
+    above = np.min(heights, axis=-1) - body.upper
+    below = body.lower - np.max(heights, axis=-1) - tallness
+    upward = np.maximum(np.maximum(above, below), 0.0)
+    there = np.maximum(over @ half, 0.0)
+    return Estimate(np.hypot(level, upward), np.hypot(middle, there), np.full(len(rows), 0.5))
+
+
+def _level(corners: Array, half: Array, slab: Slab, body: Slab) -> tuple[Array, Array]:
+    """Return lower bounds (cells,) [m] of level distances, and those at mid time.
+
+    Along directions in which one of the sides of the slab is nearest to the body at mid time.
+    """
+    here = corners @ half  # (cells, corners, 2)
+    sides = np.stack([here, np.roll(here, -1, axis=1)], axis=2)
+    flat = np.concatenate([sides, np.zeros_like(sides[..., :1])], axis=-1)
+    _, normals = nearest(flat, Slab(body.section, -TALL, TALL))
+    towards = normals[..., :2]  # (cells, sides, 2)
+    products = np.einsum("csd,ckdi->cski", towards, corners)
+    reach = body.section.support(towards) + slab.section.rounding
+    least = np.min(products, axis=(2, 3)) - reach
+    there = np.min(products @ half, axis=2) - reach
+    best = np.argmax(there, axis=1)[:, None]
+    found: tuple[Array, ...] = tuple(
+        np.maximum(np.take_along_axis(each, best, axis=1)[:, 0], 0.0) for each in (least, there)
+    )
+    return found[0], found[1]

@@ -1,0 +1,265 @@
+"""Whether stops of the common clock keep all limits: bounds of second order on a fine grid.
+
+A stop of duration T that begins at plan time t has, at w of its time, the rate ``1 - 2 w²`` up to
+its middle and ``2 v²`` after that, v = 1 - w; its plan time is ``t + T (w - 2/3 w³)`` and then
+``t + T (1/2 - 2/3 v³)``. All derivatives by plan time are known at the grid's nodes; between two of
+them, a vector F is no longer than at the longer end plus ``h²/8`` times a bound of F'':
+
+- acceleration and first half of the jerk: by real time, F'' is the plan's fourth or fifth
+  derivative on the clock;
+- second half of the jerk: a polynomial of v³, which is linear in plan time, so F'' is taken by that
+  and stays small up to the rest;
+- static forces: by real time, ``s² h'' + ṡ h'``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.derivative_grid import DerivativeGrid, Sizes, lengths
+from hitchopt.checks.bounds.rounding_margins import ROUNDING
+from hitchopt.time_limit import check_time
+from hitchopt.values import Array, Indices
+
+Flags = NDArray[np.bool_]
+
+SWITCH = 5.0 / 12.0
+"""Plan time over duration at which the clock's jerk changes its sign."""
+
+ROWS = 20_000
+"""Parts of stops that are looked at in one go."""
+
+VECTORS = 60_000
+"""Vectors of each kind that are looked at in one go."""
+
+SLACK = 1e-9
+"""Relative margin for the clock's rounding."""
+
+
+class _Rows(NamedTuple):
+    """Parts of stops within one cell of the grid; each array is (rows,), pairs are of both ends.
+
+    Attributes
+    ----------
+    stop: whose they are.
+    cell: of the grid.
+    late: whether in the second half.
+    whole: whether a row covers its cell.
+    T: duration of the stop [s].
+    tau: (2, rows), plan time from the cell's begin over its width.
+    s, a: (2, rows), rate and its derivative.
+    j: second derivative of the rate.
+    v: 1 - w where each begins.
+    time: how long each takes [s].
+    """
+
+    stop: Indices
+    cell: Indices
+    late: Flags
+    whole: Flags
+    T: Array
+    tau: Array
+    s: Array
+    a: Array
+    j: Array
+    v: Array
+    time: Array
+
+    def taken(self, index: Indices) -> _Rows:
+        """Return the chosen rows."""
+        return _Rows(
+            self.stop[index],
+            self.cell[index],
+            self.late[index],
+            self.whole[index],
+            *(each[..., index] for each in self[4:]),
+        )
+
+
+class StopBounds:
+    """The limits of a motion, for stops from full rate.
+
+    Parameters
+    ----------
+    limits: of the motion, for clocks of any kind.
+    """
+
+    def __init__(self, limits: ClockLimits) -> None:
+        self.limits = limits
+        self._grid = DerivativeGrid(limits)
+        self._vectors = max(1, VECTORS // max(1, len(limits.motion.team.mass)))
+
+    def keep(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether stops that begin at plan times [s] are shown to keep all limits.
+
+        All but that of turning.
+
+        Parameters
+        ----------
+        start, duration: (stops,) [s].
+        """
+        kept = np.zeros(len(start), dtype=np.bool_)
+        size = self._vectors
+        for first in range(0, len(start), size):
+            part = slice(first, first + size)
+            kept[part] = self._samples(start[part], duration[part])
+        stops = np.flatnonzero(kept)
+        count = np.searchsorted(self._grid.begin, (start + 0.5 * duration)[stops]) + 3
+        count = np.cumsum(count - np.searchsorted(self._grid.begin, start[stops]))
+        group = count // ROWS
+        for first in range(int(group[-1]) + 1 if len(group) else 0):
+            check_time()
+            self._look(self._rows(start, duration, stops[group == first]), kept)
+        return kept
+
+    def _samples(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether drones keep their limits at the begin and before the middle."""
+        limits = self.limits.motion.requirements.limits
+        kept = np.ones(len(start), dtype=np.bool_)
+        for w, s in ((0.0, 1.0), (0.5, 0.5)):
+            time = np.minimum(start + (w - 2.0 / 3.0 * w**3) * duration, self._grid.until[-1])
+            cell = np.maximum(np.searchsorted(self._grid.begin, time, side="right") - 1, 0)
+            share = (time - self._grid.begin[cell]) / self._grid.width[cell]
+            x1, x2, x3 = (self._grid.on_chord(order, cell, share) for order in range(3))
+            a, j = (each[:, None, None] for each in (-4.0 * w / duration, -4.0 / duration**2))
+            jerk = lengths(s**3 * x3 + 3.0 * s * a * x2 + j * x1)
+            kept &= np.all(jerk <= limits.jerk, axis=-1)
+            acceleration = lengths(s**2 * x2 + a * x1)
+            kept &= np.all(acceleration <= limits.acceleration, axis=-1)
+        return kept
+
+    def _rows(self, start: Array, duration: Array, stops: Indices) -> _Rows:
+        """Return stops cut at the grid's nodes; a plan rests after its end."""
+        t, T = (np.repeat(each[stops], 2) for each in (start, duration))
+        late = np.arange(len(t)) % 2 == 1
+        low = t + np.where(late, SWITCH * T, 0.0)
+        high = t + np.where(late, 0.5, SWITCH) * T
+        first = np.searchsorted(self._grid.begin, low, side="right") - 1
+        last = np.searchsorted(self._grid.begin, high, side="left") - 1
+        count = np.where(low < self._grid.until[-1], last - first + 1, 0)
+        own = np.repeat(np.arange(len(t)), count)
+        cell = np.arange(len(own)) - np.repeat(np.cumsum(count) - count - first, count)
+        begin, until = self._grid.begin[cell], self._grid.until[cell]
+        tau = np.stack([np.maximum(begin, low[own]), np.minimum(until, high[own])])
+        whole = (tau[0] == begin) & (tau[1] == until)
+        late, t, T = late[own], t[own], T[own]
+        p = (tau - t) / T
+        early = np.sqrt(2.0) * np.sin(np.arcsin(np.clip(3.0 / np.sqrt(2.0) * p, 0.0, 1.0)) / 3.0)
+        v = np.where(late, np.cbrt(np.maximum(0.75 - 1.5 * p, 0.0)), 1.0 - early)
+        w = 1.0 - v
+        s = np.where(late, 2.0 * v * v, 1.0 - 2.0 * w * w)
+        a = -4.0 / T * np.where(late, v, w)
+        j = np.where(late, 4.0, -4.0) / T**2
+        share = (tau - begin) / self._grid.width[cell]
+        return _Rows(
+            np.repeat(stops, 2)[own], cell, late, whole, T, share, s, a, j, v[0], (w[1] - w[0]) * T
+        )
+
+    def _look(self, rows: _Rows, kept: Flags) -> None:
+        """Set ``kept`` to False for stops that are not shown to keep a limit in these rows."""
+        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
+        most = self._grid.largest.taken(rows.cell)
+        acceleration = _acceleration(most, rows)[:, 0] * (1.0 + SLACK)
+        jerk = _jerk(most, rows)[:, 0] * (1.0 + SLACK)
+        piece = self._grid.piece[rows.cell]
+        fine = (acceleration <= limits.acceleration) & (jerk <= limits.jerk)
+        fine &= acceleration <= np.min((team.max_thrust - self.limits.hover) / team.mass, 1)[piece]
+        fine &= acceleration <= np.min(-self.limits.beyond / team.mass, 1)[piece]
+        left = np.flatnonzero(~fine)
+        size = self._vectors
+        for first in range(0, len(left), size):
+            check_time()
+            part = left[first : first + size]
+            part = part[kept[rows.stop[part]]]
+            if len(part):
+                own = rows.taken(part)
+                kept[own.stop[~self._keeps(own)]] = False
+
+    def _keeps(self, rows: _Rows) -> Flags:
+        """Return (rows,) whether all drones are shown to keep all limits."""
+        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
+        piece, sizes = self._grid.piece[rows.cell], self._grid.sizes.taken(rows.cell)
+        fourth, fifth = self._grid.fourth[piece], self._grid.fifth[piece]
+        first, second, third = (margin[piece] for margin in self.limits.margins)
+        chord = np.where(rows.whole, 0.0, self._grid.width[rows.cell] ** 2 / 8.0)[:, None]
+        time = (rows.time**2 / 8.0)[:, None]
+        step = ((self._grid.width[rows.cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0)[:, None]
+        T, v, s = (each[:, None] for each in (rows.T, rows.v, rows.s[0]))
+        a, j = np.max(np.abs(rows.a), axis=0)[:, None], np.abs(rows.j)[:, None]
+        V, A, J = sizes.first, sizes.second, sizes.third
+        # How far vectors may be from those at the ends of rows, these taken on chords of cells.
+        bent = time * (s**4 * fourth + 6.0 * s**2 * a * J + (3.0 * a**2 + 4.0 * s * j) * A)
+        bent += chord * (s**2 * fourth + a * J) + s**2 * second + a * first
+        early = (s**5 * fifth + 10.0 * s**3 * a * fourth) + 10.0 * a * j * A
+        early += (15.0 * s * a**2 + 10.0 * s**2 * j) * J
+        late = 112.0 / T**2 * J + 72.0 / T * v**3 * fourth + 8.0 * v**6 * fifth
+        bend = np.where(rows.late[:, None], step * late, time * early)
+        bend += chord * (s**3 * fifth + 3.0 * s * a * fourth + j * J)
+        bend += s**3 * third + 3.0 * s * a * second + j * first
+        accelerations, jerk = [], np.zeros_like(V)
+        for end, tau in enumerate(rows.tau):
+            x1, x2, x3 = (self._grid.on_chord(order, rows.cell, tau) for order in range(3))
+            s1, a1, j1 = (each[:, None, None] for each in (rows.s[end], rows.a[end], rows.j))
+            accelerations.append(s1**2 * x2 + a1 * x1)
+            there = lengths(s1**3 * x3 + 3.0 * s1 * a1 * x2 + j1 * x1)
+            jerk = np.maximum(jerk, there)
+        acceleration = np.maximum(*(lengths(each) for each in accelerations)) + bent
+        acceleration = np.minimum(acceleration, _acceleration(sizes, rows)) * (1.0 + SLACK)
+        jerk = np.minimum(jerk + bend, _jerk(sizes, rows)) * (1.0 + SLACK)
+        kept: Flags = np.all((acceleration <= limits.acceleration) & (jerk <= limits.jerk), axis=-1)
+        extra = team.mass * acceleration
+        fine = self.limits.hover[piece] + extra <= team.max_thrust
+        fine &= self.limits.beyond[piece] + extra <= 0.0
+        left = np.flatnonzero(kept & ~np.all(fine, axis=-1))
+        if len(left):
+            forces = [each[left] for each in accelerations]
+            kept[left] = self._force_keeps(rows.taken(left), forces, bent[left])
+        return kept
+
+    def _force_keeps(self, rows: _Rows, accelerations: list[Array], bent: Array) -> Flags:
+        """Return (rows,) whether all thrusts and tilts are shown to keep their limits.
+
+        Parameters
+        ----------
+        accelerations: (rows, drones, 3) at both ends of rows [m/s²].
+        bent: (rows, drones), by how much they differ from these within.
+        """
+        motion = self.limits.motion
+        team, piece = motion.team, self._grid.piece[rows.cell]
+        cos, sin = np.cos(self.limits.tilt), np.sin(self.limits.tilt)
+        chord = np.where(rows.whole, 0.0, self._grid.width[rows.cell] ** 2 / 8.0)[:, None]
+        time, s = (rows.time**2 / 8.0)[:, None], rows.s[0][:, None]
+        a = np.max(np.abs(rows.a), axis=0)[:, None]
+        slope, bend = self._grid.slope[piece], self._grid.bend[piece]
+        radius = self.limits.static.thrust.radius[piece] + ROUNDING * self.limits.hover[piece]
+        radius += team.mass * bent + chord * bend + time * (s**2 * bend + a * slope)
+        kept = np.ones(len(piece), dtype=np.bool_)
+        for tau, acceleration in zip(rows.tau, accelerations, strict=True):
+            force = self._grid.on_chord(3, rows.cell, tau)
+            force += team.mass[:, None] * acceleration
+            thrust = lengths(force) + radius
+            beyond = np.hypot(force[..., 0], force[..., 1]) * cos - force[..., 2] * sin + radius
+            kept &= np.all((thrust <= team.max_thrust) & (beyond <= 0.0), axis=-1)
+        return kept
+
+
+def _acceleration(sizes: Sizes, rows: _Rows) -> Array:
+    """Return a bound of the acceleration [m/s²]."""
+    s, a = rows.s[0], np.max(np.abs(rows.a), axis=0)
+    found: Array = (s * s)[:, None] * sizes.second + a[:, None] * sizes.first
+    return found
+
+
+def _jerk(sizes: Sizes, rows: _Rows) -> Array:
+    """Return a bound of the jerk [m/s³]."""
+    s, a, j = rows.s[0], np.max(np.abs(rows.a), axis=0), np.abs(rows.j)
+    found: Array = (
+        (s**3)[:, None] * sizes.third
+        + (3.0 * s * a)[:, None] * sizes.second
+        + j[:, None] * sizes.first
+    )
+    return found

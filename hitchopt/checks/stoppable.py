@@ -1,0 +1,21 @@
+"""Report ``stoppable``: how long it takes until all drones rest, from the command to stop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_stops import stop_table
+from hitchopt.checks.rule import Finding, Findings, ReportRule
+from hitchopt.motion.motion import Motion
+
+
+def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
+    """Return the longest time [s] over all times of the command, and about when that is."""
+    del found, gamma
+    with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
+        longest, begins = stop_table(motion).longest
+    worst = int(np.argmax(longest))
+    return Finding(float(longest[worst]), float(begins[worst]))
+
+
+RULE = ReportRule("stoppable", "s", "max", _find, whole=True)

@@ -1,0 +1,1 @@
+"""Setpoints streamed to a fleet, steered by an operator, with landings prepared before."""

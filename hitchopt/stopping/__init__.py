@@ -1,0 +1,1 @@
+"""Stops, changes of rate and aborts of a plan in flight."""

@@ -1,0 +1,236 @@
+"""Aborts: certified continuations of a plan from the moving state at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Literal, get_args
+
+import numpy as np
+
+from hitchopt.checks import certify
+from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.motion.cutting import rests
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.phases import JOINT, CableState
+from hitchopt.motion.retiming import before, followed, resting, retimed
+from hitchopt.steps.certified_motions import Certified, infeasible
+from hitchopt.stopping.grounding import descended, released
+from hitchopt.stopping.player import Player
+from hitchopt.values import not_negative
+
+How = Literal["hold", "back", "release_and_land", "land"]
+
+WAYS: tuple[How, ...] = get_args(How)
+
+HOLD = 1.0
+"""[s] Time at rest at the end of a hold."""
+
+APART = 0.1
+"""[s] Rests that are tried one after the other are at least so far apart."""
+
+TRIES = 8
+"""Number of rests from which a continuation is tried."""
+
+PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
+"""States between hanging and hitched cables, that nothing but the clock leads out of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stopped:
+    """A plan that has come to rest.
+
+    Attributes
+    ----------
+    motion: the plan up to the rest.
+    start: plan time at which the clock begins to slow down [s].
+    seconds: time from there to the rest [s].
+    time: plan time at the rest [s].
+    """
+
+    motion: Motion
+    start: float
+    seconds: float
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Abort:
+    """A plan with a certified continuation.
+
+    Attributes
+    ----------
+    start: plan time at which the clock begins to slow down [s]; until then it is the plan.
+    seconds: time from there to rest [s].
+    rest: plan time at the rest [s].
+    certified: the whole motion with its certificate.
+    """
+
+    start: float
+    seconds: float
+    rest: float
+    certified: Certified
+
+
+class Aborts:
+    """The aborts of one plan: what they have in common is computed once.
+
+    Parameters
+    ----------
+    motion: the plan.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self.player = Player(motion)
+
+    @property
+    def stops(self) -> StopTable:
+        """The stops of the common clock."""
+        return self.player.stops
+
+    def found(self, time: float, how: str) -> Abort:
+        """Return the first abort for a command at a time [s].
+
+        Parameters
+        ----------
+        time: plan time of the command [s].
+        how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
+            cables hang free, or to the start without cables; ``release_and_land`` stops, unties
+            what is tied and lands; ``land`` stops and goes straight down, tied or not.
+
+        Raises
+        ------
+        InputError: a time outside the plan, or another word.
+        InfeasibleError: no such continuation was found; says what binds.
+        """
+        if how not in WAYS:
+            raise InputError("how", how, f"one of {', '.join(WAYS)}", "choose one of them")
+        if not_negative("t", time) > self.motion.duration:
+            raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
+        refusal: InfeasibleError | None = None
+        for stopped in islice(self.stopped(time), TRIES):
+            try:
+                certified = self.continued(stopped, how)
+            except InfeasibleError as error:
+                refusal = refusal or error
+            else:
+                return Abort(stopped.start, stopped.seconds, stopped.time, certified)
+        if refusal is None:
+            raise _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
+        raise refusal
+
+    def stopped(self, time: float) -> Iterator[Stopped]:
+        """Yield the plan stopped after a time [s], at the first rest and at later ones.
+
+        Rests that the states of the cables do not allow are left out: before the chords of a swap
+        have met, or while tensions are not the team's.
+        """
+        starts, durations = self.stops.starts, self.stops.durations
+        ahead = (starts >= time) & np.isfinite(durations)
+        options = [
+            (start + duration, start, duration)
+            for start, duration in zip(starts[ahead], durations[ahead], strict=True)
+        ]
+        still = self.motion.drones.breaks[rests(self.motion)]
+        options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
+        latest = -np.inf
+        for rest, start, duration in sorted(options):
+            if duration > 0.0 and rest < latest + APART:
+                continue
+            latest = rest
+            found = self._stop(float(start), float(duration))
+            if found is not None:
+                yield found
+
+    def _stop(self, start: float, duration: float) -> Stopped | None:
+        """Return the plan stopped by the clock, unless its cables do not allow that."""
+        motion, time = self.motion, start
+        parts = [before(motion, start)] if start > JOINT else []
+        if duration > 0.0:
+            clock = stop_phases(np.array([start]), np.array([duration]))
+            parts.append(retimed(motion, clock))
+            time = float(clock.ends[-1, 0])
+        if not parts:
+            parts = [resting(motion, HOLD, first=True)]
+        whole = parts[0] if len(parts) == 1 else followed(*parts)
+        whole = replace(whole.untimed, assignment=motion.assignment)
+        if whole.phases[-1].formed:
+            off = whole.tensions.coefficients[-1, :, -1] - motion.team.tension
+            if np.max(np.abs(off)) > RULE_OF["tension"].limit_of(motion):
+                return None
+        if whole.phases[-1].state in PASSING:
+            held = followed(whole, resting(whole, HOLD))
+            check = RULE_OF["interlacing"].check(held)
+            if check is not None and not check.holds:
+                return None
+        return Stopped(whole, start, duration, time)
+
+    def continued(self, stopped: Stopped, how: str) -> Certified:
+        """Return the certified continuation of a plan at rest.
+
+        Raises
+        ------
+        InfeasibleError: as abort.
+        """
+        whole, time = stopped.motion, stopped.time
+        phase = None
+        if how == "back":
+            goal, phase = self._last_free(time)
+            whole = self._sought(whole, time, goal)
+        elif how != "hold":
+            if whole.phases[-1].state in PASSING:
+                time = self._way_out(time)
+                whole = self._sought(whole, stopped.time, time)
+            whole = released(whole) if how == "release_and_land" else descended(whole)
+        if how in ("hold", "back"):
+            whole = followed(whole, resting(whole, HOLD, phase))
+        certificate = certify(whole)
+        if not certificate.certified:
+            raise infeasible(certificate, whole)
+        return Certified(whole, certificate)
+
+    def _sought(self, whole: Motion, time: float, goal: float) -> Motion:
+        """Return a plan at rest at a plan time followed by the clock's move to another one."""
+        if abs(goal - time) <= JOINT:
+            return whole
+        clock = self.player.path(time, goal)
+        return followed(whole, retimed(self.motion, clock))
+
+    def _last_free(self, time: float) -> tuple[float, Phase]:
+        """Return the plan time at which cables have hung free last, up to ``time``, and its phase.
+
+        Without cables, that is where the plan begins.
+        """
+        first = self.motion.phases[0]
+        if not self.motion.team.has_cables:
+            return first.start, first
+        begun = [phase for phase in self.motion.phases if phase.start < time + JOINT]
+        for phase in reversed(begun):
+            if phase.state in (CableState.FREE, CableState.GROUND):
+                return min(time, phase.end), phase
+        raise _refused(
+            f"back from t = {time:.4g} s: cables have not hung free before",
+            "choose hold, land or release_and_land",
+        )
+
+    def _way_out(self, time: float) -> float:
+        """Return the plan time at which cables that are being tied or untied hang free again.
+
+        Ahead where they are being untied, behind where they are being tied.
+        """
+        phases = self.motion.phases
+        after = [phase for phase in phases if phase.end > time + JOINT]
+        following = next((phase for phase in after if phase.state not in PASSING), None)
+        if following is None:
+            return self.motion.duration
+        if following.formed:
+            return self._last_free(time)[0]
+        return following.start
+
+
+def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
+    return InfeasibleError([], f"no abort {when}; {remedy}")

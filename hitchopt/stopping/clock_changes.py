@@ -1,0 +1,90 @@
+"""The search for a change of a clock's rate that keeps all limits of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
+from hitchopt.stopping.clock_profiles import NOTHING, phases_of
+from hitchopt.stopping.one_way_spans import leans
+from hitchopt.trajectory.clock_phases import ClockPhases, together
+from hitchopt.values import Array
+
+LADDER = tuple(np.geomspace(DURATIONS[0], DURATIONS[-1], 18).tolist())
+"""[s] Durations of a change of the rate by 1 that are tried first."""
+
+STEADY = 1e-9
+"""Rates closer than this are the same."""
+
+Change = Callable[[Array, float], ClockPhases | None]
+"""Function of a jet (3,) and a duration; gives the phases of a change that begins there."""
+
+
+class ChangeSearch:
+    """Changes of a plan's clock, verified for all of their time.
+
+    Parameters
+    ----------
+    limits: of the plan.
+    """
+
+    def __init__(self, limits: ClockLimits) -> None:
+        self.limits = limits
+        self.motion = limits.motion
+
+    def first(
+        self, bases: Sequence[ClockPhases], here: Array, change: Change, rate: float
+    ) -> ClockPhases | None:
+        """Return the first change that keeps all limits; None if there is none.
+
+        Short ones are preferred, even where they begin later.
+
+        Parameters
+        ----------
+        bases: what the clock may do before, the soonest first.
+        here: (3,) plan time [s], rate and its derivative now.
+        change: gives the changes.
+        rate: at their end.
+        """
+        for durations in (LADDER, SLOW_DURATIONS):
+            for before in bases:
+                begin = before.ends[-1, :3] if len(before) else here
+                made = [change(begin, duration) for duration in durations]
+                options = [before.followed_by(each) for each in made if each is not None]
+                found = self._shortest([each for each in options if self._may_fly(each)], rate)
+                if found is not None:
+                    return found
+        return None
+
+    def _shortest(self, options: Sequence[ClockPhases], rate: float) -> ClockPhases | None:
+        """Return the shortest of these that keeps all limits, with what follows it."""
+        if not options:
+            return None
+        tailed = [made.followed_by(self._tail(made, rate)) for made in options]
+        kept = self.limits.keep(together(tailed), len(tailed), sampled=True)
+        order = np.argsort([float(np.sum(made.duration)) for made in options])
+        for i in order[kept[order]].tolist():
+            if self.limits.keep(tailed[i], 1)[0]:
+                found: ClockPhases = options[i]
+                return found
+        return None
+
+    def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
+        """Return the run at a constant rate that follows; the plan's own rate needs no look."""
+        if abs(rate) in (0.0, 1.0) or not len(made):
+            return NOTHING
+        begin, end = self.motion.drones.breaks[[0, -1]]
+        time = made.ends[-1, 0]
+        left = end - time if rate > 0.0 else time - begin
+        if left <= 0.0:
+            return NOTHING
+        return phases_of(np.array([time, rate, 0.0]), np.array([left / abs(rate)]), np.zeros(1))
+
+    def _may_fly(self, made: ClockPhases) -> bool:
+        """Whether no cable slides back where legs lean."""
+        backward = np.minimum(made.jets[:, 1], made.ends[:, 1]) < -STEADY
+        spans = np.sort(np.stack([made.jets[:, 0], made.ends[:, 0]], axis=-1)[backward], axis=-1)
+        return not any(leans(self.motion, first, last) for first, last in spans.tolist())

@@ -1,0 +1,152 @@
+"""What brings a plan at rest to the ground: untied first, or as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.hitch import Hitch
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.phases import CableState
+from hitchopt.motion.retiming import followed
+from hitchopt.planners.forming.straight import straight
+from hitchopt.steps import Land, Release
+from hitchopt.steps.situation import Situation, StepTask
+from hitchopt.steps.tying_site import lifted
+from hitchopt.values import Array
+
+SAME = 1e-7
+"""[m] Drones of a hitch found again stand where the plan has them, within this."""
+
+ROUNDS = 8
+"""Corrections of the lengths of legs that sag."""
+
+
+def released(whole: Motion) -> Motion:
+    """Return a plan at rest followed by untying its hitch, if there is one, and landing.
+
+    Raises
+    ------
+    InfeasibleError: there is no plan for it, or the hitch is not one that a step can start from.
+    """
+    if not whole.phases[-1].formed:
+        return descended(whole)
+    task = _task(whole)
+    untied = Release().plan(task)
+    whole = followed(whole, _certifiable(untied.motion, whole))
+    landed = Land().plan(replace(task, before=untied.after, index=task.index + 1))
+    return followed(whole, _certifiable(landed.motion, whole))
+
+
+def descended(whole: Motion) -> Motion:
+    """Return a plan at rest followed by straight flights down to the ground, tied or not.
+
+    Raises
+    ------
+    InfeasibleError: as released.
+    """
+    floor = whole.requirements.floor
+    drones = whole.drones.coefficients[-1, ..., -1]
+    if not whole.phases[-1].formed:
+        down = drones.copy()
+        down[:, 2] = floor
+        if whole.team.has_cables:
+            task = StepTask(
+                Situation(whole.team, drones), _index(whole), whole.requirements.planned
+            )
+            return followed(whole, _certifiable(Land().plan(task).motion, whole))
+        flight = straight(whole.team, whole.requirements.limits.planned, drones, down)
+        phase = Phase("land", _index(whole), 0.0, flight.duration)
+        return followed(whole, Motion.single(whole.team, whole.requirements, flight, [phase]))
+    task = _task(whole)
+    lower = task.hitch.altitude - (float(np.min(drones[:, 2])) - floor)
+    motion = lifted(task.hitch, lower, "land", task)
+    motion = replace(motion, phases=tuple(replace(p, remark="") for p in motion.phases))
+    return followed(whole, _certifiable(motion, whole))
+
+
+def _index(whole: Motion) -> int:
+    return whole.phases[-1].step + 1
+
+
+def _certifiable(motion: Motion, whole: Motion) -> Motion:
+    """Return the motion under the requirements of the whole plan."""
+    return replace(motion, requirements=whole.requirements)
+
+
+def _task(whole: Motion) -> StepTask:
+    """Return what a step is asked that begins where a plan has come to rest with a hitch."""
+    hitch = resting_hitch(whole)
+    before = Situation(whole.team, hitch.drones, hitch, _senses(whole))
+    return StepTask(before, _index(whole), whole.requirements.planned)
+
+
+def _senses(whole: Motion) -> Array | None:
+    """Return how pairs have turned to form the hitch (clasps,): 1 where q went up first."""
+    tied = [phase for phase in whole.phases if phase.state is CableState.CLASPING]
+    if not tied:
+        return None
+    layout, first = whole.team.layout, tied[0]
+    there = whole.drones.at(first.start + 0.5 * (first.end - first.start))
+    above = there[2 * layout.ahead, 2] - there[2 * layout.behind + 1, 2]
+    return np.where(above >= 0.0, 1.0, -1.0)
+
+
+def resting_hitch(whole: Motion) -> Hitch:
+    """Return the hitch with which a plan ends.
+
+    Raises
+    ------
+    InfeasibleError: legs stand otherwise than a hitch at rest has them, as where they lean against
+        friction.
+    """
+    drones, vertices, legs = (
+        part.coefficients[-1, ..., -1] for part in (whole.drones, whole.vertices, whole.legs)
+    )
+    off = np.inf
+    try:
+        hitch = _fitted(whole, vertices, legs, np.zeros(len(whole.team.layout.clasps)))
+        off = float(np.max(np.abs(hitch.drones - drones)))
+        if off > SAME:
+            rolled = _roll(hitch, drones)
+            hitch = _fitted(whole, vertices, legs, rolled)
+            off = float(np.max(np.abs(hitch.drones - drones)))
+    except HitchoptError:
+        pass
+    if off > SAME:
+        words = "legs stand otherwise than those of a hitch at rest, from which steps start"
+        remedy = "abort earlier or later, or choose hold or back"
+        raise InfeasibleError([], f"at rest at t = {whole.duration:.4g} s: {words}; {remedy}")
+    return hitch
+
+
+def _fitted(whole: Motion, vertices: Array, legs: Array, roll: Array) -> Hitch:
+    """Return the hitch whose q-legs have given distances, by correcting their lengths."""
+    outline = vertices[:, :2]
+    q = legs[:, 0].copy()
+    for _ in range(ROUNDS):
+        hitch = Hitch(whole.team, outline, float(np.mean(vertices[:, 2])), q, roll)
+        q = q + legs[:, 0] - hitch.legs[:, 0]
+    return hitch
+
+
+def _roll(flat: Hitch, drones: Array) -> Array:
+    """Return the roll (clasps,) [rad] with which q-legs point to their drones.
+
+    A leg's direction is ``c + A cos ψ + B sin ψ``; three rolls give c, A and B.
+    """
+    layout = flat.team.layout
+    ahead = 2 * layout.ahead
+    rolls = (0.0, 1.0, -1.0)
+    rows = [
+        Hitch(flat.team, flat.polygon, flat.altitude, flat.q_legs, roll).leg_directions[ahead]
+        for roll in rolls
+    ]
+    terms = np.array([[1.0, np.cos(roll), np.sin(roll)] for roll in rolls])
+    c, A, B = np.einsum("ij,jck->ick", np.linalg.inv(terms), np.array(rows))
+    away = drones[ahead] - flat.vertices[layout.anchors[ahead]]
+    away = away / np.linalg.norm(away, axis=-1, keepdims=True) - c
+    roll: Array = np.arctan2(np.sum(away * B, axis=-1), np.sum(away * A, axis=-1))
+    return roll

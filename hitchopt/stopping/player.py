@@ -1,0 +1,278 @@
+"""A plan on a common clock that can be slowed, paused, resumed, turned back and sought in."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.clock_stops import StopTable, stop_table
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.motion.motion import Motion
+from hitchopt.one_line import OneLine
+from hitchopt.stopping.clock_changes import STEADY, Change, ChangeSearch
+from hitchopt.stopping.clock_profiles import NOTHING, phases_of, to_rate, to_time
+from hitchopt.stopping.one_way_spans import earliest_return
+from hitchopt.stopping.sampler import Sampler, Setpoints
+from hitchopt.trajectory.clock_phases import ClockPhases
+from hitchopt.values import Array, finite
+
+WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""[s] Times that a change may wait for."""
+
+RATES = (1.0, 0.9, 0.7, 0.5)
+"""Largest rates that are tried on the way to a plan time."""
+
+
+class Player(OneLine):
+    """A plan flown on a clock that all drones share.
+
+    Paths, separations, clearances and crossings are the plan's at every rate. Every change of the
+    rate is verified for all of its time before it begins: acceleration, jerk, thrust, tilt and
+    body rates keep their limits. Where a change cannot begin at once, the clock runs on until it
+    can.
+
+    Parameters
+    ----------
+    plan: a plan or its motion.
+    time: plan time to start at [s].
+    rate: of the clock at the start, from -1 to 1.
+    stops: of this plan, where they are known from another player.
+
+    Raises
+    ------
+    InputError: a time outside the plan, or a rate out of its range.
+    """
+
+    def __init__(
+        self,
+        plan: object,
+        time: float = 0.0,
+        rate: float = 1.0,
+        *,
+        stops: StopTable | None = None,
+    ) -> None:
+        motion = getattr(plan, "motion", plan)
+        if not isinstance(motion, Motion):
+            raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
+        self.motion = motion
+        self.limits = ClockLimits(motion)
+        self._search = ChangeSearch(self.limits)
+        self._sampler = Sampler(motion)
+        self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
+        if not self._begin <= finite("time", time) <= self._end:
+            raise InputError("time", time, f"within [0, {self._end:g}] s", "start within the plan")
+        self._stops = stops
+        self._now = 0.0
+        self._schedule(np.array([[time, _checked_rate(rate), 0.0, 0.0]]), np.zeros(1))
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{len(self.motion.team.drone_names)} drones"
+        yield f"{self.motion.duration:.4g} s"
+
+    @property
+    def stops(self) -> StopTable:
+        """The stops from full rate that the certificate's ``stoppable`` has found."""
+        if self._stops is None:
+            self._stops = stop_table(self.motion, self.limits)
+        return self._stops
+
+    @property
+    def time(self) -> float:
+        """Plan time [s]."""
+        return self._jet()[0]
+
+    @property
+    def clock_rate(self) -> float:
+        """Plan time per time, 1 where the plan is flown as it is; negative on the way back."""
+        return self._jet()[1]
+
+    @property
+    def resting(self) -> bool:
+        """Whether the clock stands still and is not about to move."""
+        return self._now >= self._begins[-1] and abs(self._jet()[1]) <= STEADY
+
+    def step(self, seconds: float) -> Setpoints:
+        """Let time pass and return the setpoints then."""
+        self._now += seconds
+        return self._sampler.at(*self._jet())
+
+    def pause(self) -> float:
+        """Stop as soon as the limits allow; return the time until rest [s]."""
+        return self.rate(0.0)
+
+    def resume(self) -> float:
+        """Return to the rate of the plan; return the time until it is reached [s]."""
+        return self.rate(1.0)
+
+    def rate(self, rate: float) -> float:
+        """Change to a constant rate from -1 to 1 as soon as it can be; return after how long [s].
+
+        A stop that is nowhere possible earlier ends at the end of the plan.
+
+        Raises
+        ------
+        InputError: a rate out of its range.
+        InfeasibleError: no such change was found to keep all limits, or cables would slide back
+            where legs lean against friction; the clock goes on as before.
+        """
+        rate = _checked_rate(rate)
+        if rate < 0.0 and earliest_return(self.motion, self.time) > self._begin:
+            words = "legs have leaned against friction on the way; back() rests after that"
+            raise InfeasibleError([], f"a rate of {rate:g} from t = {self.time:.4g} s: {words}")
+
+        def change(jet: Array, duration: float) -> ClockPhases | None:
+            difference = max(abs(rate - jet[1]), 0.25 * abs(jet[2]) * duration, 1e-3)
+            return to_rate(jet, rate, 2.0 / duration * difference, 4.0 / duration**2 * difference)
+
+        found = self._first(change, rate)
+        if rate == 0.0:
+            found = self._sooner_stop(found)
+        return self._adopt(found, f"a rate of {rate:g}")
+
+    def back(self) -> float:
+        """Fly the plan backward at full rate; return the time until that is reached [s].
+
+        Where legs have leaned against friction on the way, the clock rests after that: flown
+        backward, cables slide the other way and legs would lean wrongly.
+
+        Raises
+        ------
+        InfeasibleError: as rate.
+        """
+        until = earliest_return(self.motion, self.time)
+        return self.rate(-1.0) if until <= self._begin else self.seek(until)
+
+    def seek(self, time: float) -> float:
+        """Go to a plan time on the clock and rest there; return the time it takes [s].
+
+        Raises
+        ------
+        InputError: a time outside the plan.
+        InfeasibleError: as rate.
+        """
+        if not self._begin <= finite("time", time) <= self._end:
+            raise InputError("time", time, f"within [0, {self._end:g}] s", "seek within the plan")
+        return self._adopt(self._way_to(time), f"plan time {time:g} s")
+
+    def path(self, time: float, goal: float) -> ClockPhases:
+        """Return the certified clock from rest at one plan time to rest at another one [s].
+
+        The player rests at ``goal`` then.
+
+        Raises
+        ------
+        InfeasibleError: as rate.
+        """
+        self._schedule(np.array([[time, 0.0, 0.0, 0.0]]), np.array([self._now]))
+        found = self._way_to(goal)
+        self._adopt(found, f"plan time {goal:g} s")
+        self._schedule(np.array([[goal, 0.0, 0.0, 0.0]]), np.array([self._now]))
+        return NOTHING if found is None else found
+
+    def _way_to(self, time: float) -> ClockPhases | None:
+        """Return the first change that ends at rest at a plan time [s]."""
+        for fastest in RATES:
+
+            def change(jet: Array, duration: float, most: float = fastest) -> ClockPhases | None:
+                return to_time(jet, time, most, 2.0 / duration, 4.0 / duration**2)
+
+            found = self._first(change, 0.0)
+            if found is not None:
+                return found
+        return None
+
+    def _first(self, change: Change, rate: float) -> ClockPhases | None:
+        """Return the first change to a rate that keeps all limits; None if there is none."""
+        here = np.array(self._jet()[:3])
+        return self._search.first(list(self._bases()), here, change, rate)
+
+    def _bases(self) -> Iterator[ClockPhases]:
+        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
+        yield NOTHING
+        left = self._left()
+        if len(left):
+            yield left
+        elif abs(self.clock_rate) > STEADY:
+            for wait in WAITS:
+                yield phases_of(np.array(self._jet()[:3]), np.array([wait]), np.zeros(1))
+
+    def _left(self) -> ClockPhases:
+        """Return what is left of the present change."""
+        if self._now >= self._begins[-1] or self.time in (self._begin, self._end):
+            return NOTHING
+        here = _last(self._begins, self._now)
+        edges = [self._now, *self._begins[here + 1 :]]
+        jerks = [row[3] for row in self._rows[here:-1]]
+        return phases_of(np.array(self._jet()[:3]), np.diff(edges), np.array(jerks))
+
+    def _sooner_stop(self, found: ClockPhases | None) -> ClockPhases | None:
+        """Return the stop of the table, or the run to the end, if it comes to rest sooner."""
+        time, rate, slope, _ = self._jet()
+        left = self._left()
+        if abs(rate - 1.0) <= STEADY and abs(slope) <= STEADY:
+            left = NOTHING  # a change that has only begun is given up
+        elif len(left):
+            time, rate, slope, _ = left.ends[-1].tolist()
+        options = [] if found is None else [found]
+        if abs(rate - 1.0) <= STEADY and abs(slope) <= STEADY:
+            start, duration = self.stops.after(time)
+            seconds = [start - time, *([0.5 * duration] * 2 if duration else [])]
+            jerks = [0.0, *([-4.0 / duration**2, 4.0 / duration**2] if duration else [])]
+            kept = np.array(seconds) > 0.0
+            own = phases_of(
+                np.array([time, 1.0, 0.0]), np.array(seconds)[kept], np.array(jerks)[kept]
+            )
+            options.append(left.followed_by(own))
+        elif not options and rate != 0.0:
+            ahead = self._end - time if rate > 0.0 else time - self._begin
+            run = np.array([time, rate, 0.0]), np.array([ahead / abs(rate)]), np.zeros(1)
+            options.append(left.followed_by(phases_of(*run)))
+        return min(options, key=lambda made: float(np.sum(made.duration)), default=found)
+
+    def _adopt(self, found: ClockPhases | None, goal: str) -> float:
+        if found is None:
+            words = "no change of the clock was found that keeps all limits"
+            remedy = "ask later, for a smaller rate, or plan with limits.reserve below 1"
+            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
+        if not len(found):
+            time, rate, _, _ = self._jet()
+            self._schedule(np.array([[time, rate, 0.0, 0.0]]), np.array([self._now]))
+            return 0.0
+        last = found.ends[-1]
+        last[2:] = 0.0
+        last[1] = 0.0 if abs(last[1]) <= STEADY else last[1]
+        begins = self._now + np.concatenate([[0.0], np.cumsum(found.duration)])
+        self._schedule(np.vstack([found.jets, last]), begins)
+        return float(begins[-1] - self._now)
+
+    def _schedule(self, jets: Array, times: Array) -> None:
+        """Set the phases from now on; the last one has no end."""
+        self._rows = jets.tolist()
+        self._begins = times.tolist()
+
+    def _jet(self) -> tuple[float, float, float, float]:
+        """Return plan time, rate and its derivatives now; all rest beyond the plan's ends."""
+        i = _last(self._begins, self._now)
+        p, v, a, j = self._rows[i]
+        dt = self._now - self._begins[i]
+        time = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
+        rate = v + dt * (a + dt * j / 2.0)
+        if time >= self._end and rate >= 0.0:
+            return self._end, 0.0, 0.0, 0.0
+        if time <= self._begin and rate <= 0.0:
+            return self._begin, 0.0, 0.0, 0.0
+        return time, rate, a + dt * j, j
+
+
+def _last(times: list[float], now: float) -> int:
+    """Return the index of the last time that is not after ``now``."""
+    return max(bisect_right(times, now) - 1, 0)
+
+
+def _checked_rate(rate: float) -> float:
+    if abs(finite("rate", rate)) > 1.0:
+        raise InputError("rate", rate, "from -1 to 1", "plans are as fast as their limits allow")
+    return float(rate)

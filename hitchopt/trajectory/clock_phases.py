@@ -1,0 +1,123 @@
+"""A common clock: phases of constant jerk, and polynomials of plan time flown on it.
+
+A clock gives plan time τ as a piecewise cubic of time. Composed with it, a polynomial of degree N
+becomes one of degree 3N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.values import Array, Indices
+
+SLIVER = 1e-8
+"""[s] Parts of a phase that are shorter go to their neighbour: the piece beyond its break is off by
+its jump in jerk times 1e-25 s³."""
+
+BISECTIONS = 52
+"""Halvings of a phase in which the time of a break is found."""
+
+
+def advanced(jets: Array, dt: Array | float) -> Array:
+    """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
+    p, v, a, j = np.moveaxis(jets, -1, 0)
+    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+    return np.stack([*moved, np.broadcast_to(j, moved[0].shape)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class ClockPhases:
+    """Phases in which a clock's jerk is constant and its rate does not change its sign.
+
+    Attributes
+    ----------
+    owner: (phases,), whose they are where several clocks are looked at.
+    jets: (phases, 4), plan time τ [s] and its derivatives by time where each begins.
+    duration: (phases,) [s]
+    """
+
+    owner: Indices
+    jets: Array
+    duration: Array
+
+    def __len__(self) -> int:
+        return len(self.duration)
+
+    @property
+    def ends(self) -> Array:
+        """(phases, 4): jets where each ends."""
+        return advanced(self.jets, self.duration)
+
+    def taken(self, index: NDArray[np.bool_] | Indices | slice) -> ClockPhases:
+        """Return the chosen phases."""
+        return ClockPhases(self.owner[index], self.jets[index], self.duration[index])
+
+    def followed_by(self, other: ClockPhases) -> ClockPhases:
+        """Return these phases and then others."""
+        mine, theirs = vars(self).values(), vars(other).values()
+        return ClockPhases(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
+
+    def cut(self, breaks: Array) -> tuple[ClockPhases, Indices]:
+        """Return the phases cut where they pass a break, and (cells,) the pieces they lie in.
+
+        A cell before the first break or after the last one has the piece -1 or len(breaks) - 1.
+        """
+        if not len(self):
+            return self, np.zeros(0, dtype=np.intp)
+        first, last = self.jets[:, 0], self.ends[:, 0]
+        low, high = np.minimum(first, last), np.maximum(first, last)
+        begin = np.searchsorted(breaks, low, side="right")
+        count = np.maximum(np.searchsorted(breaks, high, side="left") - begin, 0)
+        phase = np.repeat(np.arange(len(self)), count)
+        which = np.arange(len(phase)) - np.repeat(np.cumsum(count) - count, count)
+        target = breaks[begin[phase] + which]
+        when = self._passing(phase, target)
+        whole = self.duration[phase]
+        kept = (when > SLIVER) & (when < whole - SLIVER)
+        phase = np.concatenate([np.arange(len(self)), phase[kept]])
+        when = np.concatenate([np.zeros(len(self)), when[kept]])
+        order = np.lexsort((when, phase))
+        phase, when = phase[order], when[order]
+        follows = np.append(phase[1:] == phase[:-1], False)
+        wide = np.append(when[1:] - when[:-1] > SLIVER, True) | ~follows
+        phase, when = phase[wide], when[wide]
+        follows = np.append(phase[1:] == phase[:-1], False)
+        until = np.where(follows, np.append(when[1:], 0.0), self.duration[phase])
+        cells = ClockPhases(self.owner[phase], advanced(self.jets[phase], when), until - when)
+        middle = advanced(cells.jets, 0.5 * cells.duration)[:, 0]
+        return cells, np.searchsorted(breaks, middle, side="right") - 1
+
+    def _passing(self, phase: Indices, target: Array) -> Array:
+        """Return when (m,) each phase passes a plan time [s], its rate being of one sign."""
+        jets = self.jets[phase]
+        low, high = np.zeros(len(phase)), self.duration[phase].copy()
+        forward = self.ends[phase, 0] >= jets[:, 0]
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            early = (advanced(jets, middle)[:, 0] < target) == forward
+            low, high = np.where(early, middle, low), np.where(early, high, middle)
+        return 0.5 * (low + high)
+
+    def values(self, breaks: Array, pieces: Indices, x: Array) -> tuple[Array, Array]:
+        """Return where in their pieces cells are at x (nodes,) of themselves, and their jets.
+
+        Returns
+        -------
+        (cells, nodes) from 0 to 1, and (cells, nodes, 4).
+        """
+        jets = advanced(self.jets[:, None], self.duration[:, None] * x)
+        start, h = breaks[pieces], breaks[pieces + 1] - breaks[pieces]
+        return (jets[..., 0] - start[:, None]) / h[:, None], jets
+
+
+def together(clocks: Sequence[ClockPhases]) -> ClockPhases:
+    """Return the phases of several clocks, each the owner of its own."""
+    return ClockPhases(
+        np.repeat(np.arange(len(clocks)), [len(clock) for clock in clocks]),
+        np.concatenate([clock.jets for clock in clocks]),
+        np.concatenate([clock.duration for clock in clocks]),
+    )

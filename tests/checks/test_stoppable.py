@@ -1,0 +1,248 @@
+"""``stoppable``: clocks that keep all limits, and how long it takes to stop on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases, stop_table
+from hitchopt.checks.bounds.derivative_grid import DerivativeGrid
+from hitchopt.checks.bounds.static_thrust import largest_static_thrust, largest_static_tilt
+from hitchopt.checks.bounds.stop_bounds import StopBounds
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import before
+from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+SQUARE = np.array([[-0.7, -0.7], [-0.7, 0.7], [0.7, 0.7], [0.7, -0.7]]) + [2.0, -1.0]
+
+
+@cache
+def motion_of(reserve: float = 1.0) -> Motion:
+    """A square off the origin with unequal cables and drones, reshaped and carried."""
+    kinds = [ho.Quadrotor(0.132 + 0.01 * k, 2.6 + 0.3 * k) for k in range(4)]
+    team = ho.Team(4, [2.4, 2.5, 2.6, 2.45], quadrotor=kinds)
+    start = ho.Hitch.spread(team, SQUARE)
+    limits = ho.Limits(reserve=reserve)
+    steps = (
+        ho.MoveVertex(0, by=np.array([0.2, 0.3])),
+        ho.Transport(np.array([2.5, -0.6, 1.3]), 0.4),
+    )
+    return ho.solve(ho.Problem(team, start, steps, limits)).motion
+
+
+def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, float]:
+    """The largest acceleration, jerk, thrust and tilt over their limits, sampled on a clock."""
+    limits, team = motion.requirements.limits, motion.team
+    worst = dict.fromkeys(("acceleration", "jerk", "thrust", "tilt"), 0.0)
+    end = motion.drones.breaks[-1]
+    for jet, duration in zip(clock.jets, clock.duration, strict=True):
+        jets = advanced(jet, np.linspace(0.0, duration, count))
+        jets = jets[jets[:, 0] < end]
+        if not len(jets):
+            continue
+        s, a, j = (jets[:, k, None, None] for k in (1, 2, 3))
+        d1, d2, d3 = (motion.drones.at(jets[:, 0], k) for k in (1, 2, 3))
+        acceleration = s**2 * d2 + a * d1
+        jerk = s**3 * d3 + 3.0 * s * a * d2 + j * d1
+        states = ho.Plan(motion, certificate_of()).at(jets[:, 0])
+        thrust = team.mass[:, None] * (acceleration + [0.0, 0.0, 9.81]) - states.cable_forces
+        level = np.hypot(thrust[..., 0], thrust[..., 1])
+        found = {
+            "acceleration": np.linalg.norm(acceleration, axis=-1) / limits.acceleration,
+            "jerk": np.linalg.norm(jerk, axis=-1) / limits.jerk,
+            "thrust": np.linalg.norm(thrust, axis=-1) / team.max_thrust,
+            "tilt": np.arctan2(level, thrust[..., 2]) / limits.tilt,
+        }
+        worst = {name: max(worst[name], float(np.max(found[name]))) for name in worst}
+    return worst
+
+
+@cache
+def certificate_of() -> ho.Certificate:
+    return certify(motion_of(), part=True)
+
+
+@cache
+def table_of(reserve: float = 1.0) -> StopTable:
+    return stop_table(motion_of(reserve))
+
+
+@settings(max_examples=10, deadline=None)
+@given(start=st.floats(0.0, 1.0), duration=st.floats(0.1, 2.5), tight=st.floats(0.2, 1.0))
+def test_what_samples_break_is_never_certified(start: float, duration: float, tight: float) -> None:
+    """With all limits tightened: also thrust and tilt decide then."""
+    motion = motion_of()
+    limits = replace(motion.requirements.limits, tilt=tight * motion.requirements.limits.tilt)
+    motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
+    clock = stop_phases(np.array([start * motion.duration]), np.array([duration]))
+    worst = max(flown(motion, clock).values())
+    kept = bool(ClockLimits(motion).keep(clock, 1)[0])
+    assert not (kept and worst > 1.0 + 1e-9)
+    by_nodes = bool(
+        StopBounds(ClockLimits(motion)).keep(clock.jets[:1, 0], np.array([duration]))[0]
+    )
+    assert not (by_nodes and worst > 1.0 + 1e-9)
+    if not by_nodes:
+        assert worst > 0.93
+    if not kept:
+        assert worst > 0.98  # a bound is refused only where it is nearly reached
+
+
+@pytest.mark.parametrize("tight", [1.0, 0.5])
+def test_bounds_by_nodes_refuse_what_clocks_cut_at_breaks_break(tight: float) -> None:
+    """With limits larger by a twentieth they allow what these do; a tight tilt decides too."""
+    motion, rng = motion_of(), np.random.default_rng(5)
+    limits = replace(motion.requirements.limits, tilt=tight * motion.requirements.limits.tilt)
+    motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
+    starts = rng.uniform(0.0, motion.duration, 400)
+    durations = np.geomspace(0.1, 3.0, 400)[rng.permutation(400)]
+    exact = ClockLimits(motion)
+    kept = StopBounds(exact).keep(starts, durations)
+    whole = exact.keep(stop_phases(starts, durations), 400)
+    assert not np.any(kept & ~whole)
+    wider = replace(
+        limits,
+        acceleration=1.05 * limits.acceleration,
+        jerk=1.05 * limits.jerk,
+        tilt=1.05 * limits.tilt,
+    )
+    motion = replace(motion, requirements=replace(motion.requirements, limits=wider))
+    assert not np.any(whole & ~StopBounds(ClockLimits(motion)).keep(starts, durations))
+    assert 20 < np.sum(whole) < 380
+
+
+def test_sizes_between_nodes_hold_samples() -> None:
+    motion = motion_of()
+    grid = DerivativeGrid(ClockLimits(motion))
+    times = grid.begin + np.linspace(0.03, 0.97, 7)[:, None] * grid.width
+    for order, size in enumerate(vars(grid.sizes).values(), start=1):
+        values = np.linalg.norm(motion.drones.at(times, order), axis=-1)
+        assert np.all(values <= size)
+        assert np.max(size) <= 1.06 * np.max(values)
+
+
+def test_stops_of_the_table_keep_all_limits() -> None:
+    table = table_of()
+    found = np.isfinite(table.durations)
+    assert np.sum(found) > 20
+    for start, duration in zip(table.starts[found], table.durations[found], strict=True):
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        assert clock.ends[-1, 1] == pytest.approx(0.0, abs=1e-12)
+        assert clock.ends[-1, 0] == pytest.approx(start + 0.5 * duration)
+        assert max(flown(motion_of(), clock).values()) <= 1.0 + 1e-9
+
+
+def longest_sampled(motion: Motion, spacing: float = 0.01, count: int = 60) -> float:
+    """The longest time to rest over many commands, of all stops that samples allow."""
+    limits = ClockLimits(motion)
+    starts = np.arange(0.0, motion.duration, spacing)
+    best = np.full(len(starts), np.inf)
+    for duration in np.geomspace(0.1, 2.5, count):
+        left = np.flatnonzero(np.isinf(best))
+        clocks = stop_phases(starts[left], np.full(len(left), duration))
+        best[left[limits.keep(clocks, len(left), sampled=True)]] = duration
+    rests = np.minimum.accumulate((starts + best)[::-1])[::-1]
+    return float(np.max(np.minimum(rests, motion.duration) - starts))
+
+
+def test_the_report_is_within_a_tenth_of_the_longest_that_sampling_finds() -> None:
+    motion = motion_of()
+    reported = certify(motion)["stoppable"]
+    sampled = longest_sampled(motion)
+    assert sampled <= reported.bound <= 1.1 * sampled
+    assert (reported.limit, reported.holds, reported.unit) == (None, True, "s")
+
+
+def test_with_a_reserve_a_stop_can_begin_at_every_time() -> None:
+    motion = motion_of(0.8)
+    certificate = certify(motion)
+    assert certificate.certified
+    assert certificate["acceleration"].limit == pytest.approx(0.8 * 2.0)
+    assert certificate["jerk"].limit == pytest.approx(0.8 * 20.0)
+    assert np.all(np.isfinite(table_of(0.8).durations))
+    assert not np.all(np.isfinite(table_of().durations))
+    assert motion.duration > motion_of().duration
+    assert certificate["stoppable"].bound < certify(motion_of())["stoppable"].bound
+
+
+@cache
+def slowly_turning() -> ho.Plan:
+    """A triangle whose thrusts may not turn fast."""
+    team = ho.Team(3, 2.4)
+    start = ho.Hitch.spread(team, [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
+    return ho.move_vertex(start, 0, by=[0.0, 0.4], limits=ho.Limits(body_rate=np.radians(60.0)))
+
+
+def largest_turning(plan: ho.Plan, clock: ClockPhases) -> float:
+    """The largest turning rate of a thrust [rad/s], sampled on a clock."""
+    jets = np.concatenate(
+        [
+            advanced(jet, np.linspace(0.0, duration, 150))
+            for jet, duration in zip(clock.jets, clock.duration, strict=True)
+        ]
+    )
+    s, a, j = (jets[:, k, None, None] for k in (1, 2, 3))
+    states = plan.at(np.minimum(jets[:, 0], plan.duration))
+    mass = plan.motion.team.mass[:, None]
+    d1, d2, d3 = states.velocities, states.accelerations, states.jerks
+    thrust = mass * (s**2 * d2 + a * d1 + [0.0, 0.0, 9.81]) - states.cable_forces
+    rate = mass * (s**3 * d3 + 3.0 * s * a * d2 + j * d1) - s * states.cable_force_rates
+    turning = np.linalg.norm(np.cross(thrust, rate), axis=-1) / np.sum(thrust**2, axis=-1)
+    return float(np.max(turning))
+
+
+def test_body_rates_are_kept_on_the_clock() -> None:
+    plan = slowly_turning()
+    limits, most = ClockLimits(plan.motion), np.radians(60.0)
+    starts, durations = np.meshgrid(np.linspace(0.0, plan.duration, 7)[:-1], [0.3, 0.6, 1.2])
+    clocks = [
+        stop_phases(np.array([start]), np.array([duration]))
+        for start, duration in zip(starts.ravel(), durations.ravel(), strict=True)
+    ]
+    kept = [bool(limits.keep(clock, 1)[0]) for clock in clocks]
+    turning = [largest_turning(plan, clock) for clock in clocks]
+    assert 4 <= sum(kept) < len(kept)
+    assert max(rate for rate, keeps in zip(turning, kept, strict=True) if keeps) <= most
+    assert max(turning) > most
+
+
+def test_hovering_is_bounded_for_all_times() -> None:
+    motion = motion_of()
+    states = ho.Plan(motion, certificate_of()).at(np.linspace(0.0, motion.duration, 3000))
+    static = motion.team.mass[:, None] * np.array([0.0, 0.0, 9.81]) - states.cable_forces
+    thrust = np.max(np.linalg.norm(static, axis=-1) / motion.team.max_thrust)
+    level = np.hypot(static[..., 0], static[..., 1])
+    tilt = np.degrees(np.max(np.arctan2(level, static[..., 2])))
+    assert thrust <= largest_static_thrust(motion) <= 1.001 * thrust
+    assert tilt <= largest_static_tilt(motion) <= 1.001 * tilt
+
+
+def test_phases_cut_at_breaks_meet_and_cover_all_of_their_time() -> None:
+    clock = stop_phases(np.array([0.3, 1.0]), np.array([0.8, 2.0]))
+    breaks = np.array([0.0, 0.5, 0.62, 0.62 + 1e-10, 1.1, 5.0])
+    cells, pieces = clock.cut(breaks)
+    for owner, whole in ((0, 0.8), (1, 2.0)):
+        own = cells.owner == owner
+        assert np.sum(cells.duration[own]) == pytest.approx(whole, abs=1e-12)
+        np.testing.assert_allclose(cells.ends[own][:-1, :3], cells.jets[own][1:, :3], atol=1e-9)
+    low, high = breaks[pieces], breaks[pieces + 1]
+    ends = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
+    assert np.all(ends >= low - 1e-7)
+    assert np.all(ends <= high + 1e-7)
+
+
+def test_a_plan_that_does_not_end_at_rest_says_so() -> None:
+    motion = motion_of()
+    cut = before(motion, 0.5 * motion.phases[0].end)
+    assert np.max(np.abs(cut.drones.at(cut.duration, 1))) > 0.1
+    assert np.isinf(np.max(stop_table(cut).longest[0]))
