@@ -1,0 +1,1 @@
+"""Sweeps: many plans, simulated flights and statics, on one machine or a cluster."""

@@ -1,0 +1,191 @@
+"""Campaigns of flights of one plan, on several processes: how often it succeeds, and what fails."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+from hitchopt.simulation.flight_outcome import NOT_SIMULATED, START, Failure
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.rope_flight import Progress
+from hitchopt.simulation.run_report import CAMPAIGN, OWNED, RUNS, number, settings_summary
+from hitchopt.simulation.simulate import Run, simulate
+from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.storage.atomic import Writer, replace_files
+from hitchopt.storage.strict_json import write_strict_json
+from hitchopt.sweeps.cluster import finished
+
+FORMAT = "hitchopt-campaign/1"
+
+SPREADS = ("vertex_error", "resting", "moving", "without_sag", "tracking")
+FIGURES = ("peak_tension", "saturated", "pace", "placed", "tilted", "slipped")
+"""Figures of a run in the table of runs."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Flights of one plan under perturbations of different seeds.
+
+    Attributes
+    ----------
+    settings: settings of all of them, with the first one's seed.
+    runs: figures of every flight, by seed.
+    digest: SHA-256 of setpoints.csv.
+    """
+
+    settings: Settings
+    runs: tuple[Run, ...]
+    digest: str
+
+    @property
+    def successes(self) -> int:
+        """Number of flights that succeeded."""
+        return sum(run.succeeded for run in self.runs)
+
+    @property
+    def not_simulated(self) -> int:
+        """Number of flights that the simulation failed; they count as not succeeded."""
+        return sum(run.verdict == NOT_SIMULATED for run in self.runs)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % interval of the success rate (1927), which suits few runs too."""
+        from scipy.stats import binomtest
+
+        found = binomtest(self.successes, len(self.runs)).proportion_ci(0.95, method="wilson")
+        return float(found.low), float(found.high)
+
+    @property
+    def failures(self) -> Counter[tuple[str, str]]:
+        """Number of runs by first failure: its kind, and where."""
+        first = (run.failures[0] for run in self.runs if run.failures)
+        return Counter((failure.kind, ", ".join(failure.where)) for failure in first)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the campaign, ready for JSON."""
+        return {
+            "format": FORMAT,
+            "setpoints_sha256": self.digest,
+            "settings": settings_summary(self.settings),
+            "runs": len(self.runs),
+            "successes": self.successes,
+            "not_simulated": self.not_simulated,
+            "rate": self.successes / len(self.runs),
+            "rate_95_percent": list(self.interval),
+            "first_failures": [
+                {"kind": kind, "where": where, "runs": count}
+                for (kind, where), count in self.failures.most_common()
+            ],
+        }
+
+
+def run_campaign(
+    task: Task,
+    settings: Settings,
+    runs: int,
+    processes: int | None = None,
+    progress: Progress | None = None,
+) -> Campaign:
+    """Return ``runs`` flights of a plan, with consecutive seeds from that of the settings on.
+
+    Parameters
+    ----------
+    task: setpoints and planned hitch.
+    settings: settings of the simulation; their seed is the first one.
+    runs: number of flights, at least 1.
+    processes: number at a time; None: one per processor. One simulates in this process.
+    progress: called with the number of finished flights.
+
+    Raises
+    ------
+    InputError: no runs, or settings that no flight can be simulated with.
+    UnsupportedError: mujoco is not installed.
+    """
+    if runs < 1:
+        raise InputError("runs", runs, "at least 1", "a campaign needs some flights")
+    if processes is not None and processes < 1:
+        raise InputError("processes", processes, "at least 1", "leave it out for all processors")
+    jobs = [(task, replace(settings, seed=settings.seed + i)) for i in range(runs)]
+    width = min(runs, processes or os.cpu_count() or 1)
+    found: list[Run] = []
+    for run in _flown(jobs, width):
+        found.append(run)
+        if progress is not None:
+            succeeded = sum(run.succeeded for run in found)
+            progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
+    found.sort(key=lambda run: run.seed)
+    return Campaign(settings, tuple(found), task.digest)
+
+
+def _flown(jobs: list[tuple[Task, Settings]], processes: int) -> Iterator[Run]:
+    """Yield the figures of every flight as it ends."""
+    if processes == 1:
+        yield from (one_run(job) for job in jobs)
+        return
+    tasks = {f"flight-{job[1].seed}": (job,) for job in jobs}
+    with contextlib.closing(finished(one_run, tasks, processes)) as done:
+        for _, future in done:
+            yield future.result()
+
+
+def one_run(job: tuple[Task, Settings]) -> Run:
+    """Return the figures of one flight; one that cannot begin is a failure, not an error.
+
+    Raises
+    ------
+    InputError, UnsupportedError: a reason that prevents every other flight as well.
+    """
+    task, settings = job
+    try:
+        return simulate(task, settings).run
+    except (InputError, UnsupportedError):
+        raise
+    except HitchoptError as error:
+        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
+
+
+def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
+    """Write the campaign's summary and a table of its runs; return the directory.
+
+    Raises
+    ------
+    FileError: the directory cannot be written to.
+    """
+    writers: dict[str, Writer] = {
+        RUNS: lambda path: _write_runs(path, campaign),
+        CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
+    }
+    return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
+
+
+def _write_runs(path: Path, campaign: Campaign) -> None:
+    """Write one row per run."""
+    rows = [_row(run) for run in campaign.runs]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _row(run: Run) -> dict[str, object]:
+    """Return a run's row of the table, by column."""
+    row: dict[str, object] = {
+        "seed": run.seed,
+        "verdict": run.verdict,
+        "succeeded": int(run.succeeded),
+        **dict.fromkeys(("failure", "where", "time", "words"), ""),
+    }
+    if run.failures:
+        first = run.failures[0]
+        row |= {"failure": first.kind, "where": " ".join(first.where)}
+        row |= {"time": f"{first.time:.3f}", "words": first.words}
+    for name in SPREADS:
+        row |= {f"{name}_{key}": number(x, 6) for key, x in vars(getattr(run, name)).items()}
+    return row | {name: number(getattr(run, name), 6) for name in FIGURES}

@@ -1,0 +1,123 @@
+"""Studies: their parameters, their cases, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from study_cases import PROBLEM
+
+from hitchopt.errors import HitchoptError, InputError
+from hitchopt.storage.plain import key_path
+from hitchopt.sweeps.parameters import Drawn, Listed, key_parts, points, with_values
+from hitchopt.sweeps.study_file import load_study, study_from_dict
+
+NAMES = st.from_regex(r"[a-z_][a-z_0-9]{0,8}", fullmatch=True)
+
+
+@given(NAMES, st.lists(NAMES | st.integers(0, 999_999), max_size=5))
+def test_key_paths_are_those_of_messages(first: str, rest: list[str | int]) -> None:
+    assert key_parts(key_path([first, *rest])) == [first, *rest]
+
+
+@pytest.mark.parametrize("key", ["", "team.", "team..tension", "a b", "team[x]", "a-b", "[]"])
+def test_what_is_no_key_path_is_refused(key: str) -> None:
+    with pytest.raises(InputError, match="a key path such as"):
+        key_parts(key)
+
+
+@given(st.lists(st.integers(1, 4), max_size=3), st.integers(1, 5), st.integers(0, 99))
+def test_every_combination_occurs_once(sizes: list[int], samples: int, seed: int) -> None:
+    listed = [Listed(f"p{i}", tuple(range(size))) for i, size in enumerate(sizes)]
+    drawn = [Drawn("x", 1.0, 100.0, log=True), Drawn("y", -1.0, 1.0, quasi=True)]
+    found = points([*listed, *drawn], samples, seed)
+    assert len(found) == samples * int(np.prod(sizes))
+    assert len({tuple(point.values()) for point in found}) == len(found)
+    for name, low, high in (("x", 1.0, 100.0), ("y", -1.0, 1.0)):
+        values = [point[name] for point in found]
+        assert all(isinstance(v, float) and low <= v <= high for v in values)
+    assert found == points([*listed, *drawn], samples, seed)
+    assert found != points([*listed, *drawn], samples, seed + 1)
+
+
+def test_samples_do_not_depend_on_listed_parameters() -> None:
+    drawn = [Drawn("x", 0.0, 1.0), Drawn("y", 0.0, 1.0, quasi=True)]
+    alone = points(drawn, 5, 3)
+    beside = points([Listed("a", (1, 2)), *drawn], 5, 3)
+    assert [{k: p[k] for k in ("x", "y")} for p in beside] == alone * 2
+
+
+def test_a_halton_sequence_fills_the_range_evenly() -> None:
+    values = [float(str(p["x"])) for p in points([Drawn("x", 2.0, 6.0, quasi=True)], 64, 0)]
+    counts, _ = np.histogram(values, bins=8, range=(2.0, 6.0))
+    assert np.all(np.abs(counts - 8) <= 2)
+
+
+def test_values_are_set_in_a_copy() -> None:
+    made = with_values(PROBLEM, {"team.tension": 0.3, "mission[0].morph.duration": 9.0})
+    assert made["team"] == {"robots": 3, "cable_length": 2.4, "tension": 0.3}
+    assert made["mission"][0]["morph"]["duration"] == 9.0  # type: ignore[index, call-overload]
+    assert "tension" not in PROBLEM["team"]
+    assert "duration" not in PROBLEM["mission"][0]["morph"]
+    assert with_values(PROBLEM, {"limits.speed": 2})["limits"] == {"speed": 2}
+
+
+@pytest.mark.parametrize("key", ["mission[1].hold", "mission.morph", "team.robots.x", "team[0]"])
+def test_paths_that_lead_nowhere_are_refused(key: str) -> None:
+    with pytest.raises(InputError, match="parameters"):
+        with_values(PROBLEM, {key: 1})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"parameters": {"team.tensoin": [0.3]}}, "did you mean tension"),
+        ({"parameters": {"team.tension": [0.3, -1.0]}}, "team.tension"),
+        ({"parameters": {"team.tension": {"grid": {"from": 1, "to": 0, "count": 3}}}}, "below"),
+        ({"parameters": {"team.tension": {"random": {"from": 0, "to": 1, "log": True}}}}, "log"),
+        ({"parameters": {"team.tension": {"list": [1], "random": {"from": 0, "to": 1}}}}, "one of"),
+        ({"parameters": {"simulate.wind": [0.1]}}, "add simulate"),
+        ({"simulate": {"wind": -1}}, "simulate.wind"),
+        ({"simulate": {}, "parameters": {"simulate.wnd": [0.1]}}, "simulate.wnd"),
+        ({"paramters": {}}, "did you mean parameters"),
+        ({"samples": 0}, "samples"),
+        ({"problem": []}, "at least one problem"),
+        ({"problem": [3]}, r"problem\[0\]"),
+        ({"problem": "no_such_file.yaml"}, "no such file"),
+    ],
+)
+def test_studies_that_are_wrong_say_where(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(HitchoptError, match=words):
+        study_from_dict({"problem": PROBLEM, **change})
+
+
+def test_cases_are_told_apart_by_all_that_counts(tmp_path: Path) -> None:
+    study = study_from_dict(
+        {
+            "problem": PROBLEM,
+            "parameters": {"team.tension": [0.3, 0.4], "simulate.wind": [0.0, 0.1]},
+            "simulate": {"seeds": 3, "seed": 5},
+        }
+    )
+    cases = list(study.cases())
+    assert len({case.digest for case in cases}) == len(cases) == 12
+    assert [case.seed for case in cases[:4]] == [5, 6, 7, 5]
+    assert cases[0].simulate is not None
+    assert cases[0].simulate["wind"] == 0.0
+    assert "seeds" not in cases[0].simulate  # more seeds leave the rows of the first ones
+    assert "simulate" not in cases[0].problem
+    file = tmp_path / "study.yaml"
+    file.write_text("problem: p.yaml\nparameters: {team.tension: [0.3, 0.4]}\n")
+    (tmp_path / "p.yaml").write_text(
+        "team: {robots: 3, cable_length: 2.4}\n"
+        "start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}\n"
+        "mission: [{morph: {polygon: [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}]\n"
+    )
+    assert [case.point for case in load_study(file).cases()] == [
+        {"team.tension": 0.3},
+        {"team.tension": 0.4},
+    ]
