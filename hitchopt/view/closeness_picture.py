@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from hitchopt.checks.bounds.closest_pairs import Closeness
 from hitchopt.motion.motion import Motion
-from hitchopt.view.style import COLOURS, DASHES, LIMIT_COLOUR, new_figure, save_png
+from hitchopt.view.house_colours import COLOURS
+from hitchopt.view.style import DASHES, LIMIT_COLOUR, new_figure, save_figure
 
 SIZE = (10.0, 4.8)
 """Width and height [inch]."""
@@ -63,4 +64,4 @@ def save_closeness(path: Path | str, motion: Motion, closest: Closeness) -> None
     ------
     OSError: the file cannot be written.
     """
-    save_png(draw_closeness(motion, closest), path)
+    save_figure(draw_closeness(motion, closest), path)

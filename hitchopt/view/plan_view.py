@@ -20,7 +20,9 @@ from hitchopt.motion.states import States
 from hitchopt.requirements import Arena, Requirements
 from hitchopt.values import Array
 from hitchopt.view.curves import Curves
-from hitchopt.view.style import COLOURS, INK, legend_below, marker
+from hitchopt.view.house_colours import COLOURS, cable_colours
+from hitchopt.view.object_patches import draw_objects
+from hitchopt.view.style import INK, legend_below, marker
 
 START_COLOUR = "0.62"
 PATH_COLOUR = "0.72"
@@ -40,7 +42,7 @@ Colours = str | list[str]
 HALO = (withStroke(linewidth=2.5, foreground="white"),)
 
 
-def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
+def draw_plan_view(axes: Axes, motion: Motion, curves: Curves, gap: float = 0.1) -> None:
     """Draw hitches or single drones at start and end, the drones' paths, and what bounds them.
 
     Parameters
@@ -48,6 +50,7 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
     axes: what to draw on; its aspect becomes equal.
     motion: the plan.
     curves: samples of that plan.
+    gap: between the axes and the legend below, as a share of the axes' height.
     """
     states, requirements = curves.states, motion.requirements
     points = states.positions[..., :2]  # (samples, drones, 2)
@@ -56,11 +59,12 @@ def draw_plan_view(axes: Axes, motion: Motion, curves: Curves) -> None:
         handles = _draw_hitches(axes, motion, states)
     else:
         handles = _draw_single_drones(axes, motion.team.drone_names, points, requirements)
+    handles += draw_objects(axes, motion)
     axes.set_aspect("equal", adjustable="datalim")
     _fit(axes, points, requirements.separation.radius, arena)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    legend_below(axes, handles, 0.1, 3)
+    legend_below(axes, handles, gap, 3)
 
 
 def _draw_hitches(axes: Axes, motion: Motion, states: States) -> list[Artist]:
@@ -73,7 +77,7 @@ def _draw_hitches(axes: Axes, motion: Motion, states: States) -> list[Artist]:
     moves = bool(np.max(np.abs(end - start)) > 1e-3)
     if moves:
         _draw_lines(axes, start, START_COLOUR, 0.6 * thin, 2, linestyles=START_DASHES)
-    _draw_lines(axes, end, _colours(n), thin, 3)
+    _draw_lines(axes, end, list(cable_colours(n)), thin, 3)
     for order, (which, colour) in enumerate(((0, START_COLOUR), (-1, INK)), start=4):
         _draw_drones(axes, points[which], colour, _marker_size(states), order)
     radius = motion.requirements.separation.radius
@@ -163,14 +167,6 @@ def _cables(layout: Layout, states: States, i: int) -> Array:
     if not states.formed[i]:
         edges = [pairs[:, 0], pairs[:, 1]]
     return np.stack([pairs[:, 0], *edges, pairs[:, 1]], axis=1)[..., :2]
-
-
-def _colours(n: int) -> list[str]:
-    """Return a colour for each cable that differs from both neighbours'."""
-    index = np.arange(n) % 3
-    if n % 3 == 1:
-        index[-1] = 3
-    return [COLOURS[i] for i in index]
 
 
 def _marker_size(states: States) -> float:

@@ -1,4 +1,4 @@
-"""Colours, line styles and legends that all pictures share, and how a picture is written."""
+"""Line styles and legends that all pictures share, and how a picture is written."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,10 +15,6 @@ from matplotlib.lines import Line2D
 
 INK = "0.1"
 LIMIT_COLOUR = "#b3261e"
-
-COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
-"""Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70 per
-cent); the last one, of 45 per cent, stands only between the first and the third."""
 
 DASHES = (0, (6, 2))
 """Line style of limits: they differ from curves in grey as well."""
@@ -33,8 +30,18 @@ def new_figure(size: tuple[float, float]) -> Figure:
     return figure
 
 
-def save_png(figure: Figure, path: Path | str) -> None:
-    """Write a figure as a PNG whose bytes depend on its content only.
+UNDATED: dict[str, dict[str, str | None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None},
+    "pdf": {"CreationDate": None},
+}
+"""Kinds of pictures, and what would make their bytes depend on more than their content."""
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write a figure as SVG or PDF if its name ends so, else as PNG.
+
+    Its bytes depend on its content only.
 
     Raises
     ------
@@ -43,7 +50,10 @@ def save_png(figure: Figure, path: Path | str) -> None:
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn with boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(path, format="png", dpi=RESOLUTION, metadata={"Software": None})
+        kind = Path(path).suffix[1:].lower()
+        kind = kind if kind in UNDATED else "png"
+        with rc_context({"svg.hashsalt": "hitchopt"}):
+            figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:

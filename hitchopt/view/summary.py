@@ -6,20 +6,32 @@ import textwrap
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.motion.motion import Motion
-from hitchopt.view.curves import sampled_curves
+from hitchopt.view.curves import Curves, sampled_curves
+from hitchopt.view.house_colours import facts, verdict
 from hitchopt.view.plan_view import draw_plan_view
-from hitchopt.view.style import new_figure, save_png
+from hitchopt.view.storyboard import chosen_shots, draw_plan_storyboard
+from hitchopt.view.style import new_figure, save_figure
 from hitchopt.view.time_plots import draw_legend, draw_panel, draw_phases, panels
 
 SIZE = (13.0, 7.2)
 """Width and height [inch]."""
 
+WIDTHS = (1.25, 1.0)
+"""Widths of what is left and of what is right."""
+
+LEGEND_GAP = 0.17
+"""Distance of the legend from such a plan, as a share of its height."""
+
+FEW, HEIGHTS = 3, (1.0, 1.25)
+"""Number of panels up to which the plan is drawn from above as well, and the heights of both."""
+
 
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
-    """Return the picture: hitches or drones and the paths from above; what is limited over time.
+    """Return the picture: a storyboard, or single drones from above; what is limited over time.
 
     Parameters
     ----------
@@ -30,8 +42,8 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     figure = new_figure(SIZE)
     curves = sampled_curves(motion)
     shown = panels(motion, curves)
-    grid = figure.add_gridspec(len(shown), 2)
-    draw_plan_view(figure.add_subplot(grid[:, 0]), motion, curves)
+    grid = figure.add_gridspec(len(shown), 2, width_ratios=WIDTHS)
+    _draw_left(figure, grid[:, 0], motion, curves)
     axes = [figure.add_subplot(grid[row, 1]) for row in range(len(shown))]
     for each, panel in zip(axes, shown, strict=True):
         draw_panel(each, curves.t, panel, certificate)
@@ -45,8 +57,29 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     return figure
 
 
+def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion, curves: Curves) -> None:
+    """Draw what is left of the limits.
+
+    Few moments leave room for the plan from above, or for a few cables where there are many.
+    """
+    shots = chosen_shots(motion) if motion.team.has_cables else ()
+    if len(shots) > FEW:
+        draw_plan_storyboard(place, motion, shots)
+        return
+    if shots:
+        above = place.subgridspec(2, 1, height_ratios=HEIGHTS)
+        near = [shot for shot in shots if shot.near]
+        if near:
+            draw_plan_storyboard(above[1], motion, near)
+        else:
+            draw_plan_view(figure.add_subplot(above[1]), motion, curves, LEGEND_GAP)
+        draw_plan_storyboard(above[0], motion, [shot for shot in shots if not shot.near])
+    else:
+        draw_plan_view(figure.add_subplot(place), motion, curves)
+
+
 def save_summary(path: Path, motion: Motion, certificate: Certificate, title: str = "") -> None:
-    """Draw the picture and write it as a PNG.
+    """Draw the picture and write it as PNG, SVG or PDF, by the name's ending.
 
     Parameters
     ----------
@@ -57,17 +90,10 @@ def save_summary(path: Path, motion: Motion, certificate: Certificate, title: st
     ------
     OSError: the file cannot be written.
     """
-    save_png(draw_summary(motion, certificate, title), path)
+    save_figure(draw_summary(motion, certificate, title), path)
 
 
 def _headline(motion: Motion, certificate: Certificate, title: str) -> str:
-    total = len(certificate.checks)
-    if certificate.certified:
-        verdict = f"certified for all t: {total} of {total} limits hold"
-    else:
-        verdict = "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
-    drones = f"{len(motion.team.drone_names)} drones"
-    who = f"{motion.team.robots} robots, {drones}" if motion.team.has_cables else drones
-    facts = f"{who}, {motion.duration:.4g} s; {verdict}"
+    said = f"{facts(motion)}; {verdict(certificate)}"
     name = textwrap.shorten(title, 100, placeholder=" …")
-    return f"{name}\n{facts}" if name else facts
+    return f"{name}\n{said}" if name else said

@@ -90,7 +90,7 @@ def draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> 
     certificate: the plan's certificate.
     """
     axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
-    worst = _worst(panel, certificate)
+    worst = worst_of(panel, certificate)
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
     axes.set_ylim(0.0, top)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
@@ -142,7 +142,7 @@ def draw_legend(axes: Axes) -> None:
     legend_below(axes, handles, 0.32, 2)
 
 
-def _worst(panel: Panel, certificate: Certificate) -> tuple[float, float] | None:
+def worst_of(panel: Panel, certificate: Certificate) -> tuple[float, float] | None:
     """Return time and value of the certificate's worst, in the panel's unit, if it has one."""
     for check in certificate.checks:
         if check.name == panel.rule.name:

@@ -1,0 +1,265 @@
+"""The live view: a plan in the browser, with playback, phases and certificate."""
+
+from __future__ import annotations
+
+import threading
+import time as clock
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.errors import UnsupportedError
+from hitchopt.motion.motion import Motion
+from hitchopt.view.house_colours import facts, verdict
+from hitchopt.view.live_scene import SWITCHES, LiveScene
+from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
+
+HOST = "127.0.0.1"
+"""Address that the server listens on unless told otherwise: this machine alone."""
+
+FRAME = 1.0 / 30.0
+"""Time between two frames [s]."""
+
+WIDTH = 380
+"""Width of the panel [pixels]."""
+
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+
+QUIET = "gray"
+"""Colour of buttons, but for that of the phase shown and those of checks that do not hold."""
+
+FROM = np.array([-0.35, -0.8, 0.5])
+"""Direction from which the scene is seen at first."""
+
+FIELD = 0.6
+"""Vertical field of view [rad]."""
+
+
+class LiveView:
+    """A plan in the browser, served until it is closed.
+
+    Parameters
+    ----------
+    motion, title: the plan.
+    certificate: its certificate; None while it is being computed.
+    ghost: another scene that is shown beside it, pale.
+    host, port: where the server listens; if the port is taken the next free one.
+
+    Raises
+    ------
+    UnsupportedError: viser is not installed.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        certificate: Certificate | None,
+        title: str = "",
+        *,
+        ghost: Scene | None = None,
+        host: str = HOST,
+        port: int = 8080,
+    ) -> None:
+        try:
+            import viser
+        except ImportError:
+            words = (
+                "the live view needs viser, which is not installed; pip install 'hitchopt[view]'"
+            )
+            raise UnsupportedError(words) from None
+        self.server = viser.ViserServer(host, port, label=title or "hitchopt", verbose=False)
+        self.time, self.playing, self.speed = 0.0, False, 1.0
+        self._note, self._title = "", title
+        self._lock, self._open = threading.RLock(), True
+        self._ghost = None
+        self.server.scene.set_up_direction("+z")
+        # Without the button that shares the page through a server elsewhere.
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.server.gui.main_panel.dock_right()
+        self.server.gui.main_panel.set_width(WIDTH)
+        self.server.initial_camera.fov = FIELD
+        self.panel: list[Any] = []
+        self.live: LiveScene
+        self.show_plan(motion, certificate, title)
+        if ghost is not None:
+            self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
+        self._player = threading.Thread(target=self._play, daemon=True)
+        self._player.start()
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._open = False
+        self._player.join()
+        self.server.stop()
+
+    def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
+        """Show a plan in place of the one that is shown."""
+        with self._lock:
+            if self.panel:
+                self.live.remove()
+            self.motion = motion
+            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self._look()
+            self.show_certificate(certificate, title)
+
+    def show_certificate(self, certificate: Certificate | None, title: str = "") -> None:
+        """Show the panel of the plan with its certificate, or that it is being computed."""
+        with self._lock:
+            for handle in self.panel:
+                handle.remove()
+            self.panel, self.phase, self.certificate = [], -1, certificate
+            self._title = title
+            self._add_panel()
+            self.seek(self.time)
+
+    def note(self, words: str) -> None:
+        """Say above the certificate what the plan shown is; nothing where it is the plan."""
+        with self._lock:
+            self._note = words
+            self.head.content = self._words()
+
+    def seek(self, time: float) -> None:
+        """Show a time [s]."""
+        with self._lock:
+            self.time = float(np.clip(time, 0.0, self.motion.duration))
+            with self.server.atomic():
+                self.live.show(self.time)
+                if self._ghost is not None:
+                    self._ghost.show(self.time)
+            self._show_phase()
+            if abs(self.scrub.value - self.time) > 0.5 * FRAME:
+                self.scrub.value = round(self.time, 3)
+
+    def _show_phase(self) -> None:
+        phases, duration = self.motion.phases, self.motion.duration
+        i = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
+        if i != self.phase:
+            if self.phase >= 0:
+                self.phases[self.phase].color = QUIET
+            self.phases[i].color = None  # the theme's
+            self.phase = i
+        words = (
+            f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}** ({phases[i].state})"
+        )
+        remark = plain_words(phases[i].remark)
+        self.now.content = f"{words}  \n{remark}" if remark else words
+
+    def show_check(self, check: Check) -> None:
+        """Show the worst moment of a check, and highlight what it concerns."""
+        with self._lock:
+            self.play(on=False)
+            self.live.mark(concerned(self.motion, check.where))
+            where = f": {', '.join(check.where)}" if check.where else ""
+            self.found.content = f"{check.name}{where} at {check.time:.2f} s"
+            self.found.visible = True
+            self.seek(check.time)
+
+    def play(self, *, on: bool) -> None:
+        """Start or stop the playback."""
+        with self._lock:
+            if on and self.time >= self.motion.duration:
+                self.seek(0.0)
+            self.playing = on
+            self.player.label = "Pause" if on else "Play"
+
+    def _play(self) -> None:
+        """Advance the time while the plan is played."""
+        before = clock.monotonic()
+        while self._open:
+            clock.sleep(FRAME)
+            now = clock.monotonic()
+            if self.playing:
+                with self._lock:
+                    self.seek(self.time + self.speed * (now - before))
+                    if self.time >= self.motion.duration:
+                        self.play(on=False)
+            before = now
+
+    def _look(self) -> None:
+        """Place the camera so that it sees all paths."""
+        drones = self.live.scene.drones
+        lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
+        centre, extent = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
+        away = FROM / np.linalg.norm(FROM) * (0.55 * extent + 0.3) / np.sin(0.5 * FIELD)
+        self.server.initial_camera.position = tuple(centre + away)
+        self.server.initial_camera.look_at = tuple(centre)
+
+    def _words(self) -> str:
+        """Return the head of the panel."""
+        said = "being certified …" if self.certificate is None else verdict(self.certificate)
+        said = (
+            f"**{plain_words(self._note)}**  \nthe old one: {said}" if self._note else f"**{said}**"
+        )
+        return f"### {plain_words(self._title or 'Plan')}\n{facts(self.motion)}  \n{said}"
+
+    def _add_panel(self) -> None:
+        gui = self.server.gui
+        self.head = gui.add_markdown(self._words())
+        self.panel.append(self.head)
+        self.now = gui.add_markdown("")
+        self.scrub = gui.add_slider(
+            "time [s]", 0.0, max(self.motion.duration, FRAME), 0.001, self.time
+        )
+        self.player = gui.add_button("Play")
+        speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
+        self.found = gui.add_markdown("", visible=False)
+        self.panel += [self.now, self.scrub, self.player, speed, self.found]
+        self.scrub.on_update(lambda event: self._scrubbed(event.target.value, event.client))
+        self.player.on_click(lambda _: self.play(on=not self.playing))
+        speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
+        self._add_switches()
+        tabs = gui.add_tab_group()
+        self.panel.append(tabs)
+        with tabs.add_tab("Phases"):
+            self.phases = []
+            for phase in self.motion.phases:
+                words = f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s"
+                button = gui.add_button(words, color=QUIET)
+                button.on_click(lambda _, start=phase.start: self.seek(start))
+                self.phases.append(button)
+        with tabs.add_tab("Certificate"):
+            gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
+            for check in self.certificate.checks if self.certificate else ():
+                button = gui.add_button(_words(check), color=QUIET if check.holds else "red")
+                button.on_click(lambda _, check=check: self.show_check(check))
+            gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
+
+    def _add_switches(self) -> None:
+        folder = self.server.gui.add_folder("Show", expand_by_default=True)
+        self.panel.append(folder)
+        with folder:
+            for name in SWITCHES:
+                box = self.server.gui.add_checkbox(name, self.live.shown[name])
+                box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))
+
+    def _switch(self, name: str, *, on: bool) -> None:
+        with self._lock:
+            self.live.switch(name, on=on)
+
+    def _scrubbed(self, value: float, client: Any) -> None:
+        if client is not None:  # moved by hand, not by the playback
+            self.seek(value)
+
+    def _unmark(self) -> None:
+        with self._lock:
+            self.live.mark(Concerned())
+            self.found.visible = False
+
+
+def _words(check: Check) -> str:
+    unit = "" if check.unit == "1" else f" {check.unit}"
+    worst = "–" if check.worst is None else f"{check.worst:.4g}{unit}"
+    relation = "≥" if check.sense == "min" else "≤"
+    limit = "" if check.limit is None else f" {relation} {check.limit:.4g}"
+    return f"{'✓' if check.holds else 'NO'} {check.name}: {worst}{limit}"
+
+
+def plain_words(text: str) -> str:
+    """Return a text without what Markdown or HTML would take for marks."""
+    return "".join(f"&#{ord(char)};" if char in "<>&*_`#[]()!\\|~$" else char for char in text)

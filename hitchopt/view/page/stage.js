@@ -1,0 +1,337 @@
+// The scene in three dimensions; `show()` draws what `arrays` hold now.
+const MARK = "#e8590c", INK = "#1a1a1a", SIDES = 6;
+
+class Stage {
+  constructor(data, arrays, place) {
+    Object.assign(this, { data, arrays, place, on: {}, marked: { drones: [], cables: [], vertices: [] } });
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    place.prepend(this.renderer.domElement);
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color("#f3f4f5");
+    this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 5000);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new THREE.OrbitControls(this.camera, this.renderer.domElement);
+    this.scene.add(new THREE.HemisphereLight("#ffffff", "#b8bcc2", 2.2));
+    const sun = new THREE.DirectionalLight("#ffffff", 1.6);
+    sun.position.set(-2, -3, 6);
+    this.scene.add(sun);
+    this.measure();
+    this.addGround();
+    this.addBounds();
+    this.addDrones();
+    this.addObjects();
+    this.addCables();
+    this.addPaths();
+    this.addArrows();
+    this.addMarks();
+    this.addLabels();
+    this.view("front");
+    new ResizeObserver(() => this.resize()).observe(place);
+    this.resize();
+    this.controls.addEventListener("change", () => this.show());
+  }
+
+  measure() {
+    const p = this.arrays.drones.values, lower = [Infinity, Infinity, Infinity], upper = [-Infinity, -Infinity, -Infinity];
+    for (let i = 0; i < p.length; i++) {
+      lower[i % 3] = Math.min(lower[i % 3], p[i]);
+      upper[i % 3] = Math.max(upper[i % 3], p[i]);
+    }
+    lower[2] = Math.min(lower[2], this.data.floor);
+    this.lower = lower; this.upper = upper;
+    this.centre = new THREE.Vector3(...lower).add(new THREE.Vector3(...upper)).multiplyScalar(0.5);
+    this.extent = Math.max(0.5, Math.hypot(upper[0] - lower[0], upper[1] - lower[1], upper[2] - lower[2]));
+  }
+
+  addGround() {
+    const step = 10 ** Math.round(Math.log10(this.extent / 4)), cells = 2 * Math.ceil(1.6 * this.extent / step);
+    const grid = new THREE.GridHelper(cells * step, cells, "#c2c7cc", "#d9dcdf");
+    grid.rotation.x = Math.PI / 2;
+    grid.position.set(Math.round(this.centre.x / step) * step, Math.round(this.centre.y / step) * step, this.data.floor - 0.002);
+    this.scene.add(grid);
+  }
+
+  addBounds() {
+    const { arena, keep_out: prisms } = this.data;
+    const edges = (geometry, colour) => this.scene.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry), new THREE.LineBasicMaterial({ color: colour })));
+    if (arena) {
+      const size = arena.upper.map((x, i) => x - arena.lower[i]), box = new THREE.BoxGeometry(...size);
+      edges(box.translate(...arena.lower.map((x, i) => x + size[i] / 2)), "#9aa1a8");
+    }
+    for (const prism of prisms) {
+      const shape = new THREE.Shape(prism.polygon.map((p) => new THREE.Vector2(...p)));
+      const solid = new THREE.ExtrudeGeometry(shape, { depth: prism.upper - prism.lower, bevelEnabled: false }).translate(0, 0, prism.lower);
+      this.scene.add(new THREE.Mesh(solid, new THREE.MeshLambertMaterial({ color: "#b3261e", transparent: true, opacity: 0.25, depthWrite: false })));
+      edges(solid, "#b3261e");
+    }
+  }
+
+  addDrones() {
+    const { names, colours, ellipsoid } = this.data, count = names.length;
+    const instanced = (geometry, material) => {
+      const mesh = new THREE.InstancedMesh(geometry, material, count);
+      mesh.frustumCulled = false;
+      this.scene.add(mesh);
+      return mesh;
+    };
+    this.size = 0.8 * ellipsoid[0];  // from the centre to a rotor's far side, about
+    const rotor = 0.38 * this.size, arm = 0.62 * this.size, dark = new THREE.MeshLambertMaterial({ color: "#2b2f33" });
+    const white = new THREE.MeshLambertMaterial({ color: "#ffffff", side: THREE.DoubleSide });
+    this.bodies = [instanced(new THREE.SphereGeometry(0.3 * this.size, 14, 10).scale(1, 1, 0.6), white)];
+    for (const turn of [45, 135]) {
+      this.bodies.push(instanced(new THREE.BoxGeometry(2 * arm, 0.09 * this.size, 0.07 * this.size).rotateZ(turn * Math.PI / 180), dark));
+    }
+    this.rotors = [];
+    for (let k = 0; k < 4; k++) {
+      const angle = (45 + 90 * k) * Math.PI / 180, x = arm * Math.cos(angle), y = arm * Math.sin(angle), z = 0.08 * this.size;
+      this.rotors.push(instanced(new THREE.CylinderGeometry(rotor, rotor, 0.03 * this.size, 20).rotateX(Math.PI / 2).translate(x, y, z), white));
+      this.rotors.push(instanced(new THREE.TorusGeometry(rotor, 0.06 * this.size, 6, 20).translate(x, y, z), white));
+    }
+    this.shells = instanced(new THREE.SphereGeometry(1, 24, 16).scale(...ellipsoid), new THREE.MeshLambertMaterial({ color: "#2a8c82", transparent: true, opacity: 0.16, depthWrite: false }));
+    for (let i = 0; i < count; i++) {
+      const colour = new THREE.Color(colours[i]), open = names[i][0] === "r" ? new THREE.Color("#ffffff") : colour;
+      this.bodies[0].setColorAt(i, colour);
+      this.rotors.forEach((mesh, k) => mesh.setColorAt(i, k % 2 ? colour : open));
+    }
+  }
+
+  addObjects() {
+    this.objects = this.data.objects.map(({ colour, corners }) => {
+      const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+      geometry.computeVertexNormals();
+      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
+      solid.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), new THREE.LineBasicMaterial({ color: "#7c8288" })));
+      this.scene.add(solid);
+      return solid;
+    });
+  }
+
+  updateObjects() {
+    const p = this.arrays.places.now, q = this.arrays.turns.now;
+    this.objects.forEach((solid, i) => {
+      solid.position.set(p[3 * i], p[3 * i + 1], p[3 * i + 2]);
+      solid.quaternion.set(q[4 * i + 1], q[4 * i + 2], q[4 * i + 3], q[4 * i]).normalize();
+    });
+  }
+
+  addCables() {
+    const { cables, points } = this.data;
+    const geometry = new THREE.BufferGeometry(), rings = cables * points;
+    for (const [name, size] of [["position", 3], ["normal", 3], ["color", 3]]) {
+      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(rings * SIDES * size), size).setUsage(THREE.DynamicDrawUsage));
+    }
+    const index = [];
+    for (let c = 0; c < cables; c++) for (let i = 0; i + 1 < points; i++) for (let s = 0; s < SIDES; s++) {
+      const a = (c * points + i) * SIDES + s, b = (c * points + i) * SIDES + (s + 1) % SIDES;
+      index.push(a, b, a + SIDES, b, b + SIDES, a + SIDES);
+    }
+    geometry.setIndex(index);
+    this.tubes = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: true }));
+    this.tubes.frustumCulled = false;
+    this.scene.add(this.tubes);
+    this.colourCables();
+  }
+
+  colourCables() {
+    const { cables, points, colours } = this.data, colour = this.tubes.geometry.attributes.color;
+    for (let c = 0; c < cables; c++) {
+      const { r, g, b } = new THREE.Color(this.marked.cables.includes(c) ? MARK : colours[2 * c]);
+      for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) colour.setXYZ(i, r, g, b);
+    }
+    colour.needsUpdate = true;
+  }
+
+  updateCables() {
+    const { cables, points } = this.data, p = this.arrays.cables.now;
+    const radius = Math.max(this.data.radius, 0.0011 * this.distance());
+    const { position, normal } = this.tubes.geometry.attributes;
+    for (let c = 0; c < cables; c++) {
+      let nx = 0.13, ny = 0.29, nz = 0.95;
+      for (let i = 0; i < points; i++) {
+        const at = 3 * (c * points + i), a = 3 * (c * points + Math.max(i - 1, 0)), b = 3 * (c * points + Math.min(i + 1, points - 1));
+        let tx = p[b] - p[a], ty = p[b + 1] - p[a + 1], tz = p[b + 2] - p[a + 2];
+        const length = Math.hypot(tx, ty, tz) || 1;
+        tx /= length; ty /= length; tz /= length;
+        // The last ring's normal, made upright on this tangent: no twist along the cable.
+        const dot = nx * tx + ny * ty + nz * tz;
+        nx -= dot * tx; ny -= dot * ty; nz -= dot * tz;
+        let size = Math.hypot(nx, ny, nz);
+        if (size < 1e-6) { nx = -ty; ny = tx; nz = 0.01; size = Math.hypot(nx, ny, nz); }
+        nx /= size; ny /= size; nz /= size;
+        const bx = ty * nz - tz * ny, by = tz * nx - tx * nz, bz = tx * ny - ty * nx;
+        for (let s = 0; s < SIDES; s++) {
+          const angle = 2 * Math.PI * s / SIDES, u = Math.cos(angle), v = Math.sin(angle), k = (c * points + i) * SIDES + s;
+          const x = u * nx + v * bx, y = u * ny + v * by, z = u * nz + v * bz;
+          position.setXYZ(k, p[at] + radius * x, p[at + 1] + radius * y, p[at + 2] + radius * z);
+          normal.setXYZ(k, x, y, z);
+        }
+      }
+    }
+    position.needsUpdate = normal.needsUpdate = true;
+  }
+
+  addPaths() {
+    const { names, colours, t } = this.data, p = this.arrays.drones, corners = [], shades = [];
+    const stride = Math.max(1, Math.ceil(names.length * t.length / 200000));
+    for (let d = 0; d < names.length; d++) {
+      const { r, g, b } = new THREE.Color(colours[d]).lerp(new THREE.Color("#f3f4f5"), 0.45);
+      for (let i = 0; i < t.length - 1; i += stride) {
+        const a = i * p.columns + 3 * d, z = Math.min(i + stride, t.length - 1) * p.columns + 3 * d;
+        corners.push(...p.values.subarray(a, a + 3), ...p.values.subarray(z, z + 3));
+        shades.push(r, g, b, r, g, b);
+      }
+    }
+    this.paths = this.lines(new Float32Array(corners), new THREE.LineBasicMaterial({ vertexColors: true }));
+    this.paths.geometry.setAttribute("color", new THREE.Float32BufferAttribute(shades, 3));
+  }
+
+  lines(corners, material) {
+    const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(corners, 3));
+    const lines = new THREE.LineSegments(geometry, material);
+    lines.frustumCulled = false;
+    this.scene.add(lines);
+    return lines;
+  }
+
+  addArrows() {
+    const count = this.data.names.length;
+    this.arrows = {};
+    for (const [name, colour] of [["forces", "#c8414f"], ["thrusts", "#0b3c5d"]]) {
+      const shafts = this.lines(new Float32Array(6 * count), new THREE.LineBasicMaterial({ color: colour }));
+      const heads = new THREE.InstancedMesh(new THREE.ConeGeometry(0.014, 0.05, 10).rotateX(Math.PI / 2), new THREE.MeshBasicMaterial({ color: colour }), count);
+      heads.frustumCulled = false;
+      this.scene.add(heads);
+      this.arrows[name] = { shafts, heads };
+    }
+  }
+
+  addMarks() {
+    const most = 64;
+    this.marks = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 16, 12), new THREE.MeshBasicMaterial({ color: MARK, transparent: true, opacity: 0.55, depthTest: false }), most);
+    this.marks.frustumCulled = false;
+    this.marks.renderOrder = 2;
+    this.scene.add(this.marks);
+  }
+
+  addLabels() {
+    const { names, clasps } = this.data, place = document.getElementById("labels");
+    const label = (text) => place.appendChild(Object.assign(document.createElement("span"), { textContent: text }));
+    this.labels = [...names.map((name, i) => ({ node: label(name), array: "drones", at: 3 * i, drone: i })),
+      ...clasps.map(({ name, point }) => ({ node: label(name), array: "cables", at: 3 * point, drone: -1 }))];
+  }
+
+  // Marks what a check names: indices of drones, cables and vertices.
+  mark(marked) {
+    this.marked = marked;
+    this.colourCables();
+    this.show();
+  }
+
+  switch(name, on) {
+    this.on[name] = on;
+    this.show();
+  }
+
+  // Looks at all places where drones ever are, from one of the usual directions.
+  view(kind) {
+    this.looking = kind;
+    const to = { above: [0, -0.001, 1], front: [-0.35, -0.8, 0.5] }[kind] ?? [0, -1, 0.3];
+    const back = new THREE.Vector3(...to).normalize(), right = new THREE.Vector3(-back.y, back.x, 0).normalize();
+    const up = back.clone().cross(right), tall = 0.9 * Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
+    const p = this.arrays.drones.values, point = new THREE.Vector3();
+    let far = 0.5;
+    for (let i = 0; i < p.length; i += 3) {
+      point.set(p[i], p[i + 1], p[i + 2]).sub(this.centre);
+      far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+    }
+    far += 2 * this.size;
+    this.controls.target.copy(this.centre);
+    this.camera.position.copy(this.centre).addScaledVector(back, far);
+    this.camera.near = far / 500; this.camera.far = far * 50;
+    this.camera.updateProjectionMatrix();
+    this.controls.update();
+    this.fitted = this.camera.position.clone();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.place;
+    if (!width || !height) return;
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (this.camera.position.equals(this.fitted)) this.view(this.looking);
+    this.show();
+  }
+
+  distance() { return this.camera.position.distanceTo(this.controls.target); }
+
+  // The place of a point on the page, in pixels from the stage's upper left corner.
+  project(array, at) {
+    const p = this.arrays[array].now, point = new THREE.Vector3(p[at], p[at + 1], p[at + 2]).project(this.camera);
+    return { x: (point.x + 1) / 2 * this.place.clientWidth, y: (1 - point.y) / 2 * this.place.clientHeight, behind: point.z > 1 };
+  }
+
+  show() {
+    if (!this.labels) return;
+    const { names } = this.data, p = this.arrays.drones.now, q = this.arrays.attitudes.now, all = [...this.bodies, ...this.rotors];
+    const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), place = new THREE.Vector3(), unit = new THREE.Vector3(1, 1, 1), scale = new THREE.Vector3();
+    const larger = Math.max(1, 0.0035 * this.distance() / this.size);
+    const thrusts = this.arrays.thrusts.now, forces = this.arrays.forces.now, tip = new THREE.Vector3(), up = new THREE.Vector3(0, 0, 1), perNewton = 0.2;
+    for (let i = 0; i < names.length; i++) {
+      const x = q[3 * i], y = q[3 * i + 1], z = q[3 * i + 2];
+      place.set(p[3 * i], p[3 * i + 1], p[3 * i + 2]);
+      turn.set(x, y, z, Math.sqrt(Math.max(0, 1 - x * x - y * y - z * z)));
+      matrix.compose(place, turn, scale.setScalar(larger));
+      for (const mesh of all) mesh.setMatrixAt(i, matrix);
+      this.shells.setMatrixAt(i, matrix.compose(place, new THREE.Quaternion(), unit));
+      for (const [name, arrow] of Object.entries(this.arrows)) {
+        if (name === "forces") tip.set(forces[3 * i], forces[3 * i + 1], forces[3 * i + 2]);
+        else tip.copy(up).applyQuaternion(turn).multiplyScalar(thrusts[i]);
+        const size = tip.length(), along = new THREE.Quaternion().setFromUnitVectors(up, size > 0 ? tip.clone().normalize() : up);
+        tip.multiplyScalar(perNewton).add(place);
+        arrow.shafts.geometry.attributes.position.setXYZ(2 * i, ...place).setXYZ(2 * i + 1, ...tip);
+        arrow.heads.setMatrixAt(i, matrix.compose(tip, along, scale.setScalar(size > 1e-3 ? 1 : 0)));
+      }
+    }
+    for (const mesh of [...all, this.shells]) mesh.instanceMatrix.needsUpdate = true;
+    for (const [name, { shafts, heads }] of Object.entries(this.arrows)) {
+      shafts.visible = heads.visible = !!this.on[name];
+      shafts.geometry.attributes.position.needsUpdate = heads.instanceMatrix.needsUpdate = true;
+    }
+    this.shells.visible = !!this.on.ellipsoids;
+    this.paths.visible = !!this.on.paths;
+    this.updateObjects();
+    this.updateCables();
+    this.updateMarks();
+    this.updateLabels();
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  updateMarks() {
+    const { drones, vertices } = this.marked, { clasps } = this.data, matrix = new THREE.Matrix4(), c = this.arrays.cables.now, p = this.arrays.drones.now;
+    const points = drones.map((i) => [p, 3 * i, 1.5 * this.size]);
+    for (const k of vertices) {
+      const clasp = clasps.find(({ vertex }) => vertex === k);
+      if (clasp) points.push([c, 3 * clasp.point, 0.6 * this.size]);
+    }
+    this.marks.count = Math.min(points.length, this.marks.instanceMatrix.count);
+    points.slice(0, this.marks.count).forEach(([from, at, size], i) => {
+      const radius = Math.max(size, 0.008 * this.distance());
+      this.marks.setMatrixAt(i, matrix.makeScale(radius, radius, radius).setPosition(from[at], from[at + 1], from[at + 2]));
+    });
+    this.marks.instanceMatrix.needsUpdate = true;
+  }
+
+  updateLabels() {
+    const few = this.labels.length <= 120;
+    for (const { node, array, at, drone } of this.labels) {
+      const shown = drone < 0 ? this.on.names && few && this.hooked : (this.on.names && few) || this.marked.drones.includes(drone);
+      node.hidden = !shown;
+      if (!shown) continue;
+      const { x, y, behind } = this.project(array, at);
+      node.hidden = behind;
+      node.style.transform = `translate(${x + 8}px, ${y - 18}px)`;
+    }
+  }
+}

@@ -1,0 +1,114 @@
+"""A headless Chromium, and where a drone is seen in it."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+from matplotlib.image import imread
+from playwright.sync_api import sync_playwright
+
+import hitchopt as ho
+from hitchopt.values import Array
+
+FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
+"""WebGL in software: machines for tests have no graphics card."""
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+
+SIZE = {"width": 1200, "height": 800}
+
+NEAR = 5.0
+"""Largest distance of a drawn drone to its place in the plan [pixels]."""
+
+LOCAL = ("file:", "data:", "blob:", "http://127.0.0.1:", "ws://127.0.0.1:")
+"""Beginnings of addresses that stay on this machine."""
+
+
+@cache
+def tied_plan() -> ho.Plan:
+    """Return the plan that the pages show: a hitch tied off the origin."""
+    team = ho.Team(robots=3, cable_length=[2.4, 2.5, 2.4])
+    q = np.array([[0.4, -2.2, 1.0], [0.4, -1.0, 1.0], [0.4, 0.2, 1.0]])
+    triangle = [[1.1, -0.3], [1.6, -1.2], [0.6, -1.3]]
+    return ho.form(team, q, q + [1.2, 0.0, 0.0], triangle, altitude=1.5)
+
+
+@contextmanager
+def opened_page() -> Iterator[Any]:
+    """Yield a page; fail if it logs an error or asks for anything outside of this machine."""
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    assert path, f"none of {', '.join(NAMES)} is installed; apt-get install chromium"
+    wrong: list[str] = []
+
+    def asked(address: str) -> None:
+        if not address.startswith(LOCAL):
+            wrong.append(f"asked for {address}")
+
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=path, args=list(FLAGS))
+        page = browser.new_page(viewport=SIZE)
+        page.on("request", lambda request: asked(request.url))
+        page.on("websocket", lambda socket: asked(socket.url))
+        page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
+        page.on(
+            "console",
+            lambda message: wrong.append(message.text) if message.type == "error" else None,
+        )
+        yield page
+        browser.close()
+    assert not wrong, "\n".join(wrong)
+
+
+def projected(
+    point: Array, eye: Array, target: Array, view: float, size: tuple[float, float]
+) -> Array:
+    """Return where a point (3,) is seen (2,) [pixels], from the upper left corner.
+
+    Parameters
+    ----------
+    point: (3,) [m]
+    eye, target: places of the camera and of what it looks at (3,) [m]; z is up.
+    view: vertical field of view [rad].
+    size: width and height of the picture [pixels].
+    """
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    away = point - eye
+    scale = 0.5 * size[1] / np.tan(0.5 * view) / (away @ forward)
+    return np.array([0.5 * size[0] + scale * (away @ right), 0.5 * size[1] - scale * (away @ up)])
+
+
+def changed_place(picture: Callable[[], bytes], change: Callable[[], None]) -> Array:
+    """Return the middle of what a change alters in a picture (2,) [pixels]."""
+    before = _levels(picture())
+    change()
+    after = _levels(picture())
+    rows, columns = np.nonzero(np.max(np.abs(after - before), axis=-1) > 0.1)
+    assert len(rows) > 20, "nothing has changed"
+    return np.array([np.mean(columns) + 0.5, np.mean(rows) + 0.5])
+
+
+def waited(page: Any, holds: Callable[[], bool]) -> None:
+    """Wait until a condition holds."""
+    for _ in range(100):
+        if holds():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError("the page has not answered")
+
+
+def _levels(png: bytes) -> Array:
+    return np.asarray(imread(io.BytesIO(png), format="png")[..., :3], dtype=np.float64)

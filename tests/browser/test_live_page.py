@@ -1,0 +1,85 @@
+"""The live view in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from browsing import NEAR, changed_place, opened_page, projected, tied_plan, waited
+
+from hitchopt.view.live_view import LiveView
+from hitchopt.view.scene import Concerned
+
+SETTLE = 1500
+"""Time after which the page has drawn what it was sent [ms]; software draws slowly."""
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LiveView]:
+    view = tied_plan().view(browser=False, port=8231)
+    assert view is not None
+    yield view
+    view.close()
+
+
+@pytest.fixture(scope="module")
+def page(live: LiveView) -> Iterator[Any]:
+    with opened_page() as page:
+        page.goto(live.url)
+        page.wait_for_selector("canvas")
+        page.get_by_text("certified for all t").wait_for()
+        page.wait_for_timeout(2 * SETTLE)
+        yield page
+
+
+def test_it_listens_on_this_machine_only(live: LiveView) -> None:
+    assert live.url.startswith("http://127.0.0.1:")
+
+
+@pytest.mark.parametrize("share", [0.08, 0.52, 0.97])
+def test_q0_is_seen_where_the_plan_has_it(page: Any, live: LiveView, share: float) -> None:
+    plan = tied_plan()
+    time = share * plan.duration
+    live.live.mark(Concerned())
+    live.seek(time)
+    page.wait_for_timeout(SETTLE)
+    (camera,) = (client.camera for client in live.server.get_clients().values())
+    box = page.locator("canvas").first.bounding_box()
+    size = (box["width"], box["height"])
+    point = plan.at(time).positions[0]
+    expected = projected(point, camera.position, camera.look_at, camera.fov, size)
+
+    def mark() -> None:
+        live.live.mark(Concerned(drones=(0,)))
+        page.wait_for_timeout(SETTLE)
+
+    seen = changed_place(lambda: page.screenshot(clip=box), mark)
+    assert np.linalg.norm(seen - expected) < NEAR
+
+
+def test_a_click_on_a_phase_shows_it(page: Any, live: LiveView) -> None:
+    plan = tied_plan()
+    phase = plan.phases[2]
+    page.get_by_text(f"{phase.name}: {phase.start:.2f}").click()
+    waited(page, lambda: abs(live.time - phase.start) < 1e-3)
+    page.get_by_text(f"{phase.start:.2f} s").first.wait_for()
+
+
+def test_a_click_on_a_check_jumps_to_its_worst_moment(page: Any, live: LiveView) -> None:
+    plan = tied_plan()
+    page.get_by_role("tab", name="Certificate").click()
+    for name in ("separation", "speed"):
+        check = plan.certificate[name]
+        page.get_by_role("button", name=f"✓ {name}:").click()
+        waited(page, lambda check=check: abs(live.time - check.time) < 1e-3)  # type: ignore[misc]
+        page.get_by_text(f"{name}: {', '.join(check.where)} at {check.time:.2f} s").wait_for()
+
+
+def test_it_plays(page: Any, live: LiveView) -> None:
+    live.seek(0.0)
+    page.get_by_role("button", name="Play").click()
+    waited(page, lambda: live.time > 0.3)
+    page.get_by_role("button", name="Pause").click()
+    waited(page, lambda: not live.playing)

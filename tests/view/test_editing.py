@@ -1,0 +1,266 @@
+"""Editing by hand, without a browser: changes, undo, stale plans, refusals and saved files."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.mission.file_models import StepKeys
+from hitchopt.mission.loading import parse_problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.repair import Suggestion
+from hitchopt.mission.repair.change import Change, Edit
+from hitchopt.mission.solving import solve_problem
+from hitchopt.motion.states import states_at
+from hitchopt.steps import STEPS
+from hitchopt.steps.certified_motions import Certified
+from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.time_limit import Progress
+from hitchopt.view.editing_handles import START, dragged, handles, height_after, new_step, outlines
+from hitchopt.view.editing_session import Editing, Stage, Status
+
+TEXT = """\
+# A triangle off the origin.
+team: {robots: 3, cable_length: [2.4, 2.5, 2.4]}  # unequal
+start:
+  hitch: {polygon: [[1.0, -0.5], [0.6, 1.0], [1.4, 1.0]], altitude: 1.2}
+mission:
+  # one vertex
+  - move_vertex: {vertex: 0, by: [0.0, 0.2]}
+  - hold: {seconds: 1.0}  # rest
+"""
+
+
+class Desk:
+    """An editing of TEXT whose planner waits where a test tells it to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "problem.yaml"
+        self.path.write_text(TEXT)
+        plan = ho.solve(self.path)
+        self.first = Certified(plan.motion, plan.certificate)
+        self.free = threading.Event()
+        self.free.set()
+        self.begun = threading.Semaphore(0)
+        self.planned: list[Problem] = []
+        self.repairs: tuple[Suggestion, ...] = ()
+        self.seen: list[Status] = []
+        self.editing = Editing(TEXT, self.path, self.first, self._plan, self._repair)
+        self.editing.listener = lambda: self.seen.append(self.editing.status)
+
+    def _plan(self, problem: Problem, progress: Progress) -> Certified:
+        self.planned.append(problem)
+        self.begun.release()
+        assert self.free.wait(30.0)
+        progress("going on")
+        return solve_problem(problem, progress)
+
+    def _repair(
+        self, problem: Problem, error: ho.InfeasibleError, progress: Progress
+    ) -> tuple[Suggestion, ...]:
+        progress("looking")
+        assert error.violations
+        assert problem is self.planned[-1]
+        return self.repairs
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    made = Desk(tmp_path)
+    yield made
+    made.free.set()
+    made.editing.close()
+
+
+def test_a_dragged_vertex_is_planned_and_certified(desk: Desk) -> None:
+    editing = desk.editing
+    editing.drag(0, "vertex 0", np.array([1.05, -0.25, 1.2]))
+    assert editing.wait()
+    assert editing.status.stage is Stage.CURRENT
+    assert editing.planned.certificate.certified
+    end = states_at(editing.planned.motion, editing.planned.motion.duration)
+    np.testing.assert_allclose(end.vertices[0], [1.05, -0.25, 1.2], atol=1e-9)
+    assert editing.text == TEXT.replace("by: [0.0, 0.2]", "by: [0.05, 0.25]")
+
+
+def test_while_a_plan_is_made_the_old_one_is_called_old(desk: Desk) -> None:
+    desk.free.clear()
+    desk.editing.put(Edit("mission[1].hold.seconds", 1.5))
+    text, status, planned = desk.editing.now()
+    assert "1.5" in text
+    assert status.stage is Stage.PLANNING
+    assert planned is desk.first
+    desk.free.set()
+    assert desk.editing.wait()
+    assert desk.editing.planned.motion.duration == pytest.approx(
+        desk.first.motion.duration + 0.5, abs=1e-6
+    )
+
+
+def test_stale_plans_are_discarded(desk: Desk) -> None:
+    editing = desk.editing
+    desk.free.clear()
+    editing.put(Edit("mission[1].hold.seconds", 5.0))
+    assert desk.begun.acquire(timeout=30.0)
+    editing.put(Edit("mission[1].hold.seconds", 2.0))
+    desk.free.set()
+    assert editing.wait()
+    assert len(desk.planned) == 2
+    durations = {round(editing.planned.motion.duration - desk.first.motion.duration, 6)}
+    assert durations == {1.0}
+    assert [s.stage for s in desk.seen].count(Stage.CURRENT) == 1
+
+
+def test_changes_are_undone_and_made_again(desk: Desk) -> None:
+    editing = desk.editing
+    assert not editing.undo()
+    editing.remove(1)
+    removed = editing.text
+    editing.add(0, "hold")
+    assert len(editing.problem.mission) == 2
+    assert editing.undo()
+    assert editing.text == removed
+    assert editing.undo()
+    assert editing.text == TEXT
+    assert editing.wait()
+    assert editing.planned.motion.duration == desk.first.motion.duration
+    assert editing.undo(-1)
+    assert editing.text == removed
+    editing.put(Edit("mission[0].move_vertex.by", [0.0, 0.1]))
+    assert not editing.undo(-1)  # the other branch is gone
+
+
+def test_a_step_goes_to_another_place(desk: Desk) -> None:
+    desk.editing.move(1, 0)
+    assert (
+        "mission:\n  - hold: {seconds: 1.0}  # rest\n  # one vertex\n  - move" in desk.editing.text
+    )
+    with pytest.raises(ho.InputError, match="index of a step"):
+        desk.editing.move(0, 2)
+
+
+def test_what_is_no_problem_changes_nothing(desk: Desk) -> None:
+    with pytest.raises(ho.InputError, match=r"mission\[1\]\.hold\.seconds"):
+        desk.editing.put(Edit("mission[1].hold.seconds", -1.0))
+    with pytest.raises(ho.InputError, match="one of vertex 0"):
+        desk.editing.drag(0, "edge 2", np.zeros(3))
+    assert desk.editing.now() == (TEXT, desk.editing.status, desk.first)
+    assert desk.editing.status.stage is Stage.CURRENT
+    assert not desk.planned
+
+
+def test_what_binds_is_told_and_a_suggestion_can_be_taken(desk: Desk) -> None:
+    editing = desk.editing
+    editing.put(Edit("team.cable_length", 1.6))
+    assert editing.wait()
+    assert editing.status.stage is Stage.REFUSED
+    assert "no single change" in editing.status.words
+    assert editing.planned is desk.first
+    edit = Edit("team.cable_length", 2.4)
+    names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
+    found = Suggestion(Change(*names, desk.planned[-1], (edit,)), 2.0)
+    desk.repairs = (found,)
+    editing.put(Edit("team.cable_length", 1.61))
+    assert editing.wait()
+    assert editing.status.suggestions == (found,)
+    editing.apply(found)
+    assert editing.wait()
+    assert editing.now()[1].stage is Stage.CURRENT
+    assert editing.planned.certificate.certified
+
+
+def test_a_saved_file_keeps_its_comments(desk: Desk) -> None:
+    editing = desk.editing
+    assert editing.saved
+    editing.put(Edit("mission[1].hold.seconds", 2.0))
+    assert not editing.saved
+    assert editing.save() == desk.path
+    assert editing.saved
+    assert desk.path.read_text() == TEXT.replace("seconds: 1.0", "seconds: 2.0")
+    assert [p.name for p in desk.path.parent.iterdir()] == ["problem.yaml"]
+
+
+def test_a_file_that_someone_else_changed_is_not_overwritten(desk: Desk) -> None:
+    desk.path.write_text("other")
+    desk.editing.put(Edit("mission[1].hold.seconds", 2.0))
+    with pytest.raises(ho.FileError, match="by someone else"):
+        desk.editing.save()
+    assert desk.path.read_text() == "other"
+
+
+STEPPED = """\
+team: {robots: 4, cable_length: 2.4}
+objects:
+  box: {outline: [[0, 0], [0.1, 0], [0.1, 0.1]], to: 0.2, mass: 0.1, at: [3, 1, 0]}
+start:
+  drones:
+    q: [[-0.9, -0.5, 0], [-0.5, 0.9, 0], [0.9, 0.5, 0], [0.5, -0.9, 0]]
+    r: [[-0.9, 0.5, 0], [0.5, 0.9, 0], [0.9, -0.5, 0], [-0.5, -0.9, 0]]
+mission:
+  - form: {polygon: [[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]]}
+  - morph: {polygon: [[-0.6, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]]}
+  - move_edge: {edge: 3, to: [[0.6, -0.6], [-0.6, -0.6]]}
+  - move_vertex: {vertex: 1, to: [-0.6, 0.5]}
+  - follow_vertex: {vertex: 1, path: [[2.0, -0.5, 0.5]]}
+  - transport: {to: [0.5, 0, 1.3]}
+  - hold: {seconds: 1}
+"""
+
+
+@pytest.mark.parametrize("index", range(START, 6))
+def test_a_handle_goes_where_it_is_dragged(index: int) -> None:
+    """Dragged by a vector, every handle is found again at its place plus that vector."""
+    data = parse_yaml(STEPPED)
+    problem = parse_problem(STEPPED)
+    assert isinstance(problem, Problem)
+    found = handles(problem, data, index, 1.0)
+    assert found
+    for handle in found:
+        by = np.array([0.02, -0.03, 0.04 if handle.vertical else 0.0])
+        text = dragged(STEPPED, handle, handle.place + by)
+        changed = parse_problem(text)
+        assert isinstance(changed, Problem)
+        again = {h.name: h for h in handles(changed, parse_yaml(text), index, 1.0)}
+        np.testing.assert_allclose(again[handle.name].place, handle.place + by, atol=1e-8)
+        assert dragged(STEPPED, handle, handle.place) == STEPPED
+
+
+def test_the_whole_hitch_goes_with_its_height() -> None:
+    problem = parse_problem(TEXT)
+    assert isinstance(problem, Problem)
+    (whole,) = (h for h in handles(problem, parse_yaml(TEXT), START, 1.0) if h.name == "hitch")
+    moved = parse_problem(dragged(TEXT, whole, whole.place + [0.1, 0.2, 0.3]))
+    assert isinstance(moved, Problem)
+    before, after = outlines(problem)[0], outlines(moved)[0]
+    assert before is not None
+    assert after is not None
+    np.testing.assert_allclose(after.vertices, before.vertices + [0.1, 0.2], atol=1e-8)
+    assert moved.start.altitude == pytest.approx(1.5)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("kind", [step.name for step in STEPS])
+def test_a_new_step_is_one_that_a_file_may_have(kind: str) -> None:
+    problem = parse_problem(STEPPED)
+    assert isinstance(problem, Problem)
+    for index in (START, 0):
+        StepKeys.model_validate(new_step(problem, index, kind, 1.0))
+
+
+def test_the_height_is_that_of_the_plan(desk: Desk) -> None:
+    assert height_after(desk.first.motion, START) == pytest.approx(1.2)
+    assert height_after(desk.first.motion, 1) == pytest.approx(1.2)
+
+
+def test_the_command_shows_a_problem_that_has_no_plan_yet(tmp_path: Path) -> None:
+    file, page = tmp_path / "problem.yaml", tmp_path / "plan.html"
+    file.write_text(TEXT)
+    done = CliRunner().invoke(main, ["view", str(file), "--save", str(page)])
+    assert done.exit_code == 0, done.output
+    assert "# A triangle off the origin." in page.read_text()

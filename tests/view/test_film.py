@@ -1,0 +1,111 @@
+"""Films: refusals before the flight, and written files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import imageio.v3 as imageio
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from pictured import make_motion
+
+from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.motion.motion import Motion
+from hitchopt.view import film as films
+from hitchopt.view.cable_curves import CLASPS
+from hitchopt.view.film import check_film, frames, save_film
+from hitchopt.view.ghost_scene import ghost_scene, recorded_scene
+from hitchopt.view.painter import Camera, Painter
+from hitchopt.view.scene import scene_of
+
+
+def short_motion(n: int = 3) -> Motion:
+    return make_motion(n).slowed(0.1)
+
+
+@pytest.mark.parametrize(("ending", "count"), [("gif", 7), ("mp4", 11)])
+def test_a_film_is_in_real_time(tmp_path: Path, ending: str, count: int) -> None:
+    path = tmp_path / f"plan.{ending}"
+    done: list[float] = []
+    save_film(path, scene_of(short_motion()), "Three", done.append)
+    # 0.31 s at 50/3 and 30 Hz, both ends
+    if ending == "gif":
+        assert imageio.imread(path).shape == (count, 720, 1280, 3)
+    else:
+        assert imageio_ffmpeg.count_frames_and_secs(path)[0] == count
+    assert done == pytest.approx(np.arange(1, count + 1) / count)
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_frames_show_the_motion() -> None:
+    scene = scene_of(short_motion())
+    first, again, last = frames(scene, np.array([0.0, 0.0, 0.2]), "")
+    assert first.shape == (720, 1280, 3)
+    np.testing.assert_array_equal(first, again)
+    assert 0.001 < np.mean(np.any(first != last, axis=-1)) < 0.3
+
+
+def test_what_is_nearer_is_painted_later() -> None:
+    """Seen from above, the strand that is higher at a clasp covers the other."""
+    scene = scene_of(make_motion(4))
+    camera = Camera.toward(-90.0, 89.0)
+    moment = scene.at(1.0)
+    painting = Painter(scene, camera).painted(moment)
+    assert painting.polygons.shape == (*painting.colours.shape[:1], 4, 2)
+    cables = moment.cables
+    strands = [(0, CLASPS[0]), (3, CLASPS[1])]
+    own = Painter(scene, camera).cables
+    order = []
+    for cable, point in strands:
+        middle = camera.seen(0.5 * (cables[cable, point] + cables[cable, point + 1]))[:2]
+        same = np.all(painting.colours == own[cable], axis=1)
+        apart = np.linalg.norm(np.mean(painting.polygons, axis=1) - middle, axis=1)
+        order.append((int(np.argmin(np.where(same, apart, np.inf))), cables[cable, point, 2]))
+    order.sort()
+    assert order[0][1] <= order[1][1] + 1e-9
+
+
+def test_the_camera_s_axes_are_a_rotation() -> None:
+    axes = Camera.toward(-115.0, 32.0).axes
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert axes[1, 2] > 0.0
+
+
+def test_a_film_without_its_packages_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(films, "find_spec", lambda name: name == "imageio" or None)
+    check_film(Path("flight.gif"))
+    with pytest.raises(UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
+        check_film(Path("flight.MP4"))
+    monkeypatch.setattr(films, "find_spec", lambda _: None)
+    with pytest.raises(UnsupportedError, match="needs imageio"):
+        check_film(Path("flight.gif"))
+    with pytest.raises(InputError, match="film"):
+        check_film(Path("flight.avi"))
+
+
+def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="cannot be written"):
+        save_film(tmp_path / "missing" / "flight.gif", scene_of(short_motion()))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
+    motion = make_motion(3)
+    nodes = np.zeros((6, 30, 3), dtype=np.float32)
+    nodes[..., 0] = np.arange(30)
+    nodes[..., 2] = np.arange(6)[:, None]
+    t, first = 0.1 * np.arange(-2.0, 4.0), np.array([0, 10, 20, 30])
+    np.savez_compressed(
+        tmp_path / "recording.npz", t=t, nodes=nodes, cables=first, poses=np.zeros((6, 0, 7))
+    )
+    found = ghost_scene(tmp_path, motion)
+    np.testing.assert_allclose(found.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
+    np.testing.assert_allclose(found.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
+    again = recorded_scene(motion, t, nodes, first, np.zeros((6, 0, 7)))
+    np.testing.assert_array_equal(again.cables, found.cables)
+    with pytest.raises(FileError, match="a flight of 3 cables"):
+        ghost_scene(tmp_path, make_motion(4))
+    with pytest.raises(FileError, match="holds neither"):
+        ghost_scene(tmp_path.parent, motion)
