@@ -22,6 +22,8 @@ __all__ = sorted(_MODULES)  # noqa: PLE0605, there is one list of names
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("hitchopt")
     if name not in _MODULES:
         raise AttributeError(f"module 'hitchopt' has no attribute '{name}'")
     value: object = getattr(import_module(_MODULES[name]), name)
@@ -30,4 +32,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]

@@ -12,6 +12,7 @@ from hitchopt.actions import (
     release as release,
     transport as transport,
 )
+from hitchopt.builder import Mission as Mission
 from hitchopt.calibration.calibrate import (
     Calibration as Calibration,
     calibrate as calibrate,
@@ -31,10 +32,12 @@ from hitchopt.errors import (
     InfeasibleError as InfeasibleError,
     InputError as InputError,
     TimeLimitError as TimeLimitError,
+    UnitWarning as UnitWarning,
     UnsupportedError as UnsupportedError,
     Violation as Violation,
 )
 from hitchopt.exports.lint.linting import lint as lint
+from hitchopt.fitting.fit import Fit as Fit, Holding as Holding, fit as fit
 from hitchopt.geometry import (
     ConvexArc as ConvexArc,
     ConvexPolygon as ConvexPolygon,
@@ -42,6 +45,9 @@ from hitchopt.geometry import (
 )
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.assignment import Assignment as Assignment
+from hitchopt.hitch.hanging_cable import hanging_cable as hanging_cable
+from hitchopt.holding.capacity import Capacity as Capacity
+from hitchopt.holding.grip import Grip as Grip
 from hitchopt.mission.loading import (
     load_problem as load_problem,
     load_swarm as load_swarm,
@@ -58,7 +64,9 @@ from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
 from hitchopt.mission.swarm_problem import SwarmProblem as SwarmProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
+from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, load as load
+from hitchopt.plan_uses import export as export, simulate as simulate
 from hitchopt.planners.forming.turns import SwapSettings as SwapSettings
 from hitchopt.planning import (
     repair as repair,
@@ -81,16 +89,31 @@ from hitchopt.settling.tolerance import (
 )
 from hitchopt.steps import (
     Adjust as Adjust,
+    Carry as Carry,
+    Enclose as Enclose,
     FollowVertex as FollowVertex,
     Form as Form,
+    Grasp as Grasp,
     Hold as Hold,
     Land as Land,
+    Leave as Leave,
+    Lift as Lift,
+    Loosen as Loosen,
     Morph as Morph,
     MoveEdge as MoveEdge,
     MoveVertex as MoveVertex,
     Release as Release,
+    SetDown as SetDown,
     Transport as Transport,
+    TransportObject as TransportObject,
 )
+from hitchopt.stopping.player import Player as Player
+from hitchopt.stopping.sampler import Setpoints as Setpoints
+from hitchopt.sweeps.cluster import SweepError as SweepError
+from hitchopt.sweeps.dataset import load_sweep as load_sweep
+from hitchopt.sweeps.running import run_sweep as run_sweep
+from hitchopt.sweeps.study import Study as Study
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
 __all__: list[str]
+__version__: str

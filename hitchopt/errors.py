@@ -6,12 +6,29 @@ cannot be met and says what binds; the command line turns them into exit codes 2
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
+
+from hitchopt.one_line import OneLine, one_line
 
 
 class HitchoptError(Exception):
     """Root of every error that hitchopt raises on purpose."""
+
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, [repr(str(self))])
+
+
+class Place(NamedTuple):
+    """A place in a file; line and column are counted from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
 
 
 class InputError(HitchoptError, ValueError):
@@ -23,20 +40,47 @@ class InputError(HitchoptError, ValueError):
     value: the value that was given.
     bound: the end of "must be …".
     remedy: what to write instead.
+    place: where the value is in a file; None where it is in none, or that is not known.
     """
 
-    def __init__(self, key: str, value: object, bound: str, remedy: str) -> None:
+    def __init__(
+        self, key: str, value: object, bound: str, remedy: str, place: Place | None = None
+    ) -> None:
         self.key = key
         self.value = value
         self.bound = bound
         self.remedy = remedy
-        super().__init__(f"{key} = {_shown(value)}: must be {bound}; {remedy}")
+        self.place = place
+        where = "" if place is None else f"{place}: "
+        super().__init__(f"{where}{key} = {_shown(value)}: must be {bound}; {remedy}")
 
     def within(self, parent: str) -> InputError:
         """Return the same error with its key seen from the enclosing mapping ``parent``."""
-        joint = "" if self.key.startswith("[") else "."
-        key = f"{parent}{joint}{self.key}" if self.key else parent
-        return InputError(key, self.value, self.bound, self.remedy)
+        key = _joint_key(parent, self.key)
+        return InputError(key, self.value, self.bound, self.remedy, self.place)
+
+    def located(self, place_of: Callable[[str], Place | None]) -> InputError:
+        """Return the same error with the place in a file that its key has."""
+        return InputError(self.key, self.value, self.bound, self.remedy, place_of(self.key))
+
+
+class UnitWarning(UserWarning):
+    """A value so unusual that it may have been given in another unit.
+
+    Attributes
+    ----------
+    key: path of the value, as of an InputError.
+    words: the value, what is usual, and what it would be in another unit.
+    """
+
+    def __init__(self, key: str, words: str) -> None:
+        self.key = key
+        self.words = words
+        super().__init__(f"{key}: {words}")
+
+    def within(self, parent: str) -> UnitWarning:
+        """Return the same warning with its key seen from the enclosing mapping ``parent``."""
+        return UnitWarning(_joint_key(parent, self.key), self.words)
 
 
 class FileError(HitchoptError):
@@ -48,7 +92,7 @@ class UnsupportedError(HitchoptError):
 
 
 @dataclass(frozen=True)
-class Violation:
+class Violation(OneLine):
     """One constraint that cannot be satisfied, with its value, limit, place and time.
 
     Attributes
@@ -114,6 +158,11 @@ def broken_limit(
             break
         texts = [f"{value:.{digits}g}", f"{limit:.{digits}g}"]
     return f"{name}: {texts[0]}{words} is {relation} the limit of {texts[1]}{words}{place}"
+
+
+def _joint_key(parent: str, key: str) -> str:
+    joint = "" if key.startswith("[") or not key or not parent else "."
+    return f"{parent}{joint}{key}"
 
 
 def _shown(value: object) -> str:

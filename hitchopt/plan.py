@@ -3,27 +3,39 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
-from hitchopt.errors import FileError
-from hitchopt.exports.directory import PLAN, SUMMARY, save_plan
+from hitchopt.errors import FileError, InputError
+from hitchopt.exports.directory import PLAN, REPORT, SUMMARY, save_plan
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.plan_export import export_motion
+from hitchopt.hitch import Hitch
+from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import read_plan, read_title
+from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
 from hitchopt.motion.states import States, states_at
+from hitchopt.one_line import OneLine, short
+from hitchopt.storage.atomic import replace_files
 from hitchopt.time_limit import Progress
+from hitchopt.values import instance, path, text, whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+    from hitchopt.view.live_view import LiveView
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(OneLine):
     """A certified motion of a hitch, or of a swarm without cables.
 
     Attributes
@@ -31,11 +43,20 @@ class Plan:
     motion: the polynomials, with their team and requirements.
     certificate: its checks, valid for all t.
     title: the problem's title.
+    problem: the text of its problem file, where it came from one.
     """
 
     motion: Motion
     certificate: Certificate
     title: str = ""
+    problem: str = ""
+
+    def _parts(self) -> Iterator[str]:
+        motion, checks = self.motion, self.certificate.checks
+        yield from [short(self.title)] if self.title else []
+        yield f"{len(motion.team.drone_names)} drones"
+        yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
+        yield f"{sum(check.holds for check in checks)} of {len(checks)} checks hold"
 
     @property
     def duration(self) -> float:
@@ -46,6 +67,58 @@ class Plan:
     def phases(self) -> tuple[Phase, ...]:
         """The time spans of the steps, in order."""
         return self.motion.phases
+
+    @property
+    def end(self) -> Hitch:
+        """The hitch that the plan ends in, from which another one can go on.
+
+        Raises
+        ------
+        InputError: the plan ends with free cables, or has none.
+        UnsupportedError: its end is no hitch with the team's tensions.
+        """
+        return final_hitch(self.motion)
+
+    def _repr_html_(self) -> str:
+        """Return the card that notebooks show: picture, phases and certificate."""
+        from hitchopt.view.plan_card import plan_card
+
+        return plan_card(self.motion, self.certificate, self.title)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the plan from above, start, paths and end; return the matplotlib axes.
+
+        Parameters
+        ----------
+        axes: what to draw on; None for a new figure of pyplot's, which notebooks show.
+
+        Raises
+        ------
+        InputError: no axes.
+        """
+        from matplotlib.axes import Axes as AnyAxes
+
+        from hitchopt.view.plan_card import plot_from_above
+
+        if axes is not None and not isinstance(axes, AnyAxes):
+            raise InputError("axes", axes, "matplotlib axes", "leave it out for a new figure")
+        return plot_from_above(self.motion, axes)
+
+    def to_dataframe(self, rate: float = 100.0) -> DataFrame:
+        """Return the setpoints as a pandas data frame: the rows of ``setpoints.csv``, and phases.
+
+        Parameters
+        ----------
+        rate: samples a second [Hz]; the end is a sample as well.
+
+        Raises
+        ------
+        InputError: a rate that is not positive.
+        UnsupportedError: pandas is not installed (``pip install 'hitchopt[pandas]'``).
+        """
+        from hitchopt.exports.data_frame import data_frame
+
+        return data_frame(self.motion, rate)
 
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
@@ -58,10 +131,40 @@ class Plan:
         """
         return states_at(self.motion, t)
 
+    def abort(self, t: float, how: str = "hold") -> Plan:
+        """Return the plan until a time t [s] with a certified continuation that ends it there.
+
+        The clock of all drones is slowed to rest, at once or as soon as the limits allow, and what
+        follows is planned from there. Until t the returned plan is this one.
+
+        Parameters
+        ----------
+        t: time of the command [s].
+        how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
+            cables hang free, or to the start without cables; ``release_and_land`` stops, unties
+            what is tied and lands; ``land`` stops and goes straight down, tied or not.
+
+        Raises
+        ------
+        InputError: a time outside the plan, or another word.
+        InfeasibleError: no such continuation was found; says what binds.
+        """
+        from hitchopt.stopping.abort import Aborts
+
+        found = Aborts(self.motion).found(t, how).certified
+        return Plan(found.motion, found.certificate, f"{self.title} ({how} at {t:g} s)".strip())
+
     def save(
-        self, directory: Path | str, rate: float = 100.0, progress: Progress | None = None
+        self,
+        directory: Path | str,
+        rate: float = 100.0,
+        progress: Progress | None = None,
+        *,
+        report: bool = False,
     ) -> Path:
         """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
+
+        With ``report`` there is ``report.html`` as well.
 
         Either all files are written or none, even if the process is killed; only files of these
         names are replaced.
@@ -76,16 +179,96 @@ class Plan:
 
         motion = self.motion
 
-        def draw(path: Path) -> None:
-            save_summary(path, motion, self.certificate, self.title)
+        def draw(file: Path) -> None:
+            save_summary(file, motion, self.certificate, self.title)
 
         def share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
+        folder, pictures = path("directory", directory), {SUMMARY: draw}
+        if report:
+            pictures[REPORT] = lambda file: self._write_report(file, file.parent)
         return save_plan(
-            directory, motion, self.certificate, self.title, rate, {SUMMARY: draw}, share
+            folder,
+            motion,
+            self.certificate,
+            self.title,
+            rate,
+            pictures,
+            share,
+            self.problem,
         )
+
+    def _write_report(self, path: Path, directory: Path) -> None:
+        """Write the report, with the digests of the plan's files in ``directory``."""
+        from hitchopt.view.html_report import write_report
+
+        write_report(path, self.motion, self.certificate, self.title, self.problem, directory)
+
+    def report(self, directory: Path | str) -> Path:
+        """Write ``report.html`` into the directory of the plan; return its path.
+
+        It is one file that needs no network: playback, plots, certificate, phases, the problem
+        file, versions and digests.
+
+        Raises
+        ------
+        FileError: the directory cannot be written to.
+        """
+        place = Path(directory)
+        writers = {REPORT: lambda path: self._write_report(path, place)}
+        return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
+
+    def view(
+        self,
+        save: Path | str | None = None,
+        *,
+        ghost: Path | str | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        browser: bool = True,
+        progress: Progress | None = None,
+    ) -> LiveView | None:
+        """Show the plan live in the browser, or write it to a file.
+
+        Parameters
+        ----------
+        save: file to write in place of serving: .html is the report; .png, .svg and .pdf are the
+            summary, .mp4 and .gif a film in real time.
+        ghost: another plan or a simulated flight that is shown beside it, by its file or directory.
+        host, port: where to listen; if the port is taken the next free one.
+        browser: whether to open the browser.
+        progress: called with what is done of a film.
+
+        Returns
+        -------
+        The view, which is served until it is closed or Python ends; None with ``save``.
+
+        Raises
+        ------
+        InputError, FileError: another ending of the file's name, or a file that cannot be read or
+            written.
+        UnsupportedError: viser, or what writes films, is not installed.
+        """
+        if save is not None:
+            from hitchopt.view.saved_view import save_view
+
+            shown = (self.motion, self.certificate, self.title, self.problem)
+            save_view(Path(save), *shown, progress)
+            return None
+        import webbrowser
+
+        from hitchopt.view.ghost_scene import ghost_scene
+        from hitchopt.view.live_view import LiveView
+
+        other = None if ghost is None else ghost_scene(Path(ghost), self.motion)
+        live = LiveView(
+            self.motion, self.certificate, self.title, ghost=other, host=host, port=port
+        )
+        if browser:
+            webbrowser.open(live.url)
+        return live
 
     def export(
         self, format: str, folder: Path | str, *, progress: Progress | None = None, **options: Any
@@ -123,8 +306,8 @@ class Plan:
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        chosen = ExportOptions(format, **options)
-        return export_motion(self.motion, self.title, chosen, folder, progress)
+        chosen = ExportOptions(text("format", format), **options)
+        return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
@@ -165,8 +348,10 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     InputError: there is a single drone, or no span.
     FileError: the picture cannot be written.
     """
-    found = closeness(plan.motion, spans)
+    instance("plan", plan, Plan)
+    found = closeness(plan.motion, whole("spans", spans, 1))
     if picture is not None:
+        picture = path("picture", picture)
         from hitchopt.view.closeness_picture import save_closeness
 
         try:
@@ -183,6 +368,6 @@ def load(directory: Path | str) -> Plan:
     ------
     FileError: there is no plan, or its file is damaged.
     """
-    path = Path(directory) / PLAN
-    motion = read_plan(path)
-    return Plan(motion, certify(motion), read_title(path))
+    file = path("directory", directory) / PLAN
+    motion = read_plan(file)
+    return Plan(motion, certify(motion), read_title(file), read_problem_text(file))

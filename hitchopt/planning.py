@@ -13,7 +13,7 @@ from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
 from hitchopt.plan import Plan
 from hitchopt.time_limit import Progress, time_limit
-from hitchopt.values import positive
+from hitchopt.values import instance, positive
 
 
 def solve(
@@ -40,6 +40,7 @@ def solve(
         from hitchopt.mission.loading import read_problem  # heavy, as of all files
 
         problem = read_problem(problem)
+    instance("problem", problem, Problem, SwarmProblem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
         if isinstance(problem, SwarmProblem):
@@ -73,6 +74,7 @@ def separate(
         from hitchopt.mission.loading import load_swarm
 
         problem = load_swarm(problem)
+    instance("problem", problem, SwarmProblem)
     return solve(problem, progress, limit=limit)
 
 
@@ -133,8 +135,9 @@ def repair(
 
 
 def _loaded(problem: Problem | str | Path) -> Problem:
-    if isinstance(problem, Problem):
-        return problem
-    from hitchopt.mission.loading import load_problem
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import load_problem
 
-    return load_problem(problem)
+        return load_problem(problem)
+    instance("problem", problem, Problem)
+    return problem

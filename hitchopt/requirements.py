@@ -3,20 +3,53 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.vectors import first_smallest
-from hitchopt.values import Array, acute, finite, not_negative, positive
+from hitchopt.objects import Clearance, Section, Slab, SolidObject
+from hitchopt.one_line import OneLine
+from hitchopt.units import (
+    ACCELERATION,
+    BODY_RATE,
+    BODY_RATE_DEG,
+    DISTANCE,
+    DURATION,
+    ELLIPSOID,
+    HEIGHT,
+    JERK,
+    LEG,
+    SPEED,
+    TILT,
+    TILT_DEG,
+    check_unit,
+    radians_of,
+)
+from hitchopt.values import Array, acute, finite, instance, not_negative, positive, sequence
+
+UNITS = {
+    "speed": SPEED,
+    "acceleration": ACCELERATION,
+    "jerk": JERK,
+    "tilt": TILT,
+    "vertex_speed": SPEED,
+    "leg": LEG,
+    "duration": DURATION,
+    "body_rate": BODY_RATE,
+}
+"""Quantities of the limits."""
+
+OPTIONAL = ("duration", "body_rate")
+"""Limits that need not be there."""
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(OneLine):
     """Limits of motion; all norms are Euclidean.
 
     Parameters
@@ -24,11 +57,18 @@ class Limits:
     speed: largest speed of every drone [m/s]
     acceleration: largest acceleration of every drone [m/s²]
     jerk: largest jerk of every drone [m/s³]
-    tilt: largest angle of the thrust from vertical [rad], below π/2
+    tilt: largest angle of the thrust from vertical [rad], below π/2; None for 45°
     vertex_speed: largest speed of every vertex of the hitch [m/s]
     leg: shortest leg, vertex to drone, while the hitch holds [m]
     duration: largest duration of the whole plan [s], or None
     body_rate: largest turning rate of every drone's thrust vector [rad/s], or None
+    reserve: share of acceleration and jerk that plans use, above 0 and up to 1; below 1 a stop on
+        the common clock can begin at every time
+    tilt_deg, body_rate_deg: the same in [°] and [°/s]; give one of the two
+
+    Raises
+    ------
+    InputError: a number out of its range, or an angle given twice.
     """
 
     speed: float = 1.0
@@ -39,18 +79,61 @@ class Limits:
     leg: float = 0.15
     duration: float | None = None
     body_rate: float | None = None
+    reserve: float = 1.0
 
-    def __post_init__(self) -> None:
-        for name in ("speed", "acceleration", "jerk", "tilt", "vertex_speed", "leg"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
-        acute("tilt", self.tilt)
-        for name in ("duration", "body_rate"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, positive(name, getattr(self, name)))
+    def __init__(
+        self,
+        speed: float = 1.0,
+        acceleration: float = 2.0,
+        jerk: float = 20.0,
+        tilt: float | None = None,
+        vertex_speed: float = 0.5,
+        leg: float = 0.15,
+        duration: float | None = None,
+        body_rate: float | None = None,
+        reserve: float = 1.0,
+        *,
+        tilt_deg: float | None = None,
+        body_rate_deg: float | None = None,
+    ) -> None:
+        angle = radians_of("tilt", tilt, tilt_deg, TILT_DEG)
+        values = {
+            "speed": speed,
+            "acceleration": acceleration,
+            "jerk": jerk,
+            "tilt": Limits.tilt if angle is None else acute("tilt", angle),
+            "vertex_speed": vertex_speed,
+            "leg": leg,
+            "duration": duration,
+            "body_rate": radians_of("body_rate", body_rate, body_rate_deg, BODY_RATE_DEG),
+        }
+        if positive("reserve", reserve) > 1.0:
+            raise InputError("reserve", reserve, "at most 1", "0.8 leaves a fifth for stops")
+        object.__setattr__(self, "reserve", float(reserve))
+        in_degrees = {"tilt": tilt_deg, "body_rate": body_rate_deg}
+        for name, value in values.items():
+            number = None if value is None and name in OPTIONAL else positive(name, value)
+            object.__setattr__(self, name, number)
+            if number is not None and in_degrees.get(name) is None:
+                check_unit(name, number, UNITS[name])
+
+    @property
+    def tilt_deg(self) -> float:
+        """Largest angle of the thrust from vertical [°]."""
+        return math.degrees(self.tilt)
+
+    @property
+    def planned(self) -> Limits:
+        """The limits that a plan keeps at full rate, without its reserve."""
+        if self.reserve == 1.0:
+            return self
+        used = {"acceleration": self.acceleration, "jerk": self.jerk}
+        shares = {name: self.reserve * value for name, value in used.items()}
+        return replace(self, reserve=1.0, **shares)
 
 
 @dataclass(frozen=True)
-class Separation:
+class Separation(OneLine):
     """Smallest distances between drones and cables.
 
     Parameters
@@ -58,18 +141,22 @@ class Separation:
     radius, height: semi-axes of a drone's ellipsoid [m] (Preiss et al. 2017)
     cable: distance of a drone to any cable but its own, and to its own edge [m]
     crossing: distance of taut cable parts that share no clasp [m]
+    object: distance of a cable's centre line, and of a held object, to objects [m]
     """
 
     radius: float = 0.12
     height: float = 0.30
     cable: float = 0.10
     crossing: float = 0.05
+    object: float = 0.035
 
     def __post_init__(self) -> None:
         for name in ("radius", "height"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
-        for name in ("cable", "crossing"):
+            check_unit(name, getattr(self, name), ELLIPSOID)
+        for name in ("cable", "crossing", "object"):
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
+            check_unit(name, getattr(self, name), DISTANCE)
 
     @property
     def scale(self) -> Array:
@@ -79,7 +166,7 @@ class Separation:
 
 
 @dataclass(frozen=True, eq=False)
-class Arena:
+class Arena(OneLine):
     """A box that the drones stay in.
 
     Parameters
@@ -101,6 +188,7 @@ class Arena:
             if len(given) != 3:
                 raise InputError(name, corner, "a point [x, y, z]", "give three numbers in metres")
             point = np.array([finite(f"{name}[{i}]", x) for i, x in enumerate(given)])
+            check_unit(name, point, HEIGHT)
             point.setflags(write=False)
             object.__setattr__(self, name, point)
         if not np.all(self.lower < self.upper):
@@ -110,21 +198,7 @@ class Arena:
 
 
 @dataclass(frozen=True, eq=False)
-class Clearance:
-    """Distances of points to a prism.
-
-    Attributes
-    ----------
-    distance: signed distances (…) [m]; inside, minus the depth below the nearest face.
-    normals: unit vectors (…, 3) along which the distance grows.
-    """
-
-    distance: Array
-    normals: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Prism:
+class Prism(OneLine):
     """An upright prism to which drones keep a distance of at least ``Separation.radius``.
 
     Parameters
@@ -158,37 +232,28 @@ class Prism:
         levels = np.repeat([self.lower, self.upper], len(outline))
         return np.column_stack([np.vstack([outline, outline]), levels])
 
+    @property
+    def slab(self) -> Slab:
+        """The same body, as objects are made of."""
+        return Slab(Section(self.polygon.vertices), self.lower, self.upper)
+
     def clearance(self, points: Array) -> Clearance:
         """Return the distances of points (…, 3) [m] to the prism and the directions out of it."""
-        flat = np.reshape(points, (-1, 3))
-        corners = self.polygon.vertices
-        edges = self.polygon.edge_vectors
-        lengths = np.linalg.norm(edges, axis=1)
-        outward = np.column_stack([-edges[:, 1], edges[:, 0]]) / lengths[:, None]  # clockwise
-        away = flat[:, None, :2] - corners  # (points, m, 2)
-        along = np.sum(away * edges, axis=-1) / lengths**2
-        feet = corners + np.clip(along, 0.0, 1.0)[..., None] * edges
-        closest = np.argmin(np.sum((flat[:, None, :2] - feet) ** 2, axis=-1), axis=1)
-        depths = np.sum(away * outward, axis=-1)  # before each side, negative behind it
-        within = np.all(depths <= 0.0, axis=1)
-        across = np.where(within[:, None], flat[:, :2], feet[np.arange(len(flat)), closest])
-        nearest = np.column_stack([across, np.clip(flat[:, 2], self.lower, self.upper)])
-        offset = flat - nearest
-        distance = np.linalg.norm(offset, axis=1)
-        sides = np.column_stack([outward, np.zeros(len(outward))])
-        faces = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-        behind = np.column_stack([depths, self.lower - flat[:, 2], flat[:, 2] - self.upper])
-        shallow = first_smallest(-behind, np.max(np.abs(behind), axis=1))
-        outside = distance > 0.0
-        safe = np.where(outside, distance, 1.0)
-        normals = np.where(outside[:, None], offset / safe[:, None], faces[shallow])
-        signed = np.where(outside, distance, behind[np.arange(len(flat)), shallow])
-        shape = np.shape(points)
-        return Clearance(signed.reshape(shape[:-1]), normals.reshape(shape))
+        return self.slab.clearance(points)
+
+
+def check_requirements(record: Any) -> None:
+    """Raise InputError unless a record's limits, separation, arena and keep-outs are such."""
+    instance("limits", record.limits, Limits)
+    instance("separation", record.separation, Separation)
+    if record.arena is not None:
+        instance("arena", record.arena, Arena)
+    for k, prism in enumerate(getattr(record, "keep_out", ())):
+        instance(f"keep_out[{k}]", prism, Prism)
 
 
 @dataclass(frozen=True, eq=False)
-class Requirements:
+class Requirements(OneLine):
     """All that a plan must satisfy at every time.
 
     Parameters
@@ -197,20 +262,29 @@ class Requirements:
     separation: distances between drones and cables.
     arena: the box that the drones stay in, or None.
     keep_out: prisms that the drones stay out of.
+    objects: by name, where they stand at first; obstacles to all that does not hold them.
     """
 
     limits: Limits = field(default_factory=Limits)
     separation: Separation = field(default_factory=Separation)
     arena: Arena | None = None
     keep_out: tuple[Prism, ...] = ()
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "keep_out", tuple(self.keep_out))
+        object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
+        check_requirements(self)
+        object.__setattr__(self, "objects", dict(self.objects))
 
     @property
     def floor(self) -> float:
         """Height of the ground [m]: the arena's floor, or 0 where there is no arena."""
         return 0.0 if self.arena is None else float(self.arena.lower[2])
+
+    @property
+    def planned(self) -> Requirements:
+        """The same requirements with the limits that a plan keeps at full rate."""
+        return replace(self, limits=self.limits.planned)
 
     @property
     def untimed(self) -> Requirements:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +20,49 @@ Indices = NDArray[np.intp]
 
 MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
+
+
+def instance(key: str, value: object, *kinds: type) -> None:
+    """Raise InputError unless ``value`` is of one of the public classes ``kinds``."""
+    if not isinstance(value, kinds):
+        names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
+        raise InputError(key, value, f"a {names}", f"make one with hitchopt.{kinds[0].__name__}")
+
+
+def flag(key: str, value: object) -> bool:
+    """Return ``value``, or raise InputError unless it is true or false."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(key, value, "true or false", "write True or False")
+    return bool(value)
+
+
+def path(key: str, value: object) -> Path:
+    """Return ``value`` as a path, or raise InputError unless it is one or a text."""
+    if not isinstance(value, str | Path) or value == "":
+        raise InputError(key, value, "a path", "write its name in quotation marks")
+    return Path(value)
+
+
+def text(key: str, value: object) -> str:
+    """Return ``value``, or raise InputError unless it is a text."""
+    if not isinstance(value, str):
+        raise InputError(key, value, "a text", "write it in quotation marks")
+    return value
+
+
+def sequence(key: str, value: object) -> tuple[Any, ...]:
+    """Return the entries of a list or the like, or raise InputError where it has none."""
+    try:
+        return tuple(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(key, value, "a list", "write [ ] around it") from None
+
+
+def whole(key: str, value: object, least: int) -> int:
+    """Return ``value``, or raise InputError unless it is a whole number from ``least`` on."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(key, value, f"a whole number, at least {least}", "count them")
+    return int(value)
 
 
 def positive(key: str, value: object) -> float:

@@ -21,8 +21,9 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
-from hitchopt.cli.template import template_text
+from hitchopt.cli.problem_templates import template_text
 from hitchopt.interrupts import INTERRUPTED, TERMINATED
+from hitchopt.sweeps.study_file import StudyKeys
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -82,6 +83,9 @@ YAML_BLOCKS = [
 def test_yaml_has_keys_of_the_schema(block: Block) -> None:
     yaml = YAML(typ="safe", pure=True)
     given = yaml.load(block.text)
+    if given.keys() <= StudyKeys.model_fields.keys():
+        StudyKeys.model_validate({"problem": "", **given})
+        return
     whole = file_name(block) or "goal" in given
     problem = given if whole else {**yaml.load(template_text()), **given}
     jsonschema.validate(problem, problem_schema())

@@ -41,8 +41,19 @@ HOOKS = frozenset(
 )
 """Methods that a library calls by their names."""
 
-METHODS = frozenset({"from_dict", "mirrored", "renumbered", "rotated"})
-"""Methods of public classes, ``Certificate`` and the outlines, that users call."""
+METHODS = frozenset(
+    {
+        "abort",
+        "from_dict",
+        "mirrored",
+        "pause",
+        "renumbered",
+        "resume",
+        "rotated",
+        "to_dataframe",
+    }
+)
+"""Methods of public classes, ``Certificate``, ``Plan`` and the outlines, that users call."""
 
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"
 """Strings that name a class or type, with or without its module."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.failures import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 
 if TYPE_CHECKING:
@@ -44,6 +44,11 @@ def calibrate(
     from hitchopt.calibration.team_file import save_team
 
     found = calibrated(recording, None if plan is None else plan_path(plan).parent, density=density)
+    record(
+        lengths=[vars(estimate) for estimate in found.lengths],
+        stiffness=[vars(estimate) for estimate in found.stiffness],
+        friction=vars(found.friction),
+    )
     say(_tables(found))
     if output is not None:
         save_team(output, found)

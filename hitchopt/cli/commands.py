@@ -1,17 +1,20 @@
-"""The commands: solve, check, init."""
+"""The commands solve and check, and the group of all commands."""
 
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 import time
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from hitchopt.cli.failures import SafeGroup, complain, exit_code, say
+from hitchopt.cli.failures import SafeGroup, complain, exit_code
+from hitchopt.cli.output import hint, record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.export_options import checked_rate
@@ -71,6 +74,7 @@ def main() -> None:
     help="Directory to write the plan to; by default ./ and FILE's stem.",
 )
 @click.option("--rate", metavar="HZ", default=100.0, help="Setpoints per second and drone.")
+@click.option("--report", is_flag=True, help="Write DIR/report.html as well.")
 @click.option(
     "--repair/--no-repair",
     "searching",
@@ -80,23 +84,36 @@ def main() -> None:
 @click.option(
     "--limit", metavar="SECONDS", default=DEFAULT_LIMIT, help="Time limit, searches included."
 )
-def solve(file: Path, directory: Path | None, rate: float, searching: bool, limit: float) -> None:
-    """Plan the problem in FILE, certify the plan and write it to DIR."""
+def solve(
+    file: Path, directory: Path | None, rate: float, report: bool, searching: bool, limit: float
+) -> None:
+    """Plan the problem in FILE, certify the plan and write it to DIR.
+
+    FILE may be - for standard input. After a refusal DIR/previous has the last certified plan.
+    """
     checked_rate(rate)
     if not math.isfinite(limit) or limit <= 0.0:
         raise InputError("--limit", limit, "above 0 s", f"{DEFAULT_LIMIT:g} s are usual")
     end = time.monotonic() + limit
-    from hitchopt.mission.loading import read_problem
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.mission.loading import parse_problem
     from hitchopt.mission.problem import Problem
+    from hitchopt.storage.yaml_file import read_text
 
     place = _output(directory, file)
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
     problem: AnyProblem | None = None
     try:
-        problem = read_problem(file)
+        text, name = read_text(file)  # once: it may be a pipe
+        problem = parse_problem(text, name, file.parent)
         _check_rows(rate, _least_duration(problem), len(problem.team.drone_names))
-        _solve(problem, place, rate, limit)
+        plan = _solve(problem, rate, limit)
+        with LateProgress(sys.stderr, "writing") as progress:
+            replace(plan, problem=text).save(place, rate, progress, report=report)
+        record(directory=str(place))
+        say(f"certified; the plan is in {place}")
+        hint(_next_steps(place, plan.motion))
     except (InputError, FileError):
         raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
@@ -109,13 +126,14 @@ def solve(file: Path, directory: Path | None, rate: float, searching: bool, limi
 def _output(directory: Path | None, file: Path) -> Path:
     """Return the directory to write to; refuse the root, which is named only by mistake."""
     if directory is None:
-        return Path(file.stem)
+        return Path("stdin" if str(file) == "-" else file.stem)
     if not directory.name and directory.resolve().parent == directory.resolve():
         raise InputError("-o", str(directory), "a directory of its own", "name one, such as out")
     return directory
 
 
-def _solve(problem: AnyProblem, place: Path, rate: float, limit: float) -> None:
+def _solve(problem: AnyProblem, rate: float, limit: float) -> Plan:
+    """Return the plan, and show it."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.planning import solve as solved
 
@@ -123,9 +141,18 @@ def _solve(problem: AnyProblem, place: Path, rate: float, limit: float) -> None:
         plan = solved(problem, progress=progress, limit=limit)
     _show(plan.title, plan.motion, plan.certificate)
     _check_rows(rate, plan.motion.duration, len(problem.team.drone_names))
-    with LateProgress(sys.stderr, "writing") as progress:
-        plan.save(place, rate=rate, progress=progress)
-    say(f"certified; the plan is in {place}")
+    return plan
+
+
+def _next_steps(place: Path, motion: Motion) -> str:
+    """Return what to do with a plan."""
+    from hitchopt.exports.directory import SUMMARY
+
+    name = shlex.quote(str(place))
+    lines = [f"next: look at {place / SUMMARY}"]
+    if motion.team.has_cables:
+        lines.append(f"      hitchopt simulate {name}")
+    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2"])
 
 
 def _leave_diagnosis(
@@ -135,13 +162,21 @@ def _leave_diagnosis(
 
     If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
     """
-    from hitchopt.exports.directory import save_diagnosis
+    from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
+    from hitchopt.storage.previous_set import PREVIOUS
 
     complain(error)  # first, in case the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
+    found: tuple[Suggestion, ...] = ()
     if problem is not None and isinstance(error, InfeasibleError):
-        save_diagnosis(place, *_suggested(problem, error, left))
-    say(f"no plan; the diagnosis is in {place / 'diagnosis.json'}", err=True)
+        error, found = _suggested(problem, error, left)
+        save_diagnosis(place, error, found)
+    record(directory=str(place), diagnosis=diagnosis_content(error, found))
+    kept = place / PREVIOUS
+    if kept.is_dir():
+        record(previous=str(kept))
+    last = f"; the last certified plan is in {kept}" if kept.is_dir() else ""
+    say(f"no plan; the diagnosis is in {place / DIAGNOSIS}{last}", err=True)
     click.get_current_context().exit(exit_code(error))
 
 
@@ -202,19 +237,17 @@ def check(directory: Path, closest: bool, picture: Path | None, gamma: float) ->
     say(f"certified; recomputed from {path}")
 
 
-@main.command()
-@click.argument("name", default="problem.yaml")
-def init(name: str) -> None:
-    """Write a commented problem file to start from, NAME.yaml."""
-    from hitchopt.cli.template import write_template
-
-    path = write_template(name)
-    say(f"wrote {path}; try: hitchopt solve {path}")
-
-
 def _show(title: str, motion: Motion, certificate: Certificate) -> None:
     from hitchopt.cli.console_tables import certificate_table, phase_table
 
+    record(
+        title=title,
+        phases=[
+            {name: getattr(phase, name) for name in ("name", "step", "start", "end", "remark")}
+            for phase in motion.phases
+        ],
+        certificate=certificate.to_dict(),
+    )
     if title:
         say(title)
     say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
@@ -223,7 +256,9 @@ def _show(title: str, motion: Motion, certificate: Certificate) -> None:
 def _show_closest(plan: Plan, picture: Path | None) -> None:
     from hitchopt.plan import closest
 
-    say(f"Closest neighbours\n{closest(plan, picture=picture)}\n")
+    found = closest(plan, picture=picture)
+    record(closest=str(found).splitlines())
+    say(f"Closest neighbours\n{found}\n")
     if picture is not None:
         say(f"the closest neighbours over time are drawn in {picture}")
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
 
-from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.cli.output import OutputCommand, output, record, say
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.interrupts import INTERRUPTED, ending_signals
 
 WRONG = 2
@@ -21,10 +23,22 @@ UNMET = 3
 class SafeGroup(click.Group):
     """A group of commands whose errors end in a message and an exit code."""
 
+    command_class = OutputCommand
+
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; turn errors of hitchopt and of the file system into exit codes."""
+        """Run the command and print its results; turn errors into exit codes."""
+        with ctx:
+            try:
+                result = self._invoke(ctx)
+            except click.exceptions.Exit as end:
+                output().finish(str(ctx.invoked_subcommand), end.exit_code)
+                raise
+            output().finish(str(ctx.invoked_subcommand), 0)
+            return result
+
+    def _invoke(self, ctx: click.Context) -> Any:
         try:
-            with ending_signals():
+            with ending_signals(), _units_on_stderr():
                 return super().invoke(ctx)
         except HitchoptError as error:
             complain(error)
@@ -33,8 +47,29 @@ class SafeGroup(click.Group):
             ctx.exit(INTERRUPTED)
         except OSError as error:  # a full disk, a directory that may not be written
             place = f"{error.filename}: " if error.filename else ""
-            say(f"error: {place}{error.strerror or error}; check the path and its disk", err=True)
+            message = f"{place}{error.strerror or error}; check the path and its disk"
+            record(errors=[{"message": message}])
+            say(f"error: {message}", err=True)
             ctx.exit(WRONG)
+
+
+@contextmanager
+def _units_on_stderr() -> Iterator[None]:
+    """Write every warning of a unit to stderr, once, as a line of its own."""
+    shown = warnings.showwarning
+    said: set[str] = set()
+
+    def show(message: Warning | str, *place: Any, **others: Any) -> None:
+        if not isinstance(message, UnitWarning):
+            shown(message, *place, **others)
+        elif str(message) not in said:
+            said.add(str(message))
+            say(f"warning: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UnitWarning)
+        warnings.showwarning = show
+        yield
 
 
 def exit_code(error: HitchoptError) -> int:
@@ -43,21 +78,24 @@ def exit_code(error: HitchoptError) -> int:
 
 
 def complain(error: HitchoptError) -> None:
-    """Write every line of the error's message to stderr."""
+    """Write every line of the error's message to stderr; it is a result too."""
+    record(errors=error_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)
 
 
-def say(text: str, *, err: bool = False) -> None:
-    """Write a line in any encoding of the stream; a closed stream or pipe is no error."""
-    stream = sys.stderr if err else sys.stdout
-    if stream is None:  # closed by `>&-`
-        return
-    encoding = getattr(stream, "encoding", None) or "utf-8"
-    try:
-        click.echo(text.encode(encoding, "replace").decode(encoding), err=err)
-    except BrokenPipeError:
-        # The reader has left (`| head`): the exit code stays the same.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+def error_entries(error: HitchoptError) -> list[dict[str, Any]]:
+    """Return the error's parts: keys and places of wrong values, or the limits that are broken."""
+    if isinstance(error, InputError):
+        parts = getattr(error, "errors", (error,))
+        return [
+            {
+                "message": str(part),
+                "key": part.key,
+                **({} if part.place is None else part.place._asdict()),
+            }
+            for part in parts
+        ]
+    if isinstance(error, InfeasibleError) and error.violations:
+        return [{"message": str(v), **vars(v)} for v in error.violations]
+    return [{"message": str(error)}]

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.failures import UNMET
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
+from hitchopt.cli.shell_completion import complete_format
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
 
 if TYPE_CHECKING:
@@ -20,7 +22,13 @@ if TYPE_CHECKING:
 
 @main.command()
 @click.argument("directory", metavar="DIR", type=GivenPath())
-@click.option("--format", metavar="NAME", required=True, help="One of those above.")
+@click.option(
+    "--format",
+    metavar="NAME",
+    required=True,
+    shell_complete=complete_format,
+    help="One of those above.",
+)
 @click.option(
     "-o",
     "--output",
@@ -98,6 +106,7 @@ def export(directory: Path, folder: Path | None, **options: Any) -> None:
     place = _place(path.parent, chosen.format) if folder is None else folder
     with LateProgress(sys.stderr, "certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, place, progress)
+    record(parts=[_entry(part) for part in done])
     for part in done:
         _show(part)
 
@@ -108,6 +117,22 @@ def _place(directory: Path, name: str) -> Path:
     if directory.name in {"", ".."}:
         return directory / ".." / folder
     return directory.with_name(folder)
+
+
+def _entry(part: Export) -> dict[str, Any]:
+    """Return what was written, as ``--json`` prints it."""
+    verdict = part.verdict
+    return {
+        "folder": str(part.folder),
+        "files": list(part.files),
+        "begins": part.begins,
+        "duration": verdict.duration,
+        "position_error": vars(verdict.position),
+        "velocity_error": vars(verdict.velocity),
+        "checks": [vars(check) for check in verdict.checks],
+        "not_carried": verdict.not_carried,
+        "notes": list(part.notes),
+    }
 
 
 def _show(part: Export) -> None:
@@ -155,7 +180,7 @@ def lint(path: Path, relative: bool, **limits: float | None) -> None:
     PATH is a file or a folder of any format that `export` writes. The limits that a show sets
     itself are always held. Ends with 3 if there are errors.
     """
-    from hitchopt.cli.lint_report import say_report
+    from hitchopt.cli.lint_report import report_entry, say_report
     from hitchopt.exports.lint.joint_flight import Rules
     from hitchopt.exports.lint.linting import lint as linted
     from hitchopt.requirements import Separation
@@ -165,6 +190,7 @@ def lint(path: Path, relative: bool, **limits: float | None) -> None:
     separation = Separation(given["radius"], given["height"])
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     reports = linted(path, rules, relative=relative)
+    record(reports=[report_entry(report) for report in reports])
     for report in reports:
         say_report(report)
     if not all(report.sound for report in reports):

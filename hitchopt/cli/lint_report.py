@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from hitchopt.cli.failures import say
+from hitchopt.cli.output import say
 from hitchopt.exports.formats.crazyflie_memory import BYTES
 from hitchopt.exports.lint.findings import ERROR, WARNING
 
@@ -53,6 +53,20 @@ def say_report(report: Report) -> None:
     errors = sum(finding.level == ERROR for finding in report.findings)
     warnings = sum(finding.level == WARNING for finding in report.findings)
     say(f"{errors} errors, {warnings} warnings")
+
+
+def report_entry(report: Report) -> dict[str, Any]:
+    """Return a report as ``--json`` prints it."""
+    flight = report.flight
+    return {
+        "path": str(report.path),
+        "kind": report.kind,
+        "frame": report.frame,
+        "sound": report.sound,
+        "drones": [vars(fact) for fact in report.facts],
+        "flight": {**vars(flight), "own": [vars(check) for check in flight.own]},
+        "findings": [vars(finding) for finding in report.findings],
+    }
 
 
 def _span(values: list[int]) -> str:

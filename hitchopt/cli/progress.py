@@ -1,15 +1,39 @@
-"""A progress bar on the terminal for work that takes longer than two seconds."""
+"""Progress on stderr: a bar for work that takes longer than two seconds, or a line per message.
+
+The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
+import time
 from typing import TYPE_CHECKING, TextIO
+
+from hitchopt.cli.output import echo, output
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 DELAY = 2.0
 """Time without a bar [s]."""
+
+
+LINES = 1.0
+"""Shortest time between lines of percentages [s]."""
+
+COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
+"""Count or percentage in a message."""
+
+
+def done_of(message: str) -> tuple[float | None, float | None]:
+    """Return what is done, and of how much, as a message says; None of either without a count."""
+    found = COUNT.search(message)
+    if found is None:
+        return None, None
+    done, total, percent = found.groups()
+    count = (float(percent), 100.0) if percent else (float(done), float(total))
+    return count if count[1] > 0.0 else (None, None)
 
 
 class LateProgress:
@@ -29,14 +53,19 @@ class LateProgress:
         self._stream = stream
         self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
         self._message = message
+        self._done: tuple[float | None, float | None] = (None, None)
+        self._begun = self._next_line = time.monotonic()
+        self._quiet, self._verbose = output().quiet, output().verbose
         self._bar: Progress | None = None
         self._lock = threading.Lock()
         self._timer = threading.Timer(delay, self._show)
         self._timer.daemon = True
 
     def __enter__(self) -> LateProgress:
-        if self._stream is not None and self._stream.isatty():
+        lines = self._quiet or self._verbose
+        if self._stream is not None and self._stream.isatty() and not lines:
             self._timer.start()
+        self(self._message)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -50,8 +79,15 @@ class LateProgress:
         """Show a message about the current work."""
         with self._lock:
             self._message = message
+            self._done = done_of(message)
+            now = time.monotonic()
+            if self._verbose and not ("%" in message and now < self._next_line):
+                echo(f"{now - self._begun:6.1f} s  {message}", err=True)
+                self._next_line = now + LINES
             if self._bar is not None:
-                self._bar.update(self._bar.task_ids[0], description=message)
+                task = self._bar.task_ids[0]
+                completed, total = self._done
+                self._bar.update(task, description=message, completed=completed, total=total)
 
     def _show(self) -> None:
         from rich.console import Console
@@ -66,5 +102,6 @@ class LateProgress:
                 console=Console(file=self._stream),
                 transient=True,
             )
-            self._bar.add_task(self._message, total=None)  # progress is not measured
+            task = self._bar.add_task(self._message, total=None)  # until there is a count
+            self._bar.update(task, completed=self._done[0], total=self._done[1])
             self._bar.start()

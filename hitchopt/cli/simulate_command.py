@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.failures import UNMET
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import InputError
+from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.simulation.flight_task import Task
@@ -48,7 +49,8 @@ PATH = GivenPath()
     "--perturbed",
     is_flag=True,
     help="Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables "
-    "0.5 % and starts 2 cm off; or as given. The team's cable friction always acts.",
+    "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place; or as "
+    "given. The team's cable friction always acts.",
 )
 @click.option("--noise", metavar="M", type=float, help="Error of measured positions per axis [m].")
 @click.option("--velocity-noise", metavar="M/S", type=float, help="Of velocities, per axis [m/s].")
@@ -60,6 +62,9 @@ PATH = GivenPath()
 @click.option(
     "--downwash/--no-downwash", default=None, help="Whether drones push down those below them."
 )
+@click.option("--object-mass", metavar="X", type=float, help="Largest error of objects' masses.")
+@click.option("--object-friction", metavar="X", type=float, help="Of their friction, relative.")
+@click.option("--object-place", metavar="M", type=float, help="Of where they stand [m].")
 @click.option(
     "--stiffness", metavar="N/M", type=float, help="Of position loops; by default the team's."
 )
@@ -89,12 +94,13 @@ def simulate(
     and for the length that the bends of thick simulated ropes use up, which it prints.
     Drones follow setpoints.csv and nothing else: of the cables they feed forward cable_x, cable_y
     and cable_z. Vertex errors are distances in three dimensions, sag included. The exit code of
-    one flight is 3 if anything fails: drones touch, or a vertex does not hold. It is also 3 if the
+    one flight is 3 if anything fails: drones touch, a vertex does not hold, or an object is
+    touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
     simulation leaves its valid range, which is reported as not simulated and says nothing about the
     plan. The exit code of a campaign (--runs) is 0; it reports the rate of success.
     """
-    from hitchopt.simulation.flight_film import check_film
     from hitchopt.simulation.flight_task import read_task
+    from hitchopt.view.film import check_film
 
     directory = plan_path(directory).parent
     if film is not None:
@@ -106,7 +112,7 @@ def simulate(
     task = read_task(directory)
     place = directory / RESULTS if output is None else output
     if runs is None:
-        _simulate_one(task, settings, place, film)
+        _simulate_one(task, settings, place, film, directory)
     else:
         _simulate_campaign(task, settings, place, runs, processes)
 
@@ -123,18 +129,20 @@ def _settings(options: dict[str, float | str | bool | None]) -> Settings:
     return Settings(perturbations=replace(usual, **chosen), **others)
 
 
-def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None) -> None:
+def _simulate_one(
+    task: Task, settings: Settings, place: Path, film: Path | None, directory: Path
+) -> None:
     """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables, headline
-    from hitchopt.simulation.flight_film import save_film
     from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
-    from hitchopt.simulation.run_report import save_simulation
+    from hitchopt.simulation.run_report import save_simulation, summary
     from hitchopt.simulation.simulate import simulate as simulated
 
     with LateProgress(sys.stderr, "building ropes") as progress:
         done = simulated(task, settings, progress)
     save_simulation(place, done)
+    record(directory=str(place), simulation=summary(done))
     say(flight_tables(done))
     say(f"{_verdict(done)}; results are in {place}")
     say(headline(done))
@@ -142,11 +150,28 @@ def _simulate_one(task: Task, settings: Settings, place: Path, film: Path | None
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
-        with LateProgress(sys.stderr, "drawing the film"):
-            save_film(film, done.flight.film)
-        say(f"the film is {film}")
+        _save_film(film, done, directory)
     if not done.outcome.succeeded:
         click.get_current_context().exit(UNMET)
+
+
+def _save_film(path: Path, done: Simulation, directory: Path) -> None:
+    """Write the film of a flight of the plan in a directory."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.exports.directory import PLAN
+    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.view.film import save_film
+    from hitchopt.view.ghost_scene import recorded_scene
+
+    shown = done.flight.film
+    if len(shown.t[shown.t >= 0.0]) < 2:
+        raise FileError(f"{path}: the flight ended before there was anything to film")
+    plan = directory / PLAN
+    scene = recorded_scene(read_plan(plan), shown.t, shown.nodes, shown.cables, shown.poses)
+    with LateProgress(sys.stderr, "drawing the film") as progress:
+        words = f"{read_title(plan)} (simulated)".strip()
+        save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
+    say(f"the film is {path}")
 
 
 def _verdict(done: Simulation) -> str:
@@ -165,10 +190,11 @@ def _simulate_campaign(
     """Simulate, save and report a campaign."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import campaign_tables
-    from hitchopt.simulation.campaign import run_campaign, save_campaign
+    from hitchopt.sweeps.campaign import run_campaign, save_campaign
 
     with LateProgress(sys.stderr, "flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
     save_campaign(place, campaign)
+    record(directory=str(place), campaign=campaign.to_dict())
     say(campaign_tables(campaign))
     say(f"results are in {place}")

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.table import Table
 
-    from hitchopt.simulation.campaign import Campaign
     from hitchopt.simulation.error_measures import Spread
     from hitchopt.simulation.simulate import Simulation
+    from hitchopt.sweeps.campaign import Campaign
 
 
 def flight_tables(simulation: Simulation) -> str:
@@ -44,7 +44,7 @@ def flight_tables(simulation: Simulation) -> str:
     for name, value in (
         ("vertices, sag included [cm]", spread_text(run.vertex_error)),
         ("  while the plan stands still", spread_text(run.resting)),
-        ("  while it moves a vertex", spread_text(run.moving)),
+        ("  while it moves", spread_text(run.moving)),
         ("vertices without sag (level part) [cm]", spread_text(run.without_sag)),
         ("drones to their setpoints [cm]", spread_text(run.tracking)),
         ("largest tension", f"{run.peak_tension:.3f} N"),
@@ -54,7 +54,32 @@ def flight_tables(simulation: Simulation) -> str:
     ):
         figures.add_row(name, value)
     parts = [rendered(vertices)] if outcome.clasps else []
+    if outcome.objects:
+        parts.append(rendered(_object_table(simulation)))
     return "\n\n".join([*parts, rendered(figures), rendered(_conditions(simulation))]) + "\n"
+
+
+def _object_table(simulation: Simulation) -> Table:
+    """Return the table of the objects at the end, and of how they were held."""
+    table = new_table(
+        "Objects, in cm and degrees: from the plan's place, tilt, turn from the plan's yaw; while\n"
+        "carried, mean height over the plan's and slip relative to the hitch",
+        ["object"],
+        ["placed", "tilted", "turned", "height", "slipped", "free", "well placed"],
+    )
+    for state in simulation.outcome.objects:
+        good = state.well_placed
+        table.add_row(
+            state.name,
+            f"{100 * state.placed:.1f}",
+            f"{state.tilted:.1f}",
+            f"{state.turned:+.1f}",
+            f"{100 * state.lifted:+.1f}" if np.isfinite(state.lifted) else "",
+            f"{100 * state.slipped:.1f}" if np.isfinite(state.slipped) else "",
+            "yes" if state.free else "no",
+            Text("yes" if good else "NO", style="green" if good else "bold red"),
+        )
+    return table
 
 
 def headline(simulation: Simulation) -> str:
@@ -111,9 +136,11 @@ def campaign_tables(campaign: Campaign) -> str:
     for name, values in (
         ("mean vertex error, sag included", [run.vertex_error.mean for run in campaign.runs]),
         ("  while the plan stands still", [run.resting.mean for run in campaign.runs]),
-        ("  while it moves a vertex", [run.moving.mean for run in campaign.runs]),
+        ("  while it moves", [run.moving.mean for run in campaign.runs]),
         ("mean vertex error without sag", [run.without_sag.mean for run in campaign.runs]),
         ("mean tracking error", [run.tracking.mean for run in campaign.runs]),
+        ("objects from their places", [run.placed for run in campaign.runs]),
+        ("objects slipped", [run.slipped for run in campaign.runs]),
     ):
         there = np.array(values)[np.isfinite(values)]
         if there.size:

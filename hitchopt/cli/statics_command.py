@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.failures import UNMET, say
+from hitchopt.cli.failures import UNMET
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import InputError
 
@@ -67,7 +68,7 @@ def statics(
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.settling.conditions import Conditions
     from hitchopt.settling.settle import settle_motion
-    from hitchopt.settling.statics_file import save_statics
+    from hitchopt.settling.statics_file import save_statics, statics_content
     from hitchopt.settling.tolerance import taut_times, tolerance_of_motion
 
     path = plan_path(directory)
@@ -90,6 +91,7 @@ def statics(
     for note in conditions.notes(motion.team):
         say(f"note: {note}")
     save_statics(path.parent, settled, ranges)
+    record(directory=str(path.parent), statics=statics_content(settled, ranges))
     say(f"statics.json and statics.png are in {path.parent}")
     if settled.slack_cables or settled.loose_clasps:
         names = ", ".join((*settled.slack_cables, *settled.loose_clasps))

@@ -26,6 +26,10 @@ SWARMS = [
 RELATIVE = 1e-6
 """Largest difference of a figure, relative to the larger of figure and limit."""
 
+SEARCHED = 0.05
+"""Largest difference of ``stoppable``, relative: whether a duration that is tried keeps a limit may
+depend on rounding, and with it which of two neighbouring ones is found."""
+
 ROUNDING = 1e-9
 """[m] Largest difference of ``continuity``, which is rounding alone and differs between processors:
 a thousandth of its limit."""
@@ -53,7 +57,8 @@ def differences(found: Any, path: Path) -> list[str]:
             same = now is value
         else:
             scale = max(abs(value), abs(limits.get(name) or 0.0), RELATIVE)
-            same = abs(now - value) <= (ROUNDING if name == "continuity" else RELATIVE * scale)
+            share = SEARCHED if name == "stoppable" else RELATIVE
+            same = abs(now - value) <= (ROUNDING if name == "continuity" else share * scale)
         if not same:
             told.append(f"{name} {now} instead of {value}")
     return told

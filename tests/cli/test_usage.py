@@ -78,7 +78,8 @@ def test_a_bad_file_in_a_process_of_its_own(place: Path) -> None:
     assert done.stdout == ""
     lines = done.stderr.splitlines()
     assert len(lines) == 4
-    assert lines[1] == "error: limits.jerk = 0: must be greater than 0; give a positive number"
+    reason = "limits.jerk = 0: must be greater than 0; give a positive number"
+    assert lines[1] == f"error: {bad}:8:23: {reason}"
     assert list(place.iterdir()) == []
 
 

@@ -1,0 +1,142 @@
+"""The commands ``report`` and ``view``: a plan to look at."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hitchopt.cli.commands import main
+from hitchopt.cli.output import say
+from hitchopt.cli.paths import GivenPath, plan_path
+from hitchopt.errors import HitchoptError
+
+if TYPE_CHECKING:
+    from hitchopt.checks import Certificate
+    from hitchopt.plan import Plan
+    from hitchopt.view.live_view import LiveView
+
+PROBLEM = "problem.yaml"
+"""Name under which an edited problem is saved beside its plan."""
+
+PROBLEM_ENDINGS = (".yaml", ".yml")
+"""Endings of the names of problem files."""
+
+
+@main.command()
+@click.argument("directory", metavar="DIR", type=GivenPath())
+def report(directory: Path) -> None:
+    """Write DIR/report.html: the plan in one file that needs no network.
+
+    It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
+    certificate, the phases, the problem file, versions and digests.
+    """
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.plan import load
+
+    place = plan_path(directory).parent
+    with LateProgress(sys.stderr, "certifying and writing"):
+        path = load(place).report(place)
+    say(f"open {path} in a browser")
+
+
+@main.command()
+@click.argument("path", metavar="DIR|FILE", type=GivenPath())
+@click.option(
+    "--save", metavar="FILE", type=GivenPath(), help="Write a page, picture or film; do not serve."
+)
+@click.option(
+    "--ghost",
+    metavar="PATH",
+    type=GivenPath(),
+    help="Show another plan, or a simulated flight, at its side: its directory or file.",
+)
+@click.option("--host", default="127.0.0.1", help="Address to listen on; by default this machine.")
+@click.option("--port", default=8080, help="Port to listen on, or the next free one.")
+@click.option("--browser/--no-browser", default=True, help="Whether to open the browser.")
+def view(
+    path: Path, save: Path | None, ghost: Path | None, host: str, port: int, browser: bool
+) -> None:
+    """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
+
+    Of a problem FILE (.yaml) the plan is made first. Vertices, edges and the hitch can be dragged;
+    the plan is made again in the background, and Save writes the problem file: FILE, or
+    DIR/problem.yaml.
+
+    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
+    summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
+    """
+    if save is not None:
+        _save(path, save)
+        return
+    import threading
+    import webbrowser
+
+    from hitchopt.view.ghost_scene import ghost_scene
+    from hitchopt.view.live_view import LiveView
+
+    certificate, text = None, ""
+    if path.suffix in PROBLEM_ENDINGS:
+        plan = _planned(path)
+        motion, certificate, title, text = plan.motion, plan.certificate, plan.title, plan.problem
+    else:
+        from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
+
+        file = plan_path(path)
+        motion, title, text = read_plan(file), read_title(file), read_problem_text(file)
+        path = file.with_name(PROBLEM)
+    other = None if ghost is None else ghost_scene(ghost, motion)
+    live = LiveView(motion, certificate, title, ghost=other, host=host, port=port)
+    say(f"the plan is at {live.url}; Ctrl-C ends this")
+    if browser:
+        webbrowser.open(live.url)
+    if certificate is None:
+        from hitchopt.checks import certify
+
+        certificate = certify(motion)
+        live.show_certificate(certificate, title)
+    _edit(live, text, path, certificate)
+    try:
+        threading.Event().wait()
+    finally:
+        live.close()
+
+
+def _planned(path: Path) -> Plan:
+    """Return the plan of a problem file, with its text."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.planning import solve
+    from hitchopt.storage.yaml_file import read_text
+
+    text, _ = read_text(path)
+    with LateProgress(sys.stderr, "planning") as progress:
+        return replace(solve(path, progress), problem=text)
+
+
+def _edit(live: LiveView, text: str, path: Path, certificate: Certificate) -> None:
+    """Offer to edit the problem of the plan shown, or say why it cannot be edited."""
+    from hitchopt.steps.certified_motions import Certified
+    from hitchopt.view.editing_panel import EditingPanel
+    from hitchopt.view.editing_session import Editing
+
+    try:
+        editing = Editing(text, path, Certified(live.motion, certificate))
+    except HitchoptError as error:
+        say(f"it cannot be edited here: {error}")
+        return
+    EditingPanel(live, editing)
+
+
+def _save(path: Path, file: Path) -> None:
+    """Write the plan as a page or picture, by the name's ending."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.plan import load
+
+    planned = path.suffix in PROBLEM_ENDINGS
+    with LateProgress(sys.stderr, "certifying and drawing") as progress:
+        plan = _planned(path) if planned else load(plan_path(path).parent)
+        plan.view(file, progress=progress)
+    say(f"wrote {file}")

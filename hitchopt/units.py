@@ -1,0 +1,175 @@
+"""Values that are probably in another unit: what is usual, what is possible, and what was meant.
+
+What nothing has that flies is refused as an InputError; what is merely unusual is a UnitWarning.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import FrameType
+from typing import Any
+
+from hitchopt.errors import InputError, UnitWarning
+from hitchopt.values import positive
+
+OUTSIDE = frozenset({"hitchopt", "contextlib", "dataclasses"})
+"""Packages between a user's line and the place where a value is checked."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Ranges of a physical quantity, and units that are taken for its own.
+
+    Attributes
+    ----------
+    unit: the one expected.
+    usual: smallest and largest value beyond which a warning is given.
+    possible: smallest and largest value beyond which the value is refused.
+    others: names of other units, and their sizes in ``unit``.
+    """
+
+    unit: str
+    usual: tuple[float, float]
+    possible: tuple[float, float]
+    others: tuple[tuple[str, float], ...] = ()
+
+
+LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))
+GRAMS = (("grams", 1e-3),)
+DEGREES = 0.017453292519943295
+"""One degree [rad]."""
+
+CABLE_LENGTH = Quantity("m", (0.05, 100.0), (1e-3, 1e4), LENGTHS)
+MASS = Quantity("kg", (0.005, 100.0), (1e-5, 1e4), GRAMS)
+LOAD = Quantity("kg", (0.0, 100.0), (0.0, 1e4), GRAMS)
+THRUST = Quantity("N", (0.05, 5e3), (1e-4, 1e6), (("grams of force", 0.00981),))
+TENSION = Quantity("N", (0.002, 500.0), (1e-6, 1e6), (("grams of force", 0.00981),))
+DENSITY = Quantity("kg/m", (0.0, 1.0), (0.0, 100.0), (("grams per metre", 1e-3),))
+FRICTION = Quantity("(a coefficient)", (0.0, 3.0), (0.0, 1e9), (("per cent", 1e-2),))
+STIFFNESS = Quantity("N/m", (0.01, 1e5), (1e-6, 1e9), (("N/mm", 1e3),))
+SPEED = Quantity("m/s", (1e-3, 100.0), (0.0, 1e5), (("mm/s", 1e-3), ("cm/s", 1e-2)))
+ACCELERATION = Quantity("m/s²", (1e-3, 200.0), (0.0, 1e6), (("mm/s²", 1e-3), ("cm/s²", 1e-2)))
+JERK = Quantity("m/s³", (1e-3, 1e4), (0.0, 1e9), (("mm/s³", 1e-3), ("cm/s³", 1e-2)))
+LEG = Quantity("m", (1e-3, 20.0), (0.0, 1e4), LENGTHS)
+ELLIPSOID = Quantity("m", (0.01, 10.0), (0.0, 1e4), LENGTHS)
+DISTANCE = Quantity("m", (0.0, 10.0), (0.0, 1e4), LENGTHS)
+HEIGHT = Quantity("m", (-2e3, 2e3), (-1e5, 1e5), LENGTHS)
+DURATION = Quantity("s", (1e-3, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
+TILT = Quantity("rad", (0.02, 1.6), (0.0, 1.6), (("degrees", DEGREES),))
+TILT_DEG = Quantity("°", (1.1, 90.0), (0.0, 90.0), (("radians", 1.0 / DEGREES),))
+BODY_RATE = Quantity("rad/s", (0.05, 70.0), (0.0, 1e6), (("degrees per second", DEGREES),))
+BODY_RATE_DEG = Quantity("°/s", (10.0, 4e3), (0.0, 1e8), (("radians per second", 1.0 / DEGREES),))
+
+LEAST_LIFT, MOST_LIFT = 0.01, 100.0
+"""Thrust over weight beyond which one of the two is in another unit."""
+
+
+def check_unit(key: str, value: Any, quantity: Quantity) -> None:
+    """Refuse or warn of a value, or the first of an array, that is probably in another unit.
+
+    Raises
+    ------
+    InputError: a value that nothing has that flies.
+    """
+    values = [value] if isinstance(value, float) else value.ravel().tolist()
+    alike = len(set(values)) == 1
+    for i, number in enumerate(values):
+        name = key if alike else f"{key}[{i}]"
+        low, high = quantity.possible
+        if not low <= number <= high:
+            bound = f"from {low:g} to {high:g} {quantity.unit}"
+            raise InputError(name, number, bound, _meant(number, quantity))
+        low, high = quantity.usual
+        if not low <= number <= high:
+            usual = f"usual are {low:g} to {high:g} {quantity.unit}"
+            words = f"{number:g} {quantity.unit}; {usual}; {_meant(number, quantity)}"
+            warn_of_unit(UnitWarning(name, words))
+            return
+
+
+def radians_of(
+    key: str, radians: float | None, degrees: float | None, quantity: Quantity
+) -> float | None:
+    """Return an angle or a rate that is given in one of two units, in radians.
+
+    Raises
+    ------
+    InputError: it is given in both, or is no positive number.
+    """
+    if degrees is None:
+        return None if radians is None else positive(key, radians)
+    name = f"{key}_deg"
+    if radians is not None:
+        raise InputError(name, degrees, f"left out where {key} is given", "give one of the two")
+    number = positive(name, degrees)
+    if key == "tilt" and number >= 90.0:
+        raise InputError(name, degrees, "below 90°", "give a smaller angle")
+    check_unit(name, number, quantity)
+    return number * DEGREES
+
+
+def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
+    """Refuse a thrust that is a hundred times off a drone's weight.
+
+    Parameters
+    ----------
+    mass, max_thrust, gravity: [kg], [N], [m/s²]
+
+    Raises
+    ------
+    InputError: names the mass if grams fit, else the thrust.
+    """
+    lift = max_thrust / (mass * gravity)
+    if LEAST_LIFT < lift < MOST_LIFT:
+        return
+    weight = f"{mass:g} kg weigh {mass * gravity:.3g} N"
+    if 1.0 < 1e3 * lift < MOST_LIFT:
+        bound = f"in kg, its weight within 100 times of max_thrust {max_thrust:g} N ({weight})"
+        raise InputError("mass", mass, bound, f"if grams were meant, {1e-3 * mass:g}")
+    bound = f"in N, within 100 times of the weight ({weight})"
+    raise InputError("max_thrust", max_thrust, bound, _meant(max_thrust, THRUST))
+
+
+def warn_of_unit(warning: UnitWarning) -> None:
+    """Issue the warning at the user's line that gave the value; the package's copies give none."""
+    level, frame = 1, sys._getframe(0)
+    copied = False
+    while frame.f_back and (package := _package(frame)) in OUTSIDE:
+        if copied and package == "hitchopt":
+            return
+        copied = frame.f_code is replace.__code__
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)
+
+
+def _package(frame: FrameType) -> str:
+    name: str = frame.f_globals.get("__name__", "")
+    return name.partition(".")[0]
+
+
+@contextmanager
+def seen_from(parent: str) -> Iterator[None]:
+    """Let errors and warnings name their keys as seen from the enclosing mapping ``parent``."""
+    with warnings.catch_warnings(record=True) as caught:
+        try:
+            yield
+        except (InputError, UnitWarning) as error:  # a warning where filters make it an error
+            raise error.within(parent) from None
+    for found in caught:
+        if isinstance(found.message, UnitWarning):
+            warn_of_unit(found.message.within(parent))
+        else:
+            warnings.warn_explicit(found.message, found.category, found.filename, found.lineno)
+
+
+def _meant(number: float, quantity: Quantity) -> str:
+    """Return what the value would be if it were in another unit, the first that makes it usual."""
+    low, high = quantity.usual
+    for name, size in quantity.others:
+        if low <= number * size <= high and number:
+            return f"if {name} were meant, {number * size:.3g}"
+    return f"give it in {quantity.unit}"

@@ -1,0 +1,204 @@
+"""Missions built step by step, and what plans do in Python: end, plot, data frame, cards."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt import step_methods
+from hitchopt.steps import STEPS, Step
+
+TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
+OTHER = [[0.35, -0.7], [-0.15, 0.7], [0.7, 0.75]]
+ARC = [[-1.2, 0.1], [-0.4, 0.9], [0.4, 0.9], [1.2, 0.1]]
+
+
+@pytest.fixture(scope="module")
+def plan() -> ho.Plan:
+    start = ho.Hitch.spread(ho.Team(3, [2.4, 2.5, 2.6]), TRIANGLE, altitude=1.2)
+    return ho.Mission(start.team, start, title="Two <steps>").morph(OTHER).hold(0.5).solve()
+
+
+def stub() -> dict[str, ast.FunctionDef]:
+    """The methods of ``step_methods.pyi``, by name."""
+    path = Path(step_methods.__file__).with_suffix(".pyi")
+    (kind,) = (x for x in ast.parse(path.read_text("utf-8")).body if isinstance(x, ast.ClassDef))
+    return {x.name: x for x in kind.body if isinstance(x, ast.FunctionDef)}
+
+
+def test_every_step_has_a_method_for_completion() -> None:
+    assert stub().keys() == {kind.name for kind in STEPS} | {"then"}
+
+
+@pytest.mark.parametrize("kind", STEPS)
+def test_methods_have_the_arguments_of_their_records(kind: type[Step]) -> None:
+    listed = stub()[kind.name].args
+    fields = dataclasses.fields(kind)
+    names = ["self", *(field.name for field in fields)]
+    assert [argument.arg for argument in listed.args] == names
+    method = getattr(ho.Mission, kind.name)
+    assert list(inspect.signature(method).parameters) == names
+    assert kind.name == method.__name__
+    assert "Parameters" in method.__doc__
+    given = [field for field in fields if field.default is not dataclasses.MISSING]
+    plain = [entry for entry in listed.defaults if ast.unparse(entry) != "..."]
+    assert [ast.literal_eval(entry) for entry in plain] == [field.default for field in given]
+
+
+def test_a_mission_is_the_problem_of_the_same_steps() -> None:
+    team = ho.Team(3, 2.4)
+    start = ho.Hitch(team, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+    empty = ho.Mission(team, start, limits=ho.Limits(speed=0.8))
+    mission = empty.morph(OTHER, blend=True).move_vertex(0, by=[0.0, 0.05]).hold(1.0)
+    assert empty.steps == ()
+    assert [step.name for step in mission.steps] == ["morph", "move_vertex", "hold"]
+    problem = mission.problem
+    assert problem.limits.speed == 0.8
+    assert [step.blends for step in problem.mission] == [True, False, False]
+    assert mission.then(ho.Release()).steps[-1].name == "release"
+
+
+@pytest.mark.parametrize(
+    ("add", "key"),
+    [
+        (lambda m: m.form(TRIANGLE), "mission[0].form"),
+        (lambda m: m.hold(1.0).morph(ARC), "mission[1].morph.polygon"),
+        (lambda m: m.release().release(), "mission[1].release"),
+        (lambda m: m.then("release"), "step"),
+        (lambda m: m.problem, "mission"),
+        (lambda m: m.hold(1.0).morph(OTHER, blend=True).problem, "mission[1].morph.blend"),
+    ],
+)
+def test_the_step_that_does_not_fit_is_refused_at_once(add: Any, key: str) -> None:
+    team = ho.Team(3, 2.4)
+    mission = ho.Mission(team, ho.Hitch(team, TRIANGLE, 1.0, [0.3, 0.8, 0.25]))
+    with pytest.raises(ho.InputError) as caught:
+        add(mission)
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("team", "legs"),
+    [
+        (ho.Team(3, [2.4, 2.5, 2.6]), "balanced"),
+        (ho.Team(3, 2.4, cable_density=0.004, load=[0.003, 0.004, 0.01]), "spread"),
+        (ho.Team(3, 2.4), {"sharing": "spread", "roll_deg": [3.0, -4.0, 8.0]}),
+        (ho.Team(3, 2.4, cable_density=0.003), {"sharing": "spread", "roll_deg": 12.0}),
+        (ho.Team(3, 2.4, cable_friction=0.2), "spread"),
+        (ho.Team(3, 2.4, topology="open"), "spread"),
+    ],
+)
+def test_the_end_is_the_hitch_that_drones_and_cables_are_in(team: ho.Team, legs: Any) -> None:
+    outline = ARC if team.topology == "open" else TRIANGLE
+    loose = ho.Separation(radius=0.05, cable=0.02, crossing=0.01)
+    start = ho.Hitch.spread(team, outline, 1.3, separation=loose)
+    mission = ho.Mission(team, start, separation=loose)
+    plan = mission.adjust(legs).transport([0.2, 0.3, 1.5], 0.4).solve()
+    end, last = plan.end, plan.at(plan.duration)
+    assert end.drones == pytest.approx(last.positions, abs=1e-9)
+    assert end.vertices == pytest.approx(last.vertices, abs=1e-9)
+    assert end.cable_forces == pytest.approx(last.cable_forces, abs=1e-9)
+    onward = ho.hold(end, 1.0, separation=loose)
+    assert onward.at(0.0).positions == pytest.approx(last.positions, abs=1e-9)
+
+
+def test_a_saved_plan_ends_in_the_same_hitch(plan: ho.Plan, tmp_path: Path) -> None:
+    loaded = ho.load(plan.save(tmp_path / "out", rate=5.0))
+    assert loaded.end.q_legs == pytest.approx(plan.end.q_legs, abs=1e-12)
+
+
+def test_a_plan_that_ends_with_free_cables_has_no_hitch() -> None:
+    team = ho.Team(3, 2.4)
+    q, r = (np.array([[x, y, 1.0] for y in (-1.2, 0.0, 1.2)]) for x in (-0.6, 0.6))
+    landed = ho.land(team, q, r)
+    with pytest.raises(ho.InputError, match="end = 'free cables': must be a hitch"):
+        _ = landed.end
+
+
+def test_a_plan_is_drawn_on_axes(plan: ho.Plan) -> None:
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    axes = plan.plot()
+    assert axes.get_xlabel() == "x [m]"
+    assert plan.plot(axes) is axes
+    pyplot.close("all")
+
+
+def test_a_data_frame_holds_the_rows_of_setpoints_csv(plan: ho.Plan, tmp_path: Path) -> None:
+    import pandas as pd
+
+    frame = plan.to_dataframe(rate=7.0)
+    table = pd.read_csv(plan.save(tmp_path / "out", rate=7.0) / "setpoints.csv")
+    assert list(frame.columns) == [*table.columns, "phase"]
+    assert list(frame["drone"]) == list(table["drone"])
+    numbers = [name for name in table.columns if name != "drone"]
+    np.testing.assert_allclose(frame[numbers], table[numbers], atol=1e-9)
+    assert list(frame["phase"].unique()) == ["morph (0)", "hold (1)"]
+
+
+def test_without_pandas_the_message_says_what_to_install(
+    plan: ho.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    with pytest.raises(ho.UnsupportedError, match=r"pip install 'hitchopt\[pandas\]'"):
+        plan.to_dataframe()
+
+
+def test_notebooks_show_cards(plan: ho.Plan) -> None:
+    card = plan._repr_html_()
+    assert "<b>Two &lt;steps&gt;</b>: 6 drones" in card
+    assert 'src="data:image/png;base64,' in card
+    assert "http" not in card
+    assert "<td>morph</td>" in card
+    assert plan.certificate._repr_html_() in card
+    assert "certified for all t" in card
+    for check in plan.certificate.checks:
+        assert f"<td>{check.name}</td>" in card
+
+
+def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
+    (part,) = ho.export(plan, "json", tmp_path / "json", rate=10.0)
+    assert list(part.files) == ["setpoints.json"]
+    with pytest.raises(ho.InputError) as caught:
+        ho.simulate(plan, perturbations={"gusts": 1.0})
+    assert caught.value.key == "perturbations.gusts"
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    from importlib.metadata import version
+
+    assert ho.__version__ == version("hitchopt")
+
+
+@pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])
+def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> None:
+    first, length = [0.1, 0.2, 0.3], 2.3
+    points = ho.hanging_cable(first, second, length, points=2001)
+    parts = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    assert points[0] == pytest.approx(first)
+    assert points[-1] == pytest.approx(second)
+    assert np.max(parts) <= length / 2000 * (1 + 1e-6)
+    assert length - 2 * np.max(parts) < np.sum(parts) <= length * (1 + 1e-6)  # one at a sharp bend
+    mirrored = ho.hanging_cable(second, first, length, points=2001)[::-1]
+    assert points == pytest.approx(mirrored, abs=1e-9)
+    moved = ho.hanging_cable(np.add(first, 5.0), np.add(second, 5.0), length, points=2001)
+    assert moved - 5.0 == pytest.approx(points, abs=1e-9)
+
+
+def test_hanging_cables_are_computed_at_once_and_none_is_stretched() -> None:
+    ends = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 2.0, 0.0]])
+    together = ho.hanging_cable([0.0, 0.0, 0.0], ends, 2.0, points=7)
+    assert together.shape == (3, 7, 3)
+    for points, end in zip(together, ends, strict=True):
+        assert points == pytest.approx(ho.hanging_cable([0.0, 0.0, 0.0], end, 2.0, points=7))
+    with pytest.raises(ho.InputError, match=r"at least the distance of its ends, 2 m"):
+        ho.hanging_cable([0.0, 0.0, 0.0], ends, 1.9)

@@ -1,0 +1,151 @@
+"""Values in another unit than the one expected: refused, or warned of, with what was meant."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt import units
+from hitchopt.cli import main
+
+TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+ORIGIN = np.array([0.0, 0.0, 1.0])
+QUANTITIES = [value for value in vars(units).values() if isinstance(value, units.Quantity)]
+
+FILE = """
+team: {robots: 3, cable_length: 2.4, quadrotor: {mass: MASS}}
+limits: {tilt_deg: TILT}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]]}}
+mission: [{hold: {seconds: 1}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ho.Team(3, 2400), "cable_length: 2400 m; usual are 0.05 to 100 m; if millimetres"),
+        (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* meant, 0.24"),
+        (
+            lambda: ho.Team(3, 2.4, cable_density=5),
+            "cable_density: 5 kg/m; .* grams per metre",
+        ),
+        (
+            lambda: ho.Team(3, 2.4, tension=1e3),
+            "tension: 1000 N; .* grams of force",
+        ),
+        (lambda: ho.Team(3, 2.4, load=250), "load: 250 kg; .* if grams were meant, 0.25"),
+        (
+            lambda: ho.Team(3, 2.4, cable_friction=20),
+            "cable_friction: 20 .* per cent were",
+        ),
+        (lambda: ho.Quadrotor(0.004, 0.06), "mass: 0.004 kg; usual are 0.005 to 100 kg"),
+        (lambda: ho.Quadrotor(132.0, 2600.0), "mass: 132 kg; .* if grams were meant, 0.132"),
+        (lambda: ho.Limits(speed=800), "speed: 800 m/s; .* if mm/s were meant, 0.8"),
+        (lambda: ho.Limits(tilt_deg=0.785), "tilt_deg: 0.785 °; .* if radians were meant, 45"),
+        (
+            lambda: ho.Limits(body_rate=200),
+            "body_rate: 200 rad/s; .* degrees per second",
+        ),
+        (lambda: ho.Limits(body_rate_deg=3.5), "body_rate_deg: 3.5 °/s; .* radians per second"),
+        (lambda: ho.Separation(radius=120), "radius: 120 m; .* if millimetres were meant, 0.12"),
+        (
+            lambda: ho.Arena([-4e3, -4, 0], [4] * 3),
+            r"lower\[0\]: -4000 m; .* millimetres",
+        ),
+        (lambda: ho.Hold(2e5), "seconds: 200000 s; .* if milliseconds were meant, 200"),
+        (lambda: ho.Transport(ORIGIN, 30), "yaw: 30 rad, more than a turn; .* meant, 0.524"),
+    ],
+)
+def test_the_unusual_is_warned_of_at_the_line_that_gave_it(
+    make: Callable[[], object], words: str
+) -> None:
+    with pytest.warns(ho.UnitWarning, match=words) as caught:
+        make()
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+@pytest.mark.parametrize(
+    ("make", "key", "words"),
+    [
+        (lambda: ho.Quadrotor(34.0), "mass", "if grams were meant, 0.034"),
+        (lambda: ho.Quadrotor(0.034, 60.0), "max_thrust", "if grams of force were meant, 0.589"),
+        (lambda: ho.Quadrotor(2e4, 1e5), "mass", "kg; if grams were meant, 20"),
+        (lambda: ho.Team(3, 24_000), "cable_length", "if millimetres were meant, 24"),
+        (lambda: ho.Limits(tilt=45), "tilt", "45 degrees are 0.785 rad"),
+        (lambda: ho.Limits(tilt_deg=95), "tilt_deg", "below 90°"),
+        (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "left out where tilt is given"),
+        (lambda: ho.Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
+    ],
+)
+def test_what_nothing_has_that_flies_is_refused(
+    make: Callable[[], object], key: str, words: str
+) -> None:
+    with pytest.raises(ho.InputError, match=words) as caught:
+        make()
+    assert caught.value.key == key
+
+
+def test_copies_warn_where_a_user_makes_them_only() -> None:
+    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
+        limits = ho.Limits(speed=800)
+    start = ho.Hitch(ho.Team(3, 2.4), TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+    assert ho.hold(start, 1.0, limits=limits).certificate.certified  # which copies the limits
+    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
+        replace(limits, jerk=10.0)
+
+
+def test_a_polygon_in_millimetres_says_so() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
+        ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
+
+
+def test_angles_in_degrees_are_those_in_radians() -> None:
+    limits = ho.Limits(tilt_deg=30, body_rate_deg=200)
+    assert limits == ho.Limits(tilt=math.radians(30), body_rate=math.radians(200))
+    assert limits.tilt_deg == pytest.approx(30)
+    assert ho.Limits(tilt_deg=45) == ho.Limits()
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@given(share=st.floats(0.0, 1.0))
+def test_what_is_usual_is_neither_refused_nor_warned_of(
+    quantity: units.Quantity, share: float
+) -> None:
+    low, high = quantity.usual
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        units.check_unit("key", min(low + share * (high - low), high), quantity)
+
+
+def written(folder: Path, mass: str = "0.132", tilt: str = "45") -> str:
+    text = FILE.replace("MASS", mass).replace("TILT", tilt)
+    path = folder / "problem.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_problem_files_name_the_whole_key(tmp_path: Path) -> None:
+    with pytest.raises(ho.InputError, match=r"if grams were meant, 0\.034") as caught:
+        ho.load_problem(written(tmp_path, mass="34"))
+    assert caught.value.key == "team.quadrotor.mass"
+    with pytest.warns(ho.UnitWarning, match="^limits.tilt_deg: 0.785 °"):
+        ho.load_problem(written(tmp_path, tilt="0.785"))
+
+
+def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:
+    path = written(tmp_path, tilt="0.785")
+    done = CliRunner().invoke(main, ["solve", path, "-o", str(tmp_path / "out")])
+    assert done.exit_code == 3
+    warned = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    words = "usual are 1.1 to 90 °; if radians were meant, 45"
+    assert warned == [f"warning: limits.tilt_deg: 0.785 °; {words}"]

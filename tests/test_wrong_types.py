@@ -1,0 +1,188 @@
+"""Arguments of wrong types: an InputError that names the argument, in every public function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt import actions, planning
+
+TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]
+R = [[0.6, -1.2, 0.0], [0.6, 0.0, 0.0], [0.6, 1.2, 0.0]]
+TEAM = ho.Team(3, 2.4)
+START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+PLAN = ho.hold(START, 1.0)
+PAIR = ho.Swarm(2)
+LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
+REST: dict[str, Any] = {"limits": None, "separation": None, "arena": None}
+RECORDS: dict[str, Any] = {
+    "limits": ho.Limits(),
+    "separation": ho.Separation(),
+    "arena": None,
+    "title": "",
+}
+STEPS: dict[str, dict[str, Any]] = {
+    "morph": {
+        "polygon": TRIANGLE,
+        "legs": None,
+        "duration": None,
+        "optimize": False,
+        "tension": None,
+    },
+    "move_vertex": {"vertex": 0, "by": [0.0, 0.1], "legs": None, "duration": None},
+    "move_edge": {"edge": 0, "by": [0.0, 0.1], "legs": None, "duration": None},
+    "adjust": {"legs": "balanced", "duration": None},
+    "follow_vertex": {"vertex": 0, "path": [[1.0, 0.0, -0.9]], "legs": None},
+    "transport": {"to": [0.0, 0.0, 1.0], "yaw": 0.0, "duration": None},
+    "hold": {"seconds": 1.0},
+    "release": {"duration": None},
+}
+FORM: dict[str, Any] = {"polygon": TRIANGLE, "altitude": 1.0, "legs": None, "assign": "auto"}
+AFTER = -1.0
+"""A time that is refused, so that nothing is computed."""
+
+NOWHERE = "there is no such file"
+GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
+    *((getattr(ho, name), {"start": START, **values, **REST}) for name, values in STEPS.items()),
+    *((getattr(ho.Mission(TEAM, START), name), values) for name, values in STEPS.items()),
+    (ho.form, {"team": TEAM, "q": Q, "r": R, **FORM, "swap": None, "duration": None, **REST}),
+    (ho.Mission(TEAM, ho.DronesStart(Q, R)).form, {**FORM, "swap": ho.SwapSettings()}),  # type: ignore[arg-type]
+    (ho.land, {"team": TEAM, "q": Q, "r": R, "duration": None, **REST}),
+    (ho.solve, {"problem": ho.Problem(TEAM, START, (ho.Hold(1.0),)), "limit": None}),
+    (ho.separate, {"problem": NOWHERE}),
+    (ho.suggestions, {"problem": NOWHERE}),
+    (ho.repair, {"problem": NOWHERE}),
+    (ho.certify, {"motion": PLAN.motion}),
+    (ho.closest, {"plan": PLAN, "spans": 2}),
+    (ho.settle, {"plan": PLAN, "t": AFTER}),
+    (ho.tolerance, {"plan": PLAN, "t": AFTER}),
+    (ho.hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
+    (ho.regular_polygon, {"n": 3, "edge": 1.0, "angle": 0.0}),
+    (ho.load, {"directory": NOWHERE}),
+    (ho.lint, {"path": NOWHERE}),
+    (ho.calibrate, {"plan": NOWHERE, "recording": NOWHERE}),
+    (ho.export, {"plan": PLAN, "format": "none", "folder": NOWHERE}),
+    (ho.simulate, {"plan": NOWHERE, "preset": "fast", "perturbed": False, "perturbations": None}),
+    (PLAN.at, {"t": 0.5}),
+    (PLAN.to_dataframe, {"rate": 2.0}),
+    (ho.Team, {"robots": 3, "cable_length": 2.4, "topology": "closed", "quadrotor": None}),
+    (
+        ho.Team,
+        {"robots": 3, "cable_length": 2.4, "tension": 0.4, "load": 0.0},
+    ),
+    (ho.Swarm, {"drones": 2, "quadrotor": None}),
+    (ho.Quadrotor, {"mass": 0.1, "max_thrust": 2.6, "stiffness": None, "integral": False}),
+    (ho.Limits, {"speed": 1.0, "tilt": 0.7, "leg": 0.15, "duration": None, "body_rate": None}),
+    (ho.Limits, {"tilt_deg": 40.0, "body_rate_deg": None}),
+    (ho.Separation, {"radius": 0.1, "height": 0.3, "cable": 0.1, "crossing": 0.05}),
+    (ho.Arena, {"lower": [0, 0, 0], "upper": [1, 1, 1]}),
+    (ho.Prism, {"polygon": TRIANGLE, "lower": 0.0, "upper": 9.0}),
+    (
+        ho.Hitch,
+        {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "q_legs": [0.3] * 3},
+    ),
+    (ho.Hitch.balanced, {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "roll": 0.0}),
+    (ho.Hitch.spread, {"team": TEAM, "polygon": TRIANGLE, "limits": None, "separation": None}),
+    (ho.DronesStart, {"q": Q, "r": R}),
+    (ho.Problem, {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], **RECORDS}),
+    (ho.Mission, {"team": TEAM, "start": START, "steps": (), **RECORDS}),
+    (ho.SwarmProblem, {"team": PAIR, "start": LOWER, "goal": UPPER, "keep_out": (), **RECORDS}),
+    (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
+    (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),
+    (ho.Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
+    (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
+]
+ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
+
+JUNK = st.sampled_from(
+    [object(), b"x", 1j, len, {"a": 1}, {3}, np.array("x"), [[1, "x"]], [[1], [2, 3]], "xyz"]
+) | st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3),
+    max_leaves=4,
+)
+NEVER = [object(), 1j, len]
+"""What no argument may be."""
+
+SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}
+"""Arguments whose messages name another key."""
+
+
+class PlannedError(Exception):
+    """All arguments were accepted."""
+
+
+@pytest.fixture(autouse=True)
+def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise PlannedError
+
+    for module, name in ((actions, "solve_problem"), (planning, "solve_problem")):
+        monkeypatch.setattr(module, name, stop)
+
+
+def label(case: tuple[Callable[..., object], dict[str, Any], str]) -> str:
+    return f"{case[0].__qualname__}-{case[2]}"
+
+
+@pytest.mark.parametrize("case", ARGUMENTS, ids=label)
+def test_what_no_argument_may_be_is_refused_by_its_name(
+    case: tuple[Callable[..., object], dict[str, Any], str],
+) -> None:
+    function, values, name = case
+    for wrong in NEVER:
+        with pytest.raises(ho.InputError) as caught:
+            function(**{**values, name: wrong})
+        assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
+
+
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
+@pytest.mark.parametrize("case", ARGUMENTS, ids=label)
+def test_whatever_is_given_is_accepted_or_told(
+    case: tuple[Callable[..., object], dict[str, Any], str],
+) -> None:
+    function, values, name = case
+
+    @settings(max_examples=10)
+    @given(JUNK)
+    def tried(value: object) -> None:
+        with suppress(ho.HitchoptError, PlannedError):
+            function(**{**values, name: value})
+
+    tried()
+
+
+def as_sequences(value: Any) -> Iterator[Any]:
+    """Yield a value's equals among sequences and arrays."""
+    yield tuple(map(tuple, value)) if isinstance(value[0], list) else tuple(value)
+    yield np.array(value)
+    if isinstance(value[0], list):
+        yield [np.array(entry) for entry in value]
+
+
+def test_sequences_are_accepted_wherever_arrays_are() -> None:
+    for function, values in GOOD:
+        for name, value in values.items():
+            if isinstance(value, list) and isinstance(value[0], list | float | int):
+                for other in as_sequences(value):
+                    with suppress(ho.InfeasibleError, PlannedError):
+                        function(**{**values, name: other})
+
+
+def test_polygons_are_accepted_wherever_points_are(tmp_path: Path) -> None:
+    polygon = ho.ConvexPolygon(TRIANGLE)
+    assert ho.Hitch.balanced(TEAM, polygon).polygon is polygon
+    assert ho.Prism(polygon, 0.0, 1.0).polygon is polygon
+    assert ho.ConvexPolygon(polygon).vertices == pytest.approx(polygon.vertices)
+    assert ho.Mission(TEAM, START).morph(polygon).steps[0].polygon is polygon  # type: ignore[attr-defined]
+    with pytest.raises(ho.FileError):
+        ho.load(tmp_path)
