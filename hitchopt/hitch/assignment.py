@@ -8,11 +8,12 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array
+from hitchopt.one_line import OneLine
+from hitchopt.values import Array, sequence, whole
 
 
 @dataclass(frozen=True)
-class Assignment:
+class Assignment(OneLine):
     """An assignment of robots to roles.
 
     Parameters
@@ -29,7 +30,11 @@ class Assignment:
     flipped: tuple[bool, ...]
 
     def __post_init__(self) -> None:
+        for name in ("robots", "flipped"):
+            object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
         n = len(self.robots)
+        for i, robot in enumerate(self.robots):
+            whole(f"assignment.robots[{i}]", robot, 0)
         if sorted(self.robots) != list(range(n)):
             raise InputError("assignment.robots", self.robots, f"0 to {n - 1}, each once", "sort")
         if len(self.flipped) != n:

@@ -9,7 +9,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array
+from hitchopt.values import Array, instance
 
 FIXED_LEG = 1e-4
 """Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
@@ -19,8 +19,13 @@ SAGGING_LEG = 1e-2
 """The same where cables have weight: whoever gives the leg may have left out that edges sag."""
 
 
+FAR_OFF = 100.0
+"""Edge over cable beyond which one of the two is probably in another unit."""
+
+
 def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     """Return ``polygon`` as an outline of the team's topology and count, or raise InputError."""
+    instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
@@ -56,6 +61,8 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
             f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
             f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable"
         )
+        if lengths[worst] > FAR_OFF * team.cable_length[worst]:
+            remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
         raise _refusal(slack[worst], 0.0, "min", f"cable {worst}", remedy)
     return slack
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
@@ -22,14 +23,14 @@ from hitchopt.hitch.leg_roll import least_roll_of_reference, split_with_least_ro
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
+from hitchopt.one_line import OneLine, short
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.values import coordinate
-
-Array = NDArray[np.float64]
+from hitchopt.units import HEIGHT, check_unit
+from hitchopt.values import Array, as_array, coordinate
 
 
 @dataclass(frozen=True, eq=False)
-class Hitch:
+class Hitch(OneLine):
     """A hitch in a horizontal plane, in balance: closed, or an open chain.
 
     Vertices are in that plane. Where clasps carry weight their legs rise out of it, so that they
@@ -71,7 +72,7 @@ class Hitch:
     ) -> None:
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
-        d = np.array(q_legs, dtype=np.float64)
+        d = as_array(q_legs)
         if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
             raise InputError(
                 "legs", q_legs, f"a list of {team.robots} finite lengths d_k", "give one per robot"
@@ -81,10 +82,16 @@ class Hitch:
         object.__setattr__(self, "team", team)
         object.__setattr__(self, "polygon", outline)
         object.__setattr__(self, "altitude", coordinate("altitude", altitude))
+        check_unit("altitude", self.altitude, HEIGHT)
         object.__setattr__(self, "q_legs", d)
         object.__setattr__(self, "roll", checked_roll(team, roll))
         if self._loads is not None:
             self._directions()  # raises where they cannot carry it
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{self.team.robots} robots, {self.team.topology}"
+        for name in ("altitude", "q_legs", "roll"):
+            yield f"{name}={short(getattr(self, name))}"
 
     @classmethod
     def balanced(
@@ -136,7 +143,10 @@ class Hitch:
         InputError, InfeasibleError: as the class.
         """
         outline = fitting_polygon(team, polygon)
-        requirements = Requirements(limits or Limits(), separation or Separation())
+        requirements = Requirements(
+            Limits() if limits is None else limits,
+            Separation() if separation is None else separation,
+        )
         reference = balanced_legs(team, outline)
         if roll is None:
             task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements)

@@ -11,15 +11,13 @@ Marks and Wright 1978).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
 from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegLengths, LegTask
 from hitchopt.time_limit import check_time
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ROUNDS = 60
 """Maximum number of convex programs from one start."""

@@ -19,8 +19,8 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.requirements import Arena
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 PENALTY = 1e3
@@ -185,8 +185,11 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
     if task.requirements.arena is not None:
         _add_walls(rows, bodies, task.requirements.arena, size - 1)
-    deviation = sparse.eye_array(J * n) + _roughness(task)
-    hessian = sparse.csc_array(sparse.block_diag([deviation, sparse.csc_array((2, 2))]))
+    squares = np.append(np.ones(J * n), [0.0, 0.0])
+    hessian = sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+    if task.roughness > 0.0 and J > 2:
+        bends = sparse.block_diag([_roughness(task), sparse.csc_array((2, 2))])
+        hessian = sparse.csc_array(hessian + bends)
     gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
     lower, upper = leg_bounds(task)
     return QuadraticProgram(
@@ -217,8 +220,6 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
 def _roughness(task: LegTask) -> sparse.csc_matrix:
     """Return the Hessian of the fractions' squared second differences along the knots."""
     J, n = task.reference.shape
-    if task.roughness == 0.0 or J < 3:
-        return sparse.csc_matrix((J * n, J * n))
     second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
     fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
     bend = sparse.kron(second, sparse.eye_array(n)) @ fractions

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.hitch.team import Team
 from hitchopt.requirements import Requirements
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SPREAD_MARGIN = 1.5
 """Distance over its limit that the leg lengths called ``spread`` keep."""

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length, unit
@@ -22,8 +22,7 @@ from hitchopt.hitch.cable_spans import ClaspLoads
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.layout import CLOSED, Index, layout_of
 from hitchopt.hitch.team import GRAVITY, Team
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STEP = 1e-5
 """[s] Step of central differences of cable forces: at 1 m/s a leg of 0.1 m turns by 1e-4 in it, so

@@ -10,7 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.layout import CLOSED, OPEN, Layout, layout_of
-from hitchopt.values import not_negative, per_robot, positive
+from hitchopt.one_line import OneLine
+from hitchopt.units import (
+    CABLE_LENGTH,
+    DENSITY,
+    FRICTION,
+    LOAD,
+    MASS,
+    STIFFNESS,
+    TENSION,
+    THRUST,
+    check_lift,
+    check_unit,
+)
+from hitchopt.values import instance, not_negative, per_robot, positive, sequence
 
 GRAVITY = 9.81
 """[m/s²] Acceleration of gravity, downward."""
@@ -20,9 +33,18 @@ MAX_ROBOTS = 10_000
 
 TOPOLOGIES = (CLOSED, OPEN)
 
+UNITS = {
+    "cable_length": CABLE_LENGTH,
+    "cable_density": DENSITY,
+    "cable_friction": FRICTION,
+    "tension": TENSION,
+    "load": LOAD,
+}
+"""Quantities whose units are checked."""
+
 
 @dataclass(frozen=True)
-class Quadrotor:
+class Quadrotor(OneLine):
     """One quadrotor.
 
     Parameters
@@ -44,8 +66,12 @@ class Quadrotor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass))
         object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
+        check_unit("mass", self.mass, MASS)
+        check_unit("max_thrust", self.max_thrust, THRUST)
+        check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.stiffness is not None:
             object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
+            check_unit("stiffness", self.stiffness, STIFFNESS)
         for name in ("integral", "feed_forward"):
             value = getattr(self, name)
             if not isinstance(value, bool):
@@ -57,7 +83,9 @@ def kinds_of(
 ) -> tuple[Quadrotor, ...]:
     """Return one kind per owner; one kind is meant for all, and None for the default kind."""
     kind = Quadrotor() if given is None else given
-    kinds = (kind,) * count if isinstance(kind, Quadrotor) else tuple(kind)
+    kinds = (kind,) * count if isinstance(kind, Quadrotor) else sequence("quadrotor", kind)
+    for k, each in enumerate(kinds):
+        instance(f"quadrotor[{k}]", each, Quadrotor)
     if len(kinds) != count:
         raise InputError(
             "quadrotor", len(kinds), f"one kind, or a list of {count}", f"give one per {owner}"
@@ -71,13 +99,13 @@ def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[n
     An array of one value throughout holds for any number of clasps, so that a team can be copied
     with another topology or number of robots.
     """
-    if isinstance(given, np.ndarray) and given.size > 0 and np.all(given == given.flat[0]):
-        given = float(given.flat[0])
+    if isinstance(given, np.ndarray) and given.size > 0 and given.ndim > 0:
+        given = float(given[0]) if np.all(given == given[0]) else given
     return per_robot("load", given, clasps, not_negative, "clasp")
 
 
 @dataclass(frozen=True, eq=False)
-class Team:
+class Team(OneLine):
     """n catenary robots: two quadrotors each, on the ends of one cable.
 
     Parameters
@@ -140,6 +168,8 @@ class Team:
             "quadrotor": kinds,
             "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
+        for name, quantity in UNITS.items():
+            check_unit(name, values[name], quantity)
         for name, value in values.items():
             object.__setattr__(self, name, value)
 

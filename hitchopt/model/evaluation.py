@@ -7,19 +7,21 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import cable_forces
+from hitchopt.model.array_machine import array_machine
 from hitchopt.model.attitude import attitude_function
 from hitchopt.model.loaded_clasp import loaded_clasp_function
 from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
+MANY = 256
+"""Number of columns from which on ``array_machine`` is faster than casadi."""
 
-BATCH = 512
-"""Number of columns that one call evaluates: a larger map takes longer to make than it saves."""
+BATCH = MANY
+"""Number of columns that a call of casadi evaluates, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,11 +228,14 @@ def slipping_drones(
 def _mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
     """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
 
-    Casadi's buffers read and write numpy's memory: converting large arrays to its own matrices
-    takes four times as long as the evaluation. Casadi takes longer to make a map than to run it,
-    so columns come in batches of few sizes, whose maps are reused.
+    Many columns are evaluated by ``array_machine``, few by casadi, in batches of few sizes: it
+    takes longer to make a map than to run it. Its buffers read and write numpy's memory, since
+    converting arrays to its own matrices takes four times as long as the evaluation.
     """
     columns = len(inputs[0])
+    machine = array_machine(function) if columns >= MANY else None
+    if machine is not None:
+        return machine.evaluate(inputs)
     size = min(BATCH, 1 << (columns - 1).bit_length())
     padded = -(-columns // size) * size
     given = []

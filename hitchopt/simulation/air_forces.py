@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT, BODY_RADIUS
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 AIR_DENSITY = 1.2
 """Density of air [kg/m³]."""

@@ -6,15 +6,13 @@ Every shape is a chain of segments of exactly their length, such that no constra
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.layout import Layout
 from hitchopt.simulation.ropes import Ropes
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 CLEARANCE = 3.5
 """Least distance of the two bends of a clasp that is not yet drawn tight, in diameters."""
@@ -27,6 +25,9 @@ REACH = 2.0
 
 BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 """Corners of a bend: along the direction in which it opens, and across it."""
+
+SAME_RISE = 1e-6
+"""Difference of the legs' slopes up to which they rise alike."""
 
 BEYOND = 0.5
 """Length by which a cable's line continues beyond its drone, for its last segments [m]."""
@@ -44,7 +45,8 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
     """Return the cables of a formed hitch, loosely interlaced; drones are placed slightly inward.
 
     At a clasp both cables bend toward each other and overlap like two links of a chain: cable k
-    is level, cable k-1 upright within it, its leg below.
+    is level, cable k-1 upright within it, its leg below, or above where it rises more than the
+    other one.
 
     Parameters
     ----------
@@ -72,9 +74,14 @@ def _bends(layout: Layout, drones: Array, vertices: Array, gap: float) -> list[A
     u = unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
     q_hat, r_hat = unit(q[after] - p), unit(r[before] - p)
-    along = 0.5 * gap * unit(q_hat + u[after])  # the direction in which cable k's bend opens
-    aside = 0.5 * gap * unit(q_hat - u[after])  # to the side of the legs
-    lift = np.array([0.0, 0.0, 0.5 * gap])
+    q_level = unit(q_hat * [1.0, 1.0, 0.0])
+    along = 0.5 * gap * unit(q_level + u[after])  # the direction in which cable k's bend opens
+    aside = 0.5 * gap * unit(q_level - u[after])  # to the side of the legs
+    side = np.where(r_hat[:, 2] > q_hat[:, 2] + SAME_RISE, -1.0, 1.0)  # of the leg of cable k-1
+    lift = side[:, None] * np.array([0.0, 0.0, 0.5 * gap])
+    leaving = p + REACH * gap * r_hat
+    height = side * (leaving - p)[:, 2]
+    leaving[:, 2] += side * np.minimum(-0.5 * gap - height, 0.0)  # past the other cable's bend
     n = layout.robots
     starts: list[list[Array]] = [[q[k]] for k in range(n)]
     ends: list[list[Array]] = [[r[k]] for k in range(n)]
@@ -87,8 +94,8 @@ def _bends(layout: Layout, drones: Array, vertices: Array, gap: float) -> list[A
         ]
         ends[j] = [
             p[c] - REACH * gap * u[j],
-            *(p[c] - x * along[c] + y * lift for x, y in BEND),
-            p[c] + REACH * gap * r_hat[c],
+            *(p[c] - x * along[c] + y * lift[c] for x, y in BEND),
+            leaving[c],
             r[j] + BEYOND * r_hat[c],
         ]
     return [np.array([*a, *b]) for a, b in zip(starts, ends, strict=True)]

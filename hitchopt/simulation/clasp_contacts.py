@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.statics import contact_forces
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.mujoco_world import World
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 BEARING_SHARE = 0.3
 """Least contact force of a clasp over the plan's. Cables that merely cross press by their weight

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
 
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.simulation_settings import Perturbations
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 NOISE_TIME = 0.3
 """Correlation time of the error of measured positions [s]."""
@@ -67,8 +69,9 @@ class Disturbances:
     """
 
     def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
-        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(6))
-        cables, start, noise, wind, velocity, direction = streams
+        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(7))
+        cables, start, noise, wind, velocity, direction, self._objects = streams
+        self._perturbations = perturbations
         drones = (2 * robots, 3)
         self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
         self.start_offset: Array = perturbations.start_error * start.standard_normal(drones)
@@ -81,3 +84,24 @@ class Disturbances:
         self.steady_wind: Array = perturbations.steady_wind * np.array(
             [np.cos(heading), np.sin(heading), 0.0]
         )
+
+    def disturbed(self, objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
+        """Return objects as they really are; call it once.
+
+        Masses and friction deviate evenly within their bounds, the places of those that can move
+        evenly within a circle.
+        """
+        given = self._perturbations
+        mass, friction, far = self._objects.uniform(-1.0, 1.0, (3, len(objects)))
+        heading = self._objects.uniform(0.0, 2.0 * np.pi, len(objects))
+        away = given.object_place * np.sqrt(np.abs(far))
+        offsets = np.column_stack([away * np.cos(heading), away * np.sin(heading), 0.0 * away])
+        return {
+            name: replace(
+                each,
+                mass=each.mass * (1.0 + given.object_mass * mass[i]),
+                friction=each.friction * (1.0 + given.object_friction * friction[i]),
+                at=each.at if each.fixed else each.at + offsets[i],
+            )
+            for i, (name, each) in enumerate(objects.items())
+        }

@@ -17,8 +17,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.simulation.flight_task import Setpoints
 from hitchopt.simulation.simulation_settings import Settings
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 POSITION_GAIN, VELOCITY_GAIN = 36.0, 10.0
 """Gains of the position loop where the team states no stiffness [1/s²], [1/s]: 4.75 N/m at 132 g.

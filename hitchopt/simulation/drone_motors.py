@@ -7,14 +7,12 @@ the desired force and the actual one; a ``point`` drone has one lag of 80 ms, th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.simulation.drone_control import LEAST_FORCE, attitude_command
 from hitchopt.simulation.flight_task import Setpoints
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_RADIUS
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 ARM = 0.5
 """Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius."""

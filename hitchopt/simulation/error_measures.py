@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.simulation.flight_records import Flight
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 STILL = 1e-6
-"""Largest movement from one sample to the next of a vertex that is at rest [m]."""
+"""Largest movement from one sample to the next of a vertex that is at rest [m], and largest change
+of a tension that is steady, over the team's."""
 
 TIGHT = 0.5
 """Least tension over the team's at which a vertex counts; a hitch that is being drawn tight has
@@ -59,7 +59,8 @@ class VertexErrors:
     planned: planned vertices (samples, clasps, 3) [m].
     offsets: (samples, clasps, 3) [m], from the planned vertices; nan where cables do not bear on
         each other.
-    moving: whether the plan moves any vertex (samples,).
+    moving: whether the plan moves any vertex or changes any tension (samples,): a hitch that is
+        being drawn tight is not at rest yet.
     """
 
     t: Array
@@ -105,7 +106,9 @@ def vertex_errors(flight: Flight) -> VertexErrors:
         near &= np.all(task.tensions[formed[nearest]] >= TIGHT * task.team.tension, axis=-1)
     rows, place = rows[near], nearest[near]
     step = np.zeros(len(formed))
-    step[1:] = np.max(np.linalg.norm(np.diff(vertices, axis=0), axis=-1), axis=-1, initial=0.0)
+    shifts = np.linalg.norm(np.diff(vertices, axis=0), axis=-1)
+    changes = np.abs(np.diff(task.tensions[formed], axis=0)) / task.team.tension
+    step[1:] = np.max(np.concatenate([shifts, changes], axis=-1), axis=-1, initial=0.0)
     planned = vertices[place][:, clasps]
     moving = (step[place] > STILL) & (record.t[rows] <= task.duration + SAME_SAMPLE)
     return VertexErrors(record.t[rows], rows, planned, record.vertices[rows] - planned, moving)

@@ -8,8 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.simulation.flight_records import Flight
-
-Array = NDArray[np.float64]
+from hitchopt.simulation.object_outcome import (
+    DROPPED,
+    PLACED,
+    TILTED,
+    ObjectState,
+    object_states,
+)
+from hitchopt.values import Array
 
 HELD = 0.10
 """Largest movement under the pull test of a vertex that is held [m]."""
@@ -32,8 +38,8 @@ class Failure:
     ----------
     kind: one of UNSIMULATED, which say nothing about the plan, or ``touch``, ``unlinked``,
         ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the
-        pull test).
-    where: names of drones, cables or vertices.
+        pull test); of objects ``dropped``, ``misplaced`` or ``caught`` (not free at the end).
+    where: names of drones, cables, vertices or objects.
     time: [s], from the flight's start.
     words: description.
     """
@@ -77,10 +83,12 @@ class Outcome:
     ----------
     clasps: vertices of a plan that ends with a hitch, once it has rested; else none.
     failures: all failures, by time.
+    objects: those that can move.
     """
 
     clasps: tuple[Clasp, ...]
     failures: tuple[Failure, ...]
+    objects: tuple[ObjectState, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -105,7 +113,7 @@ def judge(flight: Flight) -> Outcome:
     """Return the outcome of a flight.
 
     Where its plan ends with a hitch every vertex must hold, else the cables must be free of each
-    other.
+    other. Objects must be where the plan puts them, and free unless it ends holding them.
     """
     failures = [
         Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
@@ -118,8 +126,10 @@ def judge(flight: Flight) -> Outcome:
         clasps = _clasps(flight, flight.linking) if flight.task.formed[-1] else ()
         failures += _wrong_links(flight, flight.linking)
         failures += [failure for clasp in clasps for failure in _weak(flight, clasp)]
+    objects = object_states(flight)
+    failures += [failure for each in objects for failure in _mishandled(flight, each)]
     failures.sort(key=lambda failure: failure.time)
-    return Outcome(clasps, tuple(failures))
+    return Outcome(clasps, tuple(failures), objects)
 
 
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
@@ -184,3 +194,23 @@ def _weak(flight: Flight, clasp: Clasp) -> list[Failure]:
         words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
         return [Failure("slipped", (clasp.name,), flight.pulled, words)]
     return []
+
+
+def _mishandled(flight: Flight, state: ObjectState) -> list[Failure]:
+    """Return what went wrong with an object."""
+    name, found = state.name, []
+    if np.isfinite(state.dropped):
+        words = f"{name} is dropped: more than {100 * DROPPED:g} cm below its planned height"
+        found.append(Failure("dropped", (name,), state.dropped, words))
+    if flight.linking is None:  # the flight never ended
+        return found
+    if not state.well_placed:
+        words = (
+            f"{name} is {100 * state.placed:.1f} cm from its place, tilted by {state.tilted:.1f}°, "
+            f"turned by {state.turned:.1f}°; at most {100 * PLACED:g} cm and {TILTED:g}°"
+        )
+        found.append(Failure("misplaced", (name,), flight.rested, words))
+    cargo = flight.task.cargo
+    if not (state.free or cargo.held[-1, cargo.names.index(name)]):
+        found.append(Failure("caught", (name,), flight.rested, f"{name}: cables touch it still"))
+    return found

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from hitchopt.simulation.error_measures import tracking_errors
+from hitchopt.simulation.object_wires import placed
 from hitchopt.simulation.simulate import Simulation
+from hitchopt.view.house_colours import cable_colours
 
 SIZE, DOTS = (11.0, 5.0), 110
 """Size of the picture [in], and its resolution [1/in]."""
@@ -61,11 +63,14 @@ def _draw_from_above(axes: Any, simulation: Simulation) -> None:
     """Draw the cables as the flight began (pale) and as the plan ended, from above."""
     flight, errors = simulation.flight, simulation.errors
     film = flight.film
+    colours = cable_colours(flight.task.team.robots)
     if len(film.t):
         for time, strength in ((0.0, 0.3), (flight.task.duration, 1.0)):
             frame = film.nodes[np.argmin(np.abs(film.t - time))]
+            for rings in placed(film.wires, film.poses[np.argmin(np.abs(film.t - time))]):
+                axes.plot(rings[..., 0].T, rings[..., 1].T, color="0.5", alpha=strength, lw=0.8)
             for k, cable in enumerate(np.split(frame, film.cables[1:-1])):
-                axes.plot(cable[:, 0], cable[:, 1], color=f"C{k % 10}", alpha=strength, lw=1.4)
+                axes.plot(cable[:, 0], cable[:, 1], color=colours[k], alpha=strength, lw=1.4)
                 ends = cable[[0, -1]]
                 axes.plot(ends[:, 0], ends[:, 1], "o", color="black", alpha=strength, ms=4)
     for c in range(errors.planned.shape[1]):
@@ -77,7 +82,14 @@ def _draw_from_above(axes: Any, simulation: Simulation) -> None:
     axes.set_aspect("equal", "datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    held = "every vertex holds" if simulation.outcome.hitched else "not hitched"
+    axes.set_title(f"{_ending(simulation)}; ×: the plan's vertices", fontsize=10)
+
+
+def _ending(simulation: Simulation) -> str:
+    """Return in words how a flight ended; a plan that releases its hitch is to end untied."""
+    flight = simulation.flight
     if flight.linking is None:
-        held = "not simulated to its end"
-    axes.set_title(f"{held}; ×: the plan's vertices", fontsize=10)
+        return "not simulated to its end"
+    if flight.task.formed[-1]:
+        return "every vertex holds" if simulation.outcome.hitched else "not hitched"
+    return "not untied" if flight.linking.any() else "untied, as planned"

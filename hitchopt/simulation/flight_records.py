@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.validity import InvalidRunError
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +28,8 @@ class Record:
     peak_tensions: largest values over length and time since the last sample (samples, n) [N].
     thrusts: (samples, 2n) [N]
     saturated: whether a drone's command exceeded its thrust (samples, 2n).
+    poses: of the objects (samples, objects, 7): positions of their bases [m], and quaternions.
+    touched: whether cables touch an object (samples, objects).
     """
 
     t: Array
@@ -40,6 +41,8 @@ class Record:
     peak_tensions: Array
     thrusts: Array
     saturated: NDArray[np.bool_]
+    poses: Array
+    touched: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +54,15 @@ class Film:
     t: (frames,) [s]
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     cables: (n + 1,), first node of each cable, and the number of nodes.
+    poses: of the objects (frames, objects, 7): positions of their bases [m], and quaternions.
+    wires: (objects, rings, points, 3) [m]: closed outlines of every object in its own frame.
     """
 
     t: Array
     nodes: NDArray[np.float32]
     cables: NDArray[np.intp]
+    poses: NDArray[np.float32]
+    wires: NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,10 @@ from hitchopt.exports.setpoints import HEADER as SETPOINTS_HEADER
 from hitchopt.exports.vertices import HEADER as VERTICES_HEADER
 from hitchopt.hitch import Team
 from hitchopt.motion.plan_file import read_plan
-
-Array = NDArray[np.float64]
+from hitchopt.motion.tensions import tautness
+from hitchopt.simulation.flight_cargo import Cargo
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 SAME_TIME = 1e-6
 """Tolerance of a time that falls on a sample [s]: rounding of sums of periods."""
@@ -51,7 +53,7 @@ class Setpoints:
 
     def __getitem__(self, index: int) -> Setpoints:
         """Return the setpoints of one sample."""
-        return Setpoints(*(getattr(self, field.name)[index] for field in fields(self)))
+        return Setpoints(*(getattr(self, each.name)[index] for each in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,9 @@ class Task:
     vertices: planned vertices (samples, points, 3) [m]; zero where there is no hitch.
     tensions: planned tensions (samples, n) [N]; zero where there is no hitch.
     digest: SHA-256 of setpoints.csv, which identifies the plan in the results; or empty.
+    taut: share of its part of the clasps' loads that each cable carries (samples, n); None: all of
+        it where the cable has tension.
+    cargo: objects.
     """
 
     team: Team
@@ -76,11 +81,18 @@ class Task:
     vertices: Array
     tensions: Array
     digest: str = ""
+    taut: Array | None = None
+    cargo: Cargo = field(default_factory=Cargo)
 
     @property
     def duration(self) -> float:
         """Time from the first setpoint to the last [s]."""
         return float(self.t[-1] - self.t[0])
+
+    def load_shares(self, index: int) -> Array:
+        """Return the shares (n,) of their parts of the loads that cables carry at a sample."""
+        shares: Array = self.tensions[index] > 0.0 if self.taut is None else self.taut[index]
+        return shares
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
@@ -96,12 +108,15 @@ def read_task(directory: Path) -> Task:
     FileError: a file is missing or broken, or the files are not of one solve.
     UnsupportedError: a plan of drones without cables.
     """
-    team = read_plan(directory / PLAN).team
-    if not team.has_cables:
+    motion = read_plan(directory / PLAN)
+    if not motion.team.has_cables:
         raise UnsupportedError(
             f"{directory}: a plan of single drones has no cables; simulate a hitch's plan"
         )
-    return read_tables(directory / SETPOINTS, directory / VERTICES, team)
+    task = read_tables(directory / SETPOINTS, directory / VERTICES, motion.team)
+    taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
+    times = np.clip(task.t, *taut.breaks[[0, -1]])
+    return replace(task, taut=taut.at(times), cargo=Cargo.of(motion, times))
 
 
 def read_tables(setpoints: Path, vertices: Path, team: Team) -> Task:

@@ -5,6 +5,7 @@ Contacts of drones with cables and with one another are found in ``drone_contact
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import UnsupportedError
 from hitchopt.hitch import GRAVITY
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.mujoco_xml import BODY_RADIUS, describe
+from hitchopt.simulation.object_xml import PREFIX
 from hitchopt.simulation.ropes import Ropes
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 RADII_OF_GYRATION = (0.5, 0.5, 0.65)
@@ -35,6 +38,7 @@ class World:
     rigid: whether drones have an attitude.
     ground: height of the ground [m].
     gravity: downward acceleration [m/s²].
+    objects: by name, where they stand.
 
     Attributes
     ----------
@@ -43,6 +47,8 @@ class World:
     node_dofs: addresses (nodes, 3) of the inner nodes of all cables, in order, in qvel.
     drone_bodies: (2n,)
     drone_dofs: addresses (2n, 3) of the drones' positions in qvel.
+    objects: by name.
+    object_bodies: (objects,)
     cable_vertices: (n + 1,), cable k's nodes, drones among them, are flex vertices
         ``cable_vertices[k]:cable_vertices[k + 1]``.
     edge_cables: cable of each edge (edges,).
@@ -60,18 +66,24 @@ class World:
         rigid: bool = True,
         ground: float = 0.0,
         gravity: float = GRAVITY,
+        objects: Mapping[str, SolidObject] | None = None,
     ) -> None:
         mujoco = self._mujoco = _imported_mujoco()
         self.ropes, self.rigid, self.ground = ropes, rigid, ground
         self.masses = np.array(masses, dtype=np.float64)
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         ends = np.repeat(0.5 * ropes.density * ropes.segment_lengths, 2)  # half of the last segment
-        text = describe(ropes, self.masses + ends, self.inertia, rigid, ground, gravity)
+        self.objects = {} if objects is None else dict(objects)
+        drones_of = (self.masses + ends, self.inertia, rigid)
+        text = describe(ropes, *drones_of, ground, gravity, self.objects)
         self.model = model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(model)
         names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
         drones: Index = np.array([model.body(name).id for name in names])
-        nodes = np.setdiff1d(np.arange(1, model.nbody), drones)  # body 0 is the world itself
+        nodes = np.setdiff1d(model.flex_vertbodyid, drones)
+        self.object_bodies: Index = np.array(
+            [model.body(f"{PREFIX}{name}").id for name in self.objects], dtype=np.intp
+        )
         drone_joint, node_joint = model.body_jntadr[drones], model.body_jntadr[nodes]
         axes = np.arange(3)
         self.drone_bodies = drones
@@ -113,6 +125,12 @@ class World:
         """Positions of the drones (2n, 3) [m]."""
         found: Array = self.data.qpos[self._drone_qpos] + self._drone_origins
         return found
+
+    @property
+    def poses(self) -> Array:
+        """Poses of the objects (objects, 7): positions of their bases [m], and quaternions."""
+        data, bodies = self.data, self.object_bodies
+        return np.concatenate([data.xpos[bodies], data.xquat[bodies]], axis=-1)
 
 
 def _imported_mujoco() -> Any:

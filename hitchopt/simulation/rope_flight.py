@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import UnsupportedError
 from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.air_forces import downwash, drag
 from hitchopt.simulation.cable_shapes import clasped, hanging
@@ -19,6 +18,7 @@ from hitchopt.simulation.drone_motors import Motors
 from hitchopt.simulation.flight_recorder import Recorder
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.hung_loads import HungLoads
 from hitchopt.simulation.linking_numbers import linking_matrix
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
@@ -26,8 +26,8 @@ from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError, check_valid
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 """Called repeatedly with a description of the current work."""
 
@@ -79,12 +79,8 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     ------
     InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed, or loads hang at the clasps.
+    UnsupportedError: mujoco is not installed.
     """
-    if np.any(task.team.load > 0.0):
-        raise UnsupportedError(
-            "loads that hang at the clasps are not simulated; plan without team.load to simulate"
-        )
     run = _Run(task, settings, progress)
     try:
         run.fly()
@@ -109,10 +105,14 @@ class _Run:
         allowance = thickness_allowance(task, preset.diameter, preset.segment)
         lengths = team.cable_length * self._disturbances.cable_scale + allowance
         ropes = ropes_of(team, settings, lengths)
+        ropes.check_tension(float(np.max(task.tensions)))
         ground = settings.ground
         if ground is None:  # at 0, or such that even the lowest drone stands above it
-            ground = min(0.0, float(np.min(self._setpoints.positions[..., 2])) - REST_HEIGHT)
-        world = World(ropes, team.mass, rigid=settings.body == "rigid", ground=ground)
+            lowest = float(np.min(self._setpoints.positions[..., 2])) - REST_HEIGHT
+            ground = 0.0 if task.cargo.objects else min(0.0, lowest)  # objects stand at 0
+        objects = self._disturbances.disturbed(task.cargo.objects)
+        rigid = settings.body == "rigid"
+        world = World(ropes, team.mass, rigid=rigid, ground=ground, objects=objects)
         start = self._setpoints.positions[0] + self._disturbances.start_offset
         if task.formed[0]:
             world.place(clasped(ropes, team.layout, start, task.vertices[0]))
@@ -120,7 +120,8 @@ class _Run:
             world.place(hanging(ropes, start, ground))
         self._world = world
         self._motors = Motors(world, team.max_thrust, settings.lag)
-        self._recorder = Recorder(world, team, self._motors)
+        self._loads = HungLoads(world, team) if np.any(team.load) else None
+        self._recorder = Recorder(world, task, self._motors)
         self._least_bearing = least_bearing(task)
         self._gains = PositionGains.of(team, settings)
         self._wound = np.zeros_like(start)
@@ -214,10 +215,13 @@ class _Run:
         if self._settings.perturbations.downwash:
             push = push + downwash(world.drones, self._motors.thrusts)
         world.data.xfrc_applied[world.drone_bodies, :3] += push
+        if self._loads is not None:
+            shares = min(pull, 1.0) * self._task.load_shares(index)
+            self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
         world.step(self._substeps)
         check_valid(world, time)
-        self._recorder.observe(time)
+        self._recorder.observe(time, index)
 
     def _outward_pulls(self, index: int) -> Array:
         """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch."""

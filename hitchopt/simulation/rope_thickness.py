@@ -9,13 +9,10 @@ too short, and pull harder than planned.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.flight_task import Task
-
-Array = NDArray[np.float64]
-
+from hitchopt.values import Array
 
 COARSENESS = 0.15
 """Length that coarse segments use up in a bend of 180°, over the square of a segment's length over

@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.simulation.simulation_settings import DENSITY, Preset, Settings
-from hitchopt.values import not_negative, per_robot, positive
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array, not_negative, per_robot, positive
 
 COURANT = 0.7
 """Largest ratio of the time step to the time in which a transverse wave passes a segment."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_picture import save_picture
@@ -18,8 +17,7 @@ from hitchopt.simulation.simulate import Simulation
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FORMAT = "hitchopt-simulation/1"
 
@@ -27,12 +25,13 @@ SUMMARY = "simulation.json"
 VERTICES = "vertices.csv"
 CABLES = "cables.csv"
 DRONES = "drones.csv"
+OBJECTS = "objects.csv"
 RECORDING = "recording.npz"
 PICTURE = "simulation.png"
 CAMPAIGN = "campaign.json"
 RUNS = "runs.csv"
 
-OWNED = (SUMMARY, VERTICES, CABLES, DRONES, RECORDING, PICTURE, CAMPAIGN, RUNS)
+OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIGN, RUNS)
 """Names that belong to hitchopt in the directory of results; other files are never touched."""
 
 
@@ -67,9 +66,22 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
         DRONES: lambda path: write_table(path, "drone", record.t, team.drone_names, drones),
         RECORDING: lambda path: np.savez_compressed(path, **vars(film)),
         PICTURE: lambda path: save_picture(path, simulation),
+        **_object_table(simulation),
         SUMMARY: lambda path: write_strict_json(path, summary(simulation)),
     }
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
+
+
+def _object_table(simulation: Simulation) -> dict[str, Writer]:
+    """Return the writer of the table of objects, if there are any."""
+    record, cargo = simulation.flight.record, simulation.flight.task.cargo
+    columns: dict[str, Array] = {
+        "x,y,z,qw,qx,qy,qz": record.poses,
+        "touched": record.touched.astype(np.float64),
+    }
+    if not cargo.objects:
+        return {}
+    return {OBJECTS: lambda path: write_table(path, "object", record.t, cargo.names, columns)}
 
 
 def summary(simulation: Simulation) -> dict[str, Any]:
@@ -89,6 +101,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
         "clasps": [asdict(clasp) for clasp in outcome.clasps],
+        "objects": [asdict(state) for state in outcome.objects],
         "vertex_error": {
             "all": asdict(run.vertex_error),
             "resting": asdict(run.resting),

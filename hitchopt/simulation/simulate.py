@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.one_line import OneLine
 from hitchopt.simulation.error_measures import Spread, VertexErrors, tracking_errors, vertex_errors
 from hitchopt.simulation.flight_outcome import SUCCEEDED, Failure, Outcome, judge
 from hitchopt.simulation.flight_records import Flight
@@ -18,7 +19,7 @@ NOTHING = Spread(np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(OneLine):
     """Figures of one flight; nan where it could not begin.
 
     Attributes
@@ -35,6 +36,8 @@ class Run:
     peak_tension, peak_thrust: [N]
     saturated: share of samples at which a drone's command exceeded its thrust.
     pace: simulated seconds per second of one processor.
+    placed, tilted, slipped: largest of the objects' distances from their places at the end [m],
+        angles from the vertical [°], and movements relative to the hitch that carries them [m].
     """
 
     seed: int
@@ -49,6 +52,9 @@ class Run:
     peak_thrust: float = np.nan
     saturated: float = np.nan
     pace: float = np.nan
+    placed: float = np.nan
+    tilted: float = np.nan
+    slipped: float = np.nan
 
     @property
     def succeeded(self) -> bool:
@@ -57,7 +63,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(OneLine):
     """A flight, its outcome and its settings.
 
     Attributes
@@ -93,7 +99,13 @@ class Simulation:
             float(np.max(record.thrusts)),
             float(np.mean(record.saturated)),
             simulated / max(self.processor, 1e-9),
+            **{name: self._worst(name) for name in ("placed", "tilted", "slipped")},
         )
+
+    def _worst(self, name: str) -> float:
+        """Return the largest value of a figure of the objects; nan without any."""
+        values = [getattr(state, name) for state in self.outcome.objects]
+        return float(np.fmax.reduce([np.nan, *values]))
 
 
 def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
@@ -109,7 +121,7 @@ def simulate(task: Task, settings: Settings, progress: Progress | None = None) -
     ------
     InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed, or loads hang at the clasps.
+    UnsupportedError: mujoco is not installed.
     """
     begin = time.process_time()
     flight = fly(task, settings, progress)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
+from hitchopt.one_line import OneLine
 from hitchopt.values import finite, not_negative, positive
 
 BODIES = ("rigid", "point")
@@ -54,7 +55,7 @@ PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 
 @dataclass(frozen=True)
-class Perturbations:
+class Perturbations(OneLine):
     """Disturbances that the plan does not know, all drawn from one seed.
 
     Parameters
@@ -68,6 +69,8 @@ class Perturbations:
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
     downwash: whether drones push down those below them.
+    object_mass, object_friction: largest deviations of objects' masses and friction, relative.
+    object_place: largest distance of movable objects from where they are said to stand [m].
     """
 
     noise: float = 0.0
@@ -78,10 +81,18 @@ class Perturbations:
     cable_error: float = 0.0
     start_error: float = 0.0
     downwash: bool = False
+    object_mass: float = 0.0
+    object_friction: float = 0.0
+    object_place: float = 0.0
 
     def __post_init__(self) -> None:
         _check(self, not_negative, "noise", "velocity_noise", "wind", "steady_wind")
-        _check(self, not_negative, "lag", "cable_error", "start_error")
+        _check(self, not_negative, "lag", "cable_error", "start_error", "object_place")
+        _check(self, not_negative, "object_mass", "object_friction")
+        for name in ("object_mass", "object_friction"):
+            if getattr(self, name) >= 1.0:
+                remedy = "give the largest deviation as a fraction"
+                raise InputError(name, getattr(self, name), "less than 1", remedy)
         if self.cable_error > LARGEST_CABLE_ERROR:
             raise InputError(
                 "cable_error",
@@ -104,6 +115,9 @@ USUAL = Perturbations(
     cable_error=0.005,
     start_error=0.02,
     downwash=True,
+    object_mass=0.1,
+    object_friction=0.2,
+    object_place=0.02,
 )
 """Perturbations of a flight indoors, besides the lag of the thrust and the team's friction."""
 
@@ -118,7 +132,7 @@ DENSITY = 0.01
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(OneLine):
     """Settings of one simulated flight.
 
     Parameters

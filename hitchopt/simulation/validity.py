@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import HitchoptError
 from hitchopt.simulation.mujoco_world import World
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 MOST_STRAIN = 0.02
 """Largest relative change of a segment's length; beyond it the time step is too long."""

@@ -207,6 +207,7 @@ def test_a_swarm_is_certified_by_the_checks_of_drones() -> None:
         "arena",
         "continuity",
         "tracking_radius",
+        "stoppable",
     ]
     assert certificate["separation"].worst == pytest.approx(1.0 / 0.24)
     assert certificate["arena"].worst == pytest.approx(0.5)

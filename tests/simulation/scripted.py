@@ -16,6 +16,14 @@ Array = NDArray[np.float64]
 
 RATE = 100.0
 
+NO_WIRES = np.zeros((0, 3, 49, 3), dtype=np.float32)
+"""Outlines of no objects, for a film."""
+
+
+def no_poses(samples: int) -> NDArray[np.float32]:
+    """Return the poses of no objects (samples, 0, 7)."""
+    return np.zeros((samples, 0, 7), dtype=np.float32)
+
 
 def smooth(x: Array) -> Array:
     """Rise from 0 to 1, at rest up to the jerk at both ends."""

@@ -12,11 +12,11 @@ import pytest
 from scripted import regular_hitch, standing, unformed
 
 from hitchopt.errors import InputError
-from hitchopt.simulation.campaign import Campaign, one_run, run_campaign, save_campaign
 from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.simulate import Run, simulate
 from hitchopt.simulation.simulation_settings import Perturbations, Settings
+from hitchopt.sweeps.campaign import Campaign, one_run, run_campaign, save_campaign
 
 BRIEF = Settings(
     body="point",
@@ -58,13 +58,18 @@ def test_known_intervals() -> None:
     np.testing.assert_allclose(interval(8, 10), (0.4902, 0.9433), atol=5e-5)  # the paper's
 
 
+def without_nan(run: Run) -> Run:
+    """Return a run without its pace and the figures of objects, which are nan."""
+    return replace(run, pace=0.0, placed=0.0, tilted=0.0, slipped=0.0)
+
+
 def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path) -> None:
     messages: list[str] = []
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
     alone = [one_run((task, replace(BRIEF, seed=seed))) for seed in (40, 41)]
     assert [run.seed for run in campaign.runs] == [40, 41]
     for run, single in zip(campaign.runs, alone, strict=True):
-        assert replace(run, pace=0.0) == replace(single, pace=0.0)
+        assert without_nan(run) == without_nan(single)
     assert alone[0].tracking != alone[1].tracking
     assert campaign.successes == 2
     assert messages[-1] == "2 of 2 flown, 2 succeeded"

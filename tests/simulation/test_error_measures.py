@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripted import formed_where, regular_hitch, standing, unformed
+from scripted import NO_WIRES, formed_where, no_poses, regular_hitch, standing, unformed
 
 from hitchopt.hitch import Hitch
 from hitchopt.simulation.drone_control import PositionGains
@@ -34,8 +34,11 @@ def flight_of(
         np.ones((samples, n)),
         np.ones((samples, 2 * n)),
         np.zeros((samples, 2 * n), dtype=np.bool_),
+        no_poses(samples).astype(np.float64),
+        np.zeros((samples, 0), dtype=np.bool_),
     )
-    film = Film(t, np.zeros((samples, 4, 3), dtype=np.float32), np.array([0, 4]))
+    shapes = np.zeros((samples, 4, 3), dtype=np.float32), np.array([0, 4])
+    film = Film(t, *shapes, no_poses(samples), NO_WIRES)
     gains = PositionGains.of(hitch.team, Settings())
     return Flight(
         *(task, record, film, (), None, rested, np.nan, 0.01, np.zeros(n)),
@@ -62,6 +65,9 @@ def test_errors_are_distances_where_there_is_a_hitch() -> None:
     moving = replace(late, vertices=late.vertices + shift[:, None, None])
     again = vertex_errors(flight_of(moving, t, found, hitch))
     np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
+    drawn = replace(late, tensions=late.tensions * (1.0 + shift[:, None]))
+    tight = vertex_errors(flight_of(drawn, t, found, hitch))
+    np.testing.assert_array_equal(tight.moving, [False, *[True] * 10])
 
 
 def test_the_time_of_rest_counts_as_standing_still_and_the_pull_test_does_not() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripted import regular_hitch, standing, unformed
+from scripted import NO_WIRES, no_poses, regular_hitch, standing, unformed
 
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, SUCCEEDED, Outcome, judge
@@ -40,8 +40,10 @@ def judged(
         bearing[:, lost] = 0.2
     many = np.ones((len(t), 8))
     drones = np.zeros((len(t), 8, 3))
-    record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0)
-    film = Film(t, np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2]))
+    nothing = no_poses(len(t)).astype(np.float64), np.zeros((len(t), 0), dtype=np.bool_)
+    record = Record(t, drones, drones, vertices, bearing, some, some, many, many > 2.0, *nothing)
+    shapes = np.zeros((len(t), 2, 3), dtype=np.float32), np.array([0, 2])
+    film = Film(t, *shapes, no_poses(len(t)), NO_WIRES)
     task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
     least = np.full(4, 0.3)
     gains = PositionGains.of(task.team, Settings())

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scripted import hanging_task, regular_hitch, standing
 
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Quadrotor, Team
 from hitchopt.simulation.disturbances import Disturbances
 from hitchopt.simulation.drone_control import ATTITUDE_GAIN, RATE_GAIN, PositionGains
@@ -166,8 +166,3 @@ def test_the_flight_states_the_size_of_its_correction_and_commands_the_setpoints
     assert flight.longer == pytest.approx(longer)
     commanded = np.broadcast_to(task.setpoints.positions[:1], flight.record.commanded.shape)
     np.testing.assert_array_equal(flight.record.commanded, commanded)
-
-
-def test_loads_at_the_clasps_are_refused() -> None:
-    with pytest.raises(UnsupportedError, match="not simulated"):
-        simulate(standing(regular_hitch(3, load=0.01), 0.02), Settings())

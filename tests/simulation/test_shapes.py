@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scripted import regular_hitch
 
+from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.cable_shapes import ShapeError, clasped, hanging
 from hitchopt.simulation.linking_numbers import linking_matrix
@@ -62,6 +63,24 @@ def test_a_sharp_triangle_of_unequal_cables_begins_linked() -> None:
         cables = clasped(ropes, team.layout, hitch.drones, hitch.vertices)
         assert_exact(cables, ropes)
         np.testing.assert_array_equal(np.abs(linking_matrix(cables)), 1 - np.eye(3))
+
+
+@pytest.mark.parametrize("roll", [0.0, 20.0, -30.0])
+@pytest.mark.parametrize("n", [3, 5, 12])
+def test_heavy_and_rolled_hitches_begin_linked_and_apart(n: int, roll: float) -> None:
+    """Legs that rise, alike or one more than the other, pass each other's bends."""
+    team = Team(n, 2.2, cable_density=0.018)
+    rng = np.random.default_rng(n)
+    outline = ConvexPolygon(regular_polygon(n, 1.3).vertices + rng.uniform(-0.03, 0.03, (n, 2)))
+    hitch = Hitch.spread(team, outline, 1.8, roll=np.full(n, np.radians(roll)))
+    for preset in (FAST, ACCURATE):
+        ropes = ropes_of(team, Settings(preset=preset))
+        cables = clasped(ropes, team.layout, hitch.drones, hitch.vertices)
+        assert_exact(cables, ropes)
+        linked = np.roll(np.eye(n, dtype=int), 1, axis=1)
+        np.testing.assert_array_equal(np.abs(linking_matrix(cables)), linked + linked.T)
+        for k in range(n):
+            assert least_distance(dense(cables[k]), dense(cables[k - 1])) > preset.diameter
 
 
 def test_a_chain_begins_linked_at_its_clasps_only() -> None:

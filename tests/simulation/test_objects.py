@@ -1,0 +1,164 @@
+"""Objects in the simulation: they stand, are carried, dropped, touched, and judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scripted import RATE, hanging_task, regular_hitch, smooth
+
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.simulation.disturbances import Disturbances
+from hitchopt.simulation.flight_cargo import Cargo
+from hitchopt.simulation.flight_outcome import judge
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.object_wires import placed, wires
+from hitchopt.simulation.object_xml import _second_moments
+from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.simulate import Simulation, simulate
+from hitchopt.simulation.simulation_settings import CALM, FAST, USUAL, Settings
+
+TABLE = Section([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]])
+BOX = Section([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])
+KITE = Section([[0.0, -0.2], [0.15, 0.0], [0.0, 0.1], [-0.15, 0.0]])
+ROUND = Section(radius=0.2)
+MASS = 0.2
+
+
+def test_objects_stand_still_on_the_ground_and_on_tables_of_any_shape() -> None:
+    objects = {}
+    for i, top in enumerate((TABLE, Section(radius=0.4), KITE)):
+        for j, section in enumerate((BOX, KITE, ROUND)):
+            at = [2.0 * i, 3.0 + 2.0 * j, 0.0]
+            objects[f"table {i} {j}"] = SolidObject(top, 0.0, 0.5, at=at, fixed=True)
+            on_it = [*at[:2], 0.5]
+            objects[f"thing {i} {j}"] = SolidObject(section, mass=0.08, at=on_it, yaw=0.3 * j)
+    objects["alone"] = SolidObject(BOX, at=[0.0, -3.0, 0.0], yaw=1.0)
+    masses = np.full(2, 0.13)
+    world = World(Ropes(np.array([1.0]), 0.01, 0.1, FAST), masses, objects=objects)
+    world.step()
+    before = world.poses
+    world.step(1000)
+    assert np.max(np.abs(world.poses - before)) < 1e-4
+    np.testing.assert_allclose(
+        world.poses[:, :3], [each.at for each in objects.values()], atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("section", [BOX, KITE, ROUND], ids=["box", "kite", "round"])
+def test_second_moments_are_those_of_points_spread_over_the_section(section: Section) -> None:
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.25, 0.25, 201)] * 2), axis=-1).reshape(-1, 2)
+    inside = grid[section.clearance(grid)[0] <= 0.0]
+    centred = inside - np.mean(inside, axis=0)
+    xx, yy, xy = _second_moments(section)
+    np.testing.assert_allclose([[xx, xy], [xy, yy]], centred.T @ centred / len(inside), atol=2e-4)
+
+
+def test_outlines_turn_with_their_objects() -> None:
+    pose = np.array([[1.0, 2.0, 0.5, np.cos(0.25), 0.0, 0.0, np.sin(0.25)]], dtype=np.float32)
+    rings = placed(wires({"box": SolidObject(BOX, 0.0, 0.3)}), pose)
+    assert rings.shape == (1, 3, 49, 3)
+    np.testing.assert_allclose(rings[0, 1, 0], [*BOX.placed([1.0, 2.0], 0.5)[0], 0.8], atol=1e-6)
+
+
+def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
+    objects = {f"o{i}": SolidObject(BOX, mass=0.1, at=[i, 0, 0]) for i in range(40)}
+    objects["table"] = SolidObject(TABLE, at=[0, 5, 0], fixed=True)
+    found = Disturbances(USUAL, 3, 7).disturbed(objects)
+    away = np.array([np.linalg.norm(found[name].at - each.at) for name, each in objects.items()])
+    mass = np.array([each.mass for each in found.values()])
+    friction = np.array([each.friction for each in found.values()])
+    assert away[-1] == 0.0
+    assert 0.015 < np.max(away) <= 0.02
+    assert 0.008 < np.max(np.abs(mass - 0.1)) <= 0.01
+    assert 0.08 < np.max(np.abs(friction - 0.5)) <= 0.1
+    calm = Disturbances(CALM, 3, 7).disturbed(objects)
+    assert all(calm[name].mass == each.mass for name, each in objects.items())
+
+
+def lifting(*, mass: float = MASS, planned: float = MASS, by: float = 0.2) -> Task:
+    """Return the task of a triangle that takes a tray by its rim off a post and lifts it."""
+    team = {"tension": 1.0, "cable_friction": 0.0, "edge": 0.45}
+    empty, full = regular_hitch(3, **team), regular_hitch(3, load=planned / 3.0, **team)
+    t = np.arange(round(3.5 * RATE) + 1) / RATE
+    share = smooth((t - 1.0) / 1.0)
+    rise = 0.05 * (smooth(t) - 1.0) + by * smooth((t - 2.0) / 1.5)
+    positions = empty.drones + share[:, None, None] * (full.drones - empty.drones)
+    positions[..., 2] += rise[:, None]
+    forces = empty.cable_forces + share[:, None, None] * (full.cable_forces - empty.cable_forces)
+    task = hanging_task(empty.team, positions, forces)
+    vertices = np.repeat(empty.vertices[None], len(t), axis=0)
+    vertices[..., 2] += rise[:, None]
+    x, y, z = np.mean(empty.vertices, axis=0)
+    base = z + 0.006 - 0.2
+    rim = Rim(Section(radius=0.3), 0.2)
+    objects = {
+        "post": SolidObject(Section(radius=0.05), 0.0, base, at=[x, y, 0.0], fixed=True),
+        "tray": SolidObject(Section(radius=0.06), 0.0, 0.22, mass, at=[x, y, base], rim=rim),
+    }
+    poses = np.zeros((len(t), 2, 5))
+    poses[..., :2], poses[:, 1, 2], poses[..., 3] = [x, y], base + np.maximum(rise, 0.0), 1.0
+    held = np.zeros((len(t), 2), dtype=np.bool_)
+    borne = np.zeros((len(t), 2))
+    held[:, 1], borne[:, 1] = True, share
+    return replace(
+        task,
+        formed=np.ones(len(t), dtype=np.bool_),
+        vertices=vertices,
+        tensions=np.ones((len(t), 3)),
+        cargo=Cargo(objects, poses, held, borne),
+    )
+
+
+@pytest.fixture(scope="module")
+def lifted() -> Simulation:
+    return simulate(lifting(), Settings(pull_test=False))
+
+
+def test_a_tray_is_lifted_by_its_rim(lifted: Simulation) -> None:
+    assert lifted.outcome.failures == ()
+    (tray,) = lifted.outcome.objects
+    assert tray.well_placed
+    assert abs(tray.lifted) < 0.02
+    assert tray.slipped < 0.02
+    assert not tray.free  # it ends on the clasps, as planned
+    record = lifted.flight.record
+    assert not record.touched[:20].any()
+    assert record.touched[-1].tolist() == [False, True]
+    assert lifted.run.placed == tray.placed
+
+
+def test_an_object_that_was_not_to_be_moved_is_misplaced_and_caught(lifted: Simulation) -> None:
+    cargo = lifted.flight.task.cargo
+    standing = replace(
+        cargo,
+        held=np.zeros_like(cargo.held),
+        borne=np.zeros_like(cargo.borne),
+        poses=np.repeat(cargo.poses[:1], len(cargo.poses), axis=0),
+    )
+    outcome = judge(replace(lifted.flight, task=replace(lifted.flight.task, cargo=standing)))
+    assert {failure.kind for failure in outcome.failures} == {"misplaced", "caught"}
+    assert outcome.objects[0].placed == pytest.approx(0.2, abs=0.02)
+    assert np.isnan(outcome.objects[0].slipped)
+
+
+def test_a_tray_that_is_too_heavy_is_dropped() -> None:
+    done = simulate(lifting(mass=0.6), Settings(pull_test=False))
+    found = {failure.kind: failure for failure in done.outcome.failures}
+    assert "dropped" in found
+    assert found["dropped"].where == ("tray",)
+    assert set(found["touch"].where) == {"post", "tray"}  # which it should have left
+    assert 1.5 < found["dropped"].time < 4.5
+
+
+def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
+    heights = np.array([0.5, 0.5, 0.52, 0.6, 0.6, 0.42, 0.4, 0.4])
+    poses = np.zeros((8, 1, 5))
+    poses[:, 0, 2] = heights
+    borne = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])[:, None]
+    cargo = Cargo({"box": SolidObject(BOX)}, poses, borne > 0.0, borne)
+    np.testing.assert_array_equal(np.flatnonzero(cargo.aloft[:, 0]), [3, 4])
+    ends_aloft = replace(cargo, poses=poses[:5], borne=borne[:5], held=borne[:5] > 0.0)
+    np.testing.assert_array_equal(np.flatnonzero(ends_aloft.aloft[:, 0]), [3, 4])
