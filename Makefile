@@ -2,15 +2,23 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint docs gallery clean
+.PHONY: demo film test browser lint docs gallery package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
-	$(BIN)/hitchopt solve problems/triangle.yaml -o demo
-	@echo "Look at demo/summary.png; fly demo/setpoints.csv; read demo/certificate.json."
+	$(BIN)/hitchopt solve problems/carry_box.yaml -o demo --report
+	@echo "Open demo/report.html in a browser; demo/summary.png shows the plan at a glance."
+
+# Films the demo's plan.
+film: demo $(VENV)/.filmed
+	$(BIN)/hitchopt view demo --save demo/carry_box.mp4
 
 test: $(VENV)/.tested
 	$(BIN)/python -m pytest
+
+# Opens report and live view in a headless Chromium, which has to be there (Debian: apt-get install chromium).
+browser: $(VENV)/.browsed
+	$(BIN)/python -m pytest -o addopts="-q --strict-markers" tests/browser
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
@@ -37,10 +45,46 @@ $(VENV)/.tested: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,lint]"
 	touch $(VENV)/.installed $@
 
+$(VENV)/.browsed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[browser]"
+	touch $(VENV)/.installed $(VENV)/.tested $@
+
+$(VENV)/.filmed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[view]"
+	touch $(VENV)/.installed $@
+
 $(VENV)/.documented: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	touch $(VENV)/.installed $@
 
+# Builds sdist and wheel, checks their metadata, and uses the wheel in an environment of its own.
+package: $(VENV)/.tested
+	rm -rf dist $(VENV)-package
+	$(BIN)/python -m build -o dist
+	$(BIN)/twine check --strict dist/*
+	$(PYTHON) -m venv $(VENV)-package
+	$(VENV)-package/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	cd dist && ../$(VENV)-package/bin/hitchopt init --example tie_carry_untie
+	cd dist && ../$(VENV)-package/bin/hitchopt solve -q tie_carry_untie.yaml
+	rm -rf $(VENV)-package dist/tie_carry_untie*
+
+# All tests on another Python, which has to be installed as python3.12 and the like.
+test-3.11 test-3.12 test-3.13: test-%:
+	python$* -m venv $(VENV)-$*
+	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	$(VENV)-$*/bin/python -m pytest
+
+# All tests on Python 3.11 with the lowest versions that pyproject.toml admits.
+test-lowest: $(VENV)/.tested
+	python3.11 -m venv $(VENV)-lowest
+	$(BIN)/uv pip compile --quiet --python $(VENV)-lowest --resolution lowest-direct \
+		--extra test -o $(VENV)-lowest/lowest.txt pyproject.toml
+	$(VENV)-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
+		-e ".[test]" -r $(VENV)-lowest/lowest.txt
+	$(VENV)-lowest/bin/python -m pytest
+
 clean:
-	rm -rf $(VENV) demo docs/_build build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-* demo docs/_build build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

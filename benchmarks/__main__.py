@@ -32,8 +32,9 @@ TOLERANCES = (
 LIMITATIONS = (
     "one machine, one run each, every one in its own process; processor time, not the wall's; "
     "regular n-gons, L = 2 m, turned by 0.3 rad or 0.6 m of travel, or scaled and shifted; most "
-    "rivals up to n = 12; rivals' models are built by this repository's authors; opti and rockit "
-    "are let off cable_clearance and crossing, toppra knows boxes of speed and acceleration only; "
+    "rivals up to n = 12; rivals' models are built by this repository's authors; opti, rockit "
+    "and lean are let off cable_clearance and crossing, lean also jerk, toppra knows boxes of "
+    "speed and acceleration only; "
     "rivals' times leave imports out but not the building of their programs, which they do anew "
     "every time, and get 6 GB; first and second are whole solves in one process, with their "
     "certificates and without memory of earlier ones, and rivals are compared with these alone; "
@@ -59,7 +60,7 @@ def cases(*, quick: bool) -> list[Case]:
     large = [3, 10, 30] if quick else [3, 10, 30, 100, 300]
     found = [Case("straight", "scaled", n) for n in large]
     found += [Case("optimised", "turned", n) for n in (small if quick else [*small, 24, 48])]
-    found += [Case(s, "turned", n) for s in ("toppra", "opti", "rockit") for n in small]
+    found += [Case(s, "turned", n) for s in ("toppra", "lean", "opti", "rockit") for n in small]
     found += [Case("opti fine", "turned", n) for n in (3, 6)]
     if quick:
         return found

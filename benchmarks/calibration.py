@@ -3,8 +3,9 @@
 Usage: python -m benchmarks.calibration [--flights N] [--first S] [--noise M] [--calm]
                                         [--output FILE]
 
-A regular triangle stands, moves a vertex outward and stands again, flown with the accurate preset
-by drones whose stiffness, and with ropes whose lengths and friction, are drawn from the seed;
+A regular triangle stands, moves a vertex outward, stands again and moves it back, flown with the
+accurate preset by drones whose stiffness, and with ropes whose lengths and friction, are drawn from
+the seed;
 positions are recorded with white noise. The plan knows neither weight nor friction; the calibration
 knows the ropes' weight alone.
 """

@@ -50,6 +50,10 @@ EXPERIMENTS = (
 EDGE, LENGTH = 1.3, 2.2
 """Edge length of the hitches that are tied, and length of their cables [m]."""
 
+RAISED = 1.6
+"""Altitude [m] at which hitches are tied with fine ropes: those of short segments that lie on the
+ground, folded, strain by more than 2 % where drones take off with them."""
+
 MOVED, MOVED_BY, MOVED_IN = 2.4, 0.4, 8.0
 """Cable length [m] of the triangle whose vertex is moved outward, distance [m] and time [s]."""
 
@@ -64,10 +68,15 @@ def experiment(name: str, friction: float | None = None) -> Problem:
     return problem_from_dict(data)
 
 
-def tied(n: int, friction: float = 0.1) -> Problem:
-    """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
+def tied(n: int, friction: float = 0.1, altitude: float = 0.0) -> Problem:
+    """Return the problem of a regular hitch of n robots, tied from rows of two.
+
+    Parameters
+    ----------
+    altitude: of the rows [m]; by default they stand on the ground.
+    """
     row, column = np.divmod(np.arange(n), 2)
-    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
+    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.full(n, altitude)])
     r = q + [1.0, 0.0, 0.0]
     step = {"form": {"polygon": _polygon(n), "altitude": 1.6, "legs": "balanced"}}
     start = {"drones": {"q": q.tolist(), "r": r.tolist()}}
@@ -98,16 +107,20 @@ def moved(friction: float, n: int = 3) -> Problem:
 
 
 def standing_and_moved() -> Problem:
-    """Return the problem of a regular triangle that stands, moves a vertex outward, and stands.
+    """Return the problem of a regular triangle whose vertex moves out and back, with long stops.
 
     Its team has cables without weight and friction.
     """
     hitch = {"polygon": _polygon(3), "altitude": 1.0, "legs": "balanced"}
-    step = {"vertex": 0, "by": [0.0, MOVED_BY], "duration": 6.0}
+    out, back = (
+        {"move_vertex": {"vertex": 0, "by": [0.0, by], "duration": 8.0}}
+        for by in (MOVED_BY, -MOVED_BY)
+    )
+    stop, end = {"hold": {"seconds": 8.0}}, {"hold": {"seconds": 2.0}}
     data = {
         "team": {**_team(3, MOVED, 0.0), "cable_density": 0.0},
         "start": {"hitch": hitch},
-        "mission": [{"hold": {"seconds": 2.5}}, {"move_vertex": step}, {"hold": {"seconds": 1.0}}],
+        "mission": [stop, out, stop, back, end],
     }
     return problem_from_dict(data)
 

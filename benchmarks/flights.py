@@ -2,12 +2,13 @@
 
 Usage: python -m benchmarks.flights [weight] [capstan] [experiments] [moved] [irregular] [perturbed]
                                     [formed] [--runs N] [--seed S] [--processes P] [--only WORD]
-                                    [--robots N ...]
+                                    [--robots N ...] [--preset NAME]
 
 Without names: all of them. Minutes; results are printed as they come, as the lines of tables.
 
 weight: vertex errors with sag of hitches that stand, that move and that are formed, ropes of 10 g/m
-    and plans that know it, calm and perturbed; of N robots, 3 by default.
+    and plans that know it, calm and perturbed; of N robots, 3 by default, with a preset, ``fast``
+    by default.
 
 capstan: tension ratio of a right-angled clasp, per preset and friction.
 experiments: the paper's that move a hitch, at low and at high friction: calm flights with the
@@ -32,6 +33,7 @@ from benchmarks.capstan import capstan_test
 from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import (
     EXPERIMENTS,
+    RAISED,
     at_rest,
     experiment,
     irregular,
@@ -39,11 +41,18 @@ from benchmarks.flight_plans import (
     planned,
     tied,
 )
-from hitchopt.simulation.campaign import run_campaign
 from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.simulate import simulate
-from hitchopt.simulation.simulation_settings import ACCURATE, FAST, USUAL, Settings
+from hitchopt.simulation.simulation_settings import (
+    ACCURATE,
+    FAST,
+    PRESETS,
+    USUAL,
+    Preset,
+    Settings,
+)
+from hitchopt.sweeps.campaign import run_campaign
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; drones feed forward "
@@ -75,12 +84,14 @@ class Campaigns:
     runs: flights of each.
     seed: seed of the first one.
     processes: number at a time.
+    preset: resolution of the part weight.
     """
 
     only: str
     runs: int
     seed: int
     processes: int
+    preset: Preset
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -92,11 +103,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--only", default="", help="problems whose names contain this")
     parser.add_argument("--robots", type=int, nargs="*", default=[3], help="of the part weight")
+    parser.add_argument("--preset", choices=PRESETS, default="fast", help="of the part weight")
     given = parser.parse_args(arguments)
     parts = given.parts or PARTS
     if not set(parts) <= set(PARTS):
         parser.error(f"parts are {', '.join(PARTS)}, not {', '.join(parts)}")
-    campaigns = Campaigns(given.only, given.runs, given.seed, given.processes)
+    preset = PRESETS[given.preset]
+    campaigns = Campaigns(given.only, given.runs, given.seed, given.processes, preset)
     print_environment(LIMITATIONS)
     print(f"calm flights: seed 0; perturbed: seeds from {given.seed} on; load {busy():.1f}")
     if "weight" in parts:
@@ -131,19 +144,21 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
         for name, problem in (
             ("at rest", at_rest(n)),
             ("a vertex moved", moved(0.0, n)),
-            ("formed", tied(n, 0.0)),
+            ("formed", tied(n, 0.0, RAISED)),
         ):
             if given.only not in name:
                 continue
             task = planned(problem)
             for word, settings, runs in (
-                ("calm", Settings(preset=FAST), 1),
+                ("calm", Settings(preset=given.preset), 1),
                 (
                     "perturbed",
-                    Settings(preset=FAST, perturbations=USUAL, seed=given.seed),
+                    Settings(preset=given.preset, perturbations=USUAL, seed=given.seed),
                     given.runs,
                 ),
             ):
+                if not runs:
+                    continue
                 found = run_campaign(task, settings, runs, given.processes)
                 print_row(
                     f"n = {n}, {name}",

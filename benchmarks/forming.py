@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from benchmarks.environment import print_environment
+from benchmarks.relaxed_clearance import DEFAULT, HEADING, NOTE, clearance_text
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.turns import SwapSettings
@@ -46,10 +47,15 @@ def regular_hitch(n: int) -> Hitch:
     return Hitch.balanced(Team(n, CABLE), ho.regular_polygon(n, EDGE).vertices, ALTITUDE)
 
 
+def cable_clearance(n: int) -> float:
+    """Return the clearance [m] that legs of 0.5 m leave, or the default where that is smaller."""
+    return min(DEFAULT, 0.9 * 0.5 * math.sin(2.0 * math.pi / n))
+
+
 def tying_row(n: int) -> tuple[float, str]:
     """Return the processor seconds of one n, and the row of the table."""
     hitch = regular_hitch(n)
-    separation = Separation(cable=min(0.1, 0.9 * 0.5 * math.sin(2.0 * math.pi / n)))
+    separation = Separation(cable=cable_clearance(n))
     requirements = Requirements(Limits(), separation, None)
     start = time.process_time()
     pre = find_prehitch(hitch, separation, SWAP)
@@ -58,7 +64,8 @@ def tying_row(n: int) -> tuple[float, str]:
     certificate = ho.certify(motion)
     done = time.process_time()
     text = f"{n:6d} {motion.duration:9.4f} {planned - start:9.3f} {done - planned:10.2f}"
-    return done - start, f"{text}  {'yes' if certificate.certified else 'NO'}"
+    clearance = clearance_text(separation.cable)
+    return done - start, f"{text}  {'yes' if certificate.certified else 'NO':9}  {clearance:>10}"
 
 
 def scattered(n: int, seed: int) -> tuple[Array, Array]:
@@ -76,7 +83,7 @@ def scattered(n: int, seed: int) -> tuple[Array, Array]:
 def ground_row(n: int, seed: int) -> str:
     """Return the row of one team."""
     q, r = scattered(n, seed)
-    separation = Separation(cable=min(0.1, 0.9 * 0.5 * math.sin(2.0 * math.pi / n)))
+    separation = Separation(cable=cable_clearance(n))
     start = time.process_time()
     try:
         plan = ho.form(
@@ -91,8 +98,8 @@ def ground_row(n: int, seed: int) -> str:
     except ho.HitchoptError as error:
         return f"{n:6d} {seed:5d}  not planned: {str(error).splitlines()[0][:60]}"
     seconds = time.process_time() - start
-    way = plan.phases[1].name
-    return f"{n:6d} {seed:5d} {plan.duration:9.2f} {seconds:9.2f}  {way}"
+    clearance, first = clearance_text(separation.cable), plan.phases[1].name
+    return f"{n:6d} {seed:5d} {plan.duration:9.2f} {seconds:9.2f}  {clearance:>10}  {first}"
 
 
 def random_polygon(n: int, rng: np.random.Generator) -> Array:
@@ -137,9 +144,10 @@ def random_outcome(rng: np.random.Generator) -> str:
 def main() -> None:
     """Print both tables."""
     print_environment("processor seconds of one run each; one process, the first row warmed up")
+    print(NOTE)
     tying_row(TYING[0])
     print("\nfrom the pre-hitch to the tensioned hitch")
-    print(f"{'n':>6s} {'flight[s]':>9s} {'plan[s]':>9s} {'certify[s]':>10s}  certified")
+    print(f"{'n':>6s} {'flight[s]':>9s} {'plan[s]':>9s} {'certify[s]':>10s}  certified  {HEADING}")
     costs = []
     for n in TYING:
         cost, row = tying_row(n)
@@ -148,7 +156,8 @@ def main() -> None:
     slope = np.polyfit(np.log(TYING), np.log(costs), 1)[0]
     print(f"log-log slope of planning and certifying: {slope:.2f}")
     print("\nfrom scattered robots on the ground to the tensioned hitch")
-    print(f"{'n':>6s} {'seed':>5s} {'flight[s]':>9s} {'plan[s]':>9s}  first phase in the air")
+    head = f"{'n':>6s} {'seed':>5s} {'flight[s]':>9s} {'plan[s]':>9s}"
+    print(f"{head}  {HEADING}  first phase in the air")
     for n in FROM_GROUND:
         for seed in range(3):
             print(ground_row(n, seed), flush=True)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from benchmarks.tasks import Task
 
 OURS = ("straight", "optimised")
-RIVALS = ("opti", "opti fine", "rockit", "toppra")
+RIVALS = ("lean", "opti", "opti fine", "rockit", "toppra")
 
 MEMORY = 6.0
 """[GB] That a rival may take unless told otherwise: the programs of large teams would take the
@@ -215,6 +215,10 @@ def _solver_of(solver: str, task: Task, seconds: float) -> Callable[[], Solution
         from benchmarks.naive_toppra import solve_toppra
 
         return lambda: solve_toppra(task)
+    if solver == "lean":
+        from benchmarks.lean_rival import solve_lean
+
+        return lambda: solve_lean(task, seconds)
     if solver == "rockit":
         from benchmarks.rockit_rival import solve_rockit
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import OURS, RIVALS, Measurement
+from benchmarks.morph import cable_clearance
+from benchmarks.relaxed_clearance import HEADING, NOTE, clearance_text
 
 COLUMNS = {
     "solver": "",
@@ -49,18 +51,20 @@ def slope(measurements: Sequence[Measurement], name: str) -> float:
 
 
 def row(measurement: Measurement) -> list[str]:
-    """Return the shown columns of a measurement."""
+    """Return the shown columns of a measurement, and the clearance that its plan keeps."""
     values = asdict(measurement)
-    return [
+    shown = [
         "" if values[name] is None else format(values[name], how) for name, how in COLUMNS.items()
     ]
+    return [*shown, clearance_text(cable_clearance(measurement.robots))]
 
 
 def markdown(measurements: Sequence[Measurement]) -> list[str]:
     """Return the lines of a table."""
-    lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
+    heads = [*COLUMNS, HEADING]
+    lines = [" | ".join(heads), " | ".join(["---"] * len(heads))]
     lines += [" | ".join(row(measurement)) for measurement in measurements]
-    return [f"| {line} |" for line in lines]
+    return [*(f"| {line} |" for line in lines), "", f"{NOTE}."]
 
 
 def write_csv(path: Path, measurements: Sequence[Measurement]) -> None:

@@ -7,18 +7,24 @@ import inspect
 import hitchopt as ho
 
 GROUPS = {
-    "plan": ("Planning", ("hitchopt.planning", "hitchopt.actions")),
-    "results": ("Plans", ("hitchopt.plan", "hitchopt.motion", "hitchopt.trajectory")),
+    "plan": ("Planning", ("hitchopt.builder", "hitchopt.planning", "hitchopt.actions")),
+    "results": (
+        "Plans",
+        ("hitchopt.plan", "hitchopt.plan_uses", "hitchopt.motion", "hitchopt.trajectory"),
+    ),
     "teams": ("Teams and hitches", ("hitchopt.hitch", "hitchopt.geometry")),
     "problems": (
         "Problems and steps",
         ("hitchopt.mission", "hitchopt.steps", "hitchopt.planners"),
     ),
-    "requirements": ("Requirements", ("hitchopt.requirements",)),
+    "requirements": ("Requirements", ("hitchopt.requirements", "hitchopt.objects")),
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
+    "fits": ("Fits", ("hitchopt.fitting", "hitchopt.holding")),
+    "stopping": ("Stops", ("hitchopt.stopping",)),
     "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
+    "sweeps": ("Sweeps", ("hitchopt.sweeps",)),
     "errors": ("Errors", ("hitchopt.errors",)),
     "others": ("Others", ("hitchopt",)),
 }

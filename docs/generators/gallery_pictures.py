@@ -19,8 +19,9 @@ import hitchopt as ho
 from generators.problem_collection import SECTIONS
 from hitchopt.values import Array
 from hitchopt.view.curves import sampled_curves
+from hitchopt.view.house_colours import COLOURS
 from hitchopt.view.plan_view import draw_plan_view
-from hitchopt.view.style import COLOURS, INK, new_figure, save_png
+from hitchopt.view.style import INK, new_figure, save_figure
 
 SIZE = (4.2, 4.2)
 """Width and height [inch]."""
@@ -106,7 +107,7 @@ def main() -> None:
             if target.exists():
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
-            save_png(draw(file, solved=section.solved), target)
+            save_figure(draw(file, solved=section.solved), target)
             Image.open(target).convert("RGB").quantize(PALETTE).save(target, optimize=True)
             sys.stdout.write(f"{target}\n")
             sys.stdout.flush()

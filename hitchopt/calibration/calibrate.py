@@ -18,16 +18,17 @@ from hitchopt.calibration.stiffness_fit import StiffnessFit, fit_stiffness
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_parts import CableParts
+from hitchopt.one_line import OneLine
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task, read_task
-from hitchopt.values import Array, not_negative
+from hitchopt.values import Array, not_negative, path
 
 LEAST_SCALE = 3e-4
 """Least scatter that is assumed of a measured cable length [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(OneLine):
     """Estimates from a recorded flight, and its deviations from the plan.
 
     Attributes
@@ -75,6 +76,8 @@ def calibrate(
     FileError: a recording or a plan that cannot be read, or a recording without its hitch.
     InputError: no plan, or a negative density.
     """
+    if not isinstance(recording, Recording | Flight):
+        recording = path("recording", recording)
     task = _task(recording, plan)
     if isinstance(recording, Flight):
         recording = Recording.of_flight(recording)
@@ -123,7 +126,7 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
     )
 
 
-def _task(recording: Recording | Flight | Path | str, plan: Path | str | None) -> Task:
+def _task(recording: Recording | Flight | Path, plan: Path | str | None) -> Task:
     """Return the plan that was flown.
 
     Raises
@@ -131,12 +134,12 @@ def _task(recording: Recording | Flight | Path | str, plan: Path | str | None) -
     FileError, InputError: there is none.
     """
     if plan is not None:
-        return read_task(Path(plan))
+        return read_task(path("plan", plan))
     if isinstance(recording, Flight):
         return recording.task
     if isinstance(recording, Recording):
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    return read_task(Path(recording).absolute().parent)
+    return read_task(recording.absolute().parent)
 
 
 def _friction(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.one_line import OneLine
 from hitchopt.values import Array
 
 ROUNDS = 30
@@ -16,7 +17,7 @@ TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(OneLine):
     """One estimated quantity.
 
     Attributes

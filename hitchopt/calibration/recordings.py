@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.hitch import Team
+from hitchopt.one_line import OneLine
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.storage.strict_json import parsed_json
 from hitchopt.values import Array
@@ -28,7 +29,7 @@ DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(OneLine):
     """Measured positions over time.
 
     Attributes

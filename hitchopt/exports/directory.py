@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
@@ -21,8 +22,11 @@ VERTICES = "vertices.csv"
 CERTIFICATE = "certificate.json"
 SUMMARY = "summary.png"
 DIAGNOSIS = "diagnosis.json"
+REPORT = "report.html"
 STATICS = "statics.json"
 STATICS_PICTURE = "statics.png"
+ABORTS = "aborts.json"
+ABORT_PLANS = "aborts.zip"
 
 OWNED = (
     PLAN,
@@ -31,8 +35,11 @@ OWNED = (
     CERTIFICATE,
     SUMMARY,
     DIAGNOSIS,
+    REPORT,
     STATICS,
     STATICS_PICTURE,
+    ABORTS,
+    ABORT_PLANS,
 )
 """The names in DIR that are ours: nothing else there is ever replaced or removed."""
 
@@ -47,6 +54,7 @@ def save_plan(
     rate: float = 100.0,
     pictures: Mapping[str, Writer] | None = None,
     progress: Progress | None = None,
+    problem: str = "",
 ) -> Path:
     """Write the files of a certified plan, whole or not at all; return the directory.
 
@@ -57,8 +65,10 @@ def save_plan(
     certificate: the plan's certificate.
     title: what the problem is called.
     rate: samples a second in the tables [Hz].
-    pictures: for the name of a picture among OWNED (``summary.png``), what draws it at a path.
+    pictures: for names among OWNED (``summary.png``), what draws them at a path; written after the
+        plan.
     progress: called with the fraction of the setpoints written.
+    problem: the text of the problem file, if it is known.
 
     Raises
     ------
@@ -71,20 +81,22 @@ def save_plan(
     if motion.assignment is not None:
         content["assignment"] = motion.assignment.to_dict()
     writers: dict[str, Writer] = {
-        PLAN: lambda path: write_plan(path, motion, title),
+        PLAN: lambda path: write_plan(path, motion, title, problem),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
         **(pictures or {}),
         CERTIFICATE: lambda path: write_strict_json(path, content),
     }
     if motion.team.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
-    return replace_files(directory, writers, OWNED, seal=CERTIFICATE)
+    return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="remove")
 
 
 def save_diagnosis(
     directory: Path | str, reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
 ) -> Path:
-    """Write why there is no plan, and remove the files of an earlier one; return the directory.
+    """Write why there is no plan; return the directory.
+
+    The files of the last certified plan move to the subdirectory ``previous``, or stay there.
 
     Parameters
     ----------
@@ -96,13 +108,20 @@ def save_diagnosis(
     ------
     FileError: the directory cannot be written to.
     """
+    content = diagnosis_content(reason, suggestions)
+    writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
+    return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="keep")
+
+
+def diagnosis_content(
+    reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
+) -> dict[str, Any]:
+    """Return what diagnosis.json says; arguments as those of ``save_diagnosis``."""
     violations = reason.violations if isinstance(reason, InfeasibleError) else ()
-    content = {
+    return {
         "format": DIAGNOSIS_FORMAT,
         "feasible": False,
         "message": str(reason),
         "violations": [{**vars(v), "message": str(v)} for v in violations],
         "suggestions": [suggestion.to_dict() for suggestion in suggestions],
     }
-    writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
-    return replace_files(directory, writers, OWNED, seal=CERTIFICATE)

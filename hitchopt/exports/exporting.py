@@ -19,6 +19,7 @@ from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Prog
 from hitchopt.exports.manifest import FILE, manifest_of, owned_files, part_folders, parts_manifest
 from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify
 from hitchopt.motion.cutting import stretched
+from hitchopt.one_line import OneLine
 from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
 
@@ -30,7 +31,7 @@ MOST_DRONES = 100
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(OneLine):
     """Files that were written and verified.
 
     Attributes

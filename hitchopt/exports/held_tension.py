@@ -172,7 +172,7 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
 
 def _eased(requirements: Requirements, drones: PiecewisePolynomial) -> Requirements:
     """Return requirements whose speed and acceleration set points keep: shows state such limits."""
-    limits, share = requirements.limits, 1.0 + SPARE
+    limits, share = requirements.limits.planned, 1.0 + SPARE
     eased = replace(
         limits,
         speed=max(limits.speed, share * largest_rate(drones, 1).worst),

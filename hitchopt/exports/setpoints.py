@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import iterate_states, sample_times
+from hitchopt.motion.states import States, iterate_states, sample_times
 
 HEADER = "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
 
@@ -51,18 +51,19 @@ def write_setpoints(
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
         for states in iterate_states(motion, times, max(1, ROWS // len(names))):
-            parts = (
-                np.broadcast_to(states.t[:, None, None], (*states.positions.shape[:2], 1)),
-                states.positions,
-                states.velocities,
-                states.accelerations,
-                states.jerks,
-                np.zeros((len(states.t), len(names), 1)),  # yaw
-                states.cable_forces,
-            )
-            file.write(lines_of(names, np.concatenate(parts, axis=-1) + 0.0))  # no negative zeros
+            file.write(lines_of(names, setpoint_values(states)))
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
+
+
+def setpoint_values(states: States) -> NDArray[np.float64]:
+    """Return the numbers of HEADER's columns, all but the drone's name, (S, D, 17)."""
+    times = np.broadcast_to(states.t[:, None, None], (*states.positions.shape[:2], 1))
+    yaw = np.zeros(times.shape)
+    motion = (states.positions, states.velocities, states.accelerations, states.jerks)
+    parts = (times, *motion, yaw, states.cable_forces)
+    values: NDArray[np.float64] = np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
+    return values
 
 
 def lines_of(names: tuple[str, ...], values: NDArray[np.float64]) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.one_line import OneLine
 from hitchopt.values import Array, points
 
 MIN_EXTERIOR_ANGLE = 1e-6
@@ -22,7 +23,7 @@ MIN_EDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Outline(ABC):
+class Outline(OneLine, ABC):
     """Points joined in a row, turning right wherever one edge follows another.
 
     Parameters
@@ -37,7 +38,9 @@ class Outline(ABC):
     vertices: Array
     closed: ClassVar[bool]
 
-    def __init__(self, vertices: ArrayLike) -> None:
+    def __init__(self, vertices: Outline | ArrayLike) -> None:
+        if isinstance(vertices, Outline):
+            vertices = vertices.vertices
         bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
         object.__setattr__(self, "vertices", points("polygon", vertices, (3, 2), bound, remedy))
         self._check_edges()

@@ -9,7 +9,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.outline import Outline
-from hitchopt.values import Array
+from hitchopt.values import Array, finite, positive, whole
 
 
 class ConvexPolygon(Outline):
@@ -73,8 +73,7 @@ def regular_polygon(n: int, edge: float, angle: float = 0.0) -> ConvexPolygon:
     ------
     InputError: n below 3, or an edge that is not positive.
     """
-    if n < 3:
-        raise InputError("n", n, "at least 3", "a polygon has three vertices or more")
-    radius = 0.5 * edge / math.sin(math.pi / n)
-    angles = angle - 2.0 * math.pi * np.arange(n) / n
+    whole("n", n, 3)
+    radius = 0.5 * positive("edge", edge) / math.sin(math.pi / n)
+    angles = finite("angle", angle) - 2.0 * math.pi * np.arange(n) / n
     return ConvexPolygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,18 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
+from hitchopt.mission.object_keys import objects_of
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fitting_start
 from hitchopt.mission.schema import Keys, MotionLimitsKeys, StartKeys, TeamKeys
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
+from hitchopt.units import seen_from
 
 
-def built_problem(keys: ProblemKeys) -> Problem:
-    """Return the problem of a hitch that ``keys`` describe.
+def built_problem(keys: ProblemKeys, folder: Path | None = None) -> Problem:
+    """Return the problem of a hitch that ``keys`` describe; drawings are looked for in ``folder``.
 
     Raises
     ------
@@ -29,6 +31,7 @@ def built_problem(keys: ProblemKeys) -> Problem:
     """
     faults = Collector()
     common = _common_parts(keys, faults)
+    common["objects"] = objects_of(keys.objects, folder, faults)
     team = faults.attempt("team", lambda: Team(**_team_values(keys.team)))
     if team is None:  # nothing else can be judged without it
         return faults.made(None)
@@ -82,15 +85,17 @@ def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
     values = keys.model_dump()
     kinds = values["quadrotor"]
     one = isinstance(kinds, dict)
-    values["quadrotor"] = Quadrotor(**kinds) if one else [Quadrotor(**kind) for kind in kinds]
+    found = []
+    for k, kind in enumerate([kinds] if one else kinds):
+        with seen_from("quadrotor" if one else f"quadrotor[{k}]"):
+            found.append(Quadrotor(**kind))
+    values["quadrotor"] = found[0] if one else found
     return values
 
 
 def _limits(keys: MotionLimitsKeys) -> Limits:
-    """Return the limits that ``keys`` describe, angles in rad."""
-    values = keys.model_dump()
-    tilt, rate = math.radians(values.pop("tilt_deg")), values.pop("body_rate_deg")
-    return Limits(tilt=tilt, body_rate=None if rate is None else math.radians(rate), **values)
+    """Return the limits that ``keys`` describe."""
+    return Limits(**keys.model_dump())
 
 
 def _start(keys: StartKeys, team: Team, faults: Collector) -> Start | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, Place
+from hitchopt.units import seen_from
 
 MAX_LISTED = 20
 """Most faults listed for one file; whoever has more will have fewer after repairing these."""
@@ -23,7 +24,7 @@ class JointInputError(InputError):
 
     def __init__(self, errors: Sequence[InputError]) -> None:
         first = errors[0]
-        super().__init__(first.key, first.value, first.bound, first.remedy)
+        super().__init__(first.key, first.value, first.bound, first.remedy, first.place)
         self.errors = tuple(errors)
         lines = [str(error) for error in self.errors[:MAX_LISTED]]
         if len(self.errors) > MAX_LISTED:
@@ -33,6 +34,10 @@ class JointInputError(InputError):
     def within(self, parent: str) -> JointInputError:
         """Return the same errors with their keys seen from the enclosing mapping ``parent``."""
         return JointInputError([error.within(parent) for error in self.errors])
+
+    def located(self, place_of: Callable[[str], Place | None]) -> JointInputError:
+        """Return the same errors with the places in a file that their keys have."""
+        return JointInputError([error.located(place_of) for error in self.errors])
 
 
 class Collector:
@@ -44,9 +49,10 @@ class Collector:
     def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
         """Return ``make()``, or None where it raises, gathering the error under ``parent``."""
         try:
-            return make()
+            with seen_from(parent):
+                return make()
         except InputError as error:
-            self.inputs.append(error.within(parent) if parent else error)
+            self.inputs.append(error)
         return None
 
     def check(self) -> None:

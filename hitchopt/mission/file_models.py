@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, cast, get_type_hints
 from pydantic import Field as FileField
 from pydantic import create_model
 
+from hitchopt.mission.object_keys import MAX_OBJECTS, ObjectKeys
 from hitchopt.mission.schema import (
     KINDS,
     MAX_STEPS,
@@ -15,6 +16,7 @@ from hitchopt.mission.schema import (
     ArenaKeys,
     Keys,
     LimitsKeys,
+    ObjectName,
     OneKey,
     SeparationKeys,
     StartKeys,
@@ -101,6 +103,9 @@ class ProblemKeys(Keys):
     limits: LimitsKeys = section(LimitsKeys)
     separation: SeparationKeys = section(SeparationKeys)
     arena: ArenaKeys | None = FileField(default=None, description=str(ArenaKeys.__doc__))
+    objects: Annotated[dict[ObjectName, ObjectKeys], FileField(max_length=MAX_OBJECTS)] = FileField(
+        default_factory=dict, description="Objects that are carried or stand in the way, by name"
+    )
     start: StartKeys = FileField(
         description=str(StartKeys.__doc__),
         examples=[{"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}],

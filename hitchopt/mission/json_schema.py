@@ -46,7 +46,9 @@ def problem_schema() -> dict[str, Any]:
 
 @cache
 def kind_schema(model: type[Keys]) -> dict[str, Any]:
-    """Return the JSON Schema of one of the KINDS alone."""
+    """Return the JSON Schema of one of the KINDS alone, or of another model of a file."""
+    if model not in KINDS:
+        return model.model_json_schema(schema_generator=_Untitled)
     schema = problem_schema()
     return {"$ref": f"#/$defs/{model.__name__}", "$defs": schema["$defs"]}
 
@@ -63,11 +65,16 @@ def entries_at(schema: dict[str, Any], path: Sequence[str | int]) -> list[dict[s
         if isinstance(part, int):
             inner = [form["items"] for form in found if "items" in form]
         else:
-            inner = [
-                form["properties"][part] for form in found if part in form.get("properties", {})
-            ]
+            inner = [entry for form in found for entry in _named(form, part)]
         found = [form for entry in inner for form in _forms(schema, entry)]
     return found
+
+
+def _named(form: dict[str, Any], part: str) -> list[Any]:
+    """Return the schema of a mapping's key; of mappings whose keys users name, any key's."""
+    if part in form.get("properties", {}):
+        return [form["properties"][part]]
+    return list(form.get("patternProperties", {}).values())
 
 
 def _forms(schema: dict[str, Any], entry: dict[str, Any]) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -15,7 +16,7 @@ from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys
 from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
-from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, read_text
 
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
@@ -27,18 +28,46 @@ AnyProblem = Problem | SwarmProblem
 def read_problem(path: str | Path) -> AnyProblem:
     """Return the problem in the YAML file at ``path``, of a hitch or of single drones.
 
+    Parameters
+    ----------
+    path: of the file; ``-`` is standard input.
+
     Raises
     ------
     FileError: a file that cannot be read as YAML.
     InputError: keys, types, counts, ranges or shapes that are wrong; JointInputError if several.
     """
-    data = read_yaml(path)
+    text, name = read_text(path)
+    return parse_problem(text, name, Path(path).parent)
+
+
+def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> AnyProblem:
+    """Return the problem in YAML, of a hitch or of single drones.
+
+    Parameters
+    ----------
+    text: what a problem file holds.
+    name: what messages call it.
+    directory: where outlines of objects are.
+
+    Raises
+    ------
+    FileError, InputError: as ``read_problem``.
+    """
+    try:
+        return _problem_of(parse_yaml(text, name), name, directory)
+    except InputError as error:
+        places = key_places(text, name)
+        raise error.located(partial(place_of, places)) from None
+
+
+def _problem_of(data: Plain, name: str, directory: Path) -> AnyProblem:
     if not isinstance(data, dict):
         raise FileError(
-            f"{path}: holds {_KINDS.get(type(data), 'a number')}, but a problem is a mapping with "
+            f"{name}: holds {_KINDS.get(type(data), 'a number')}, but a problem is a mapping with "
             f"the keys {', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
         )
-    return any_problem_from_dict(data)
+    return any_problem_from_dict(data, directory)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -66,8 +95,8 @@ def load_swarm(path: str | Path) -> SwarmProblem:
     return problem
 
 
-def any_problem_from_dict(data: Mapping[str, object]) -> AnyProblem:
-    """Return the problem that ``data`` describes with the keys of a problem file.
+def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
+    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
 
     Raises
     ------
@@ -78,7 +107,7 @@ def any_problem_from_dict(data: Mapping[str, object]) -> AnyProblem:
     try:
         if single:
             return built_swarm(SwarmKeys.model_validate(values))
-        return built_problem(ProblemKeys.model_validate(values))
+        return built_problem(ProblemKeys.model_validate(values), folder)
     except ValidationError as error:
         raise translated(error, SwarmKeys if single else ProblemKeys) from None
 

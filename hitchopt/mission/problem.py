@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.cable_slack import fitting_polygon
+from hitchopt.hitch.cable_slack import FAR_OFF, fitting_polygon
 from hitchopt.mission.step_order import fitting_steps
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import check_placed
+from hitchopt.one_line import OneLine
+from hitchopt.requirements import Arena, Limits, Requirements, Separation, check_requirements
 from hitchopt.steps import Step
 from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.values import Array, coordinate, points
+from hitchopt.units import HEIGHT, check_unit, warn_of_unit
+from hitchopt.values import Array, coordinate, instance, points, sequence, text
 
 
 @dataclass(frozen=True, eq=False)
-class HitchStart:
+class HitchStart(OneLine):
     """Start as a formed hitch.
 
     Parameters
@@ -34,10 +39,11 @@ class HitchStart:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
+        check_unit("altitude", self.altitude, HEIGHT)
 
 
 @dataclass(frozen=True, eq=False)
-class DronesStart:
+class DronesStart(OneLine):
     """Start as drones on free cables, at rest: hovering, or on the ground.
 
     Parameters
@@ -65,17 +71,19 @@ Start = HitchStart | Hitch | DronesStart
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(OneLine):
     """All that a planner needs to know.
 
     Parameters
     ----------
     team, start, mission: who, from where, and the steps in order (at least one).
     limits, separation, arena, title: what to keep, and what to call it.
+    objects: by name, those that are carried, or stand in the way.
 
     Raises
     ------
-    InputError: no steps, or some that do not fit the team, the outline or one another.
+    InputError: an object that floats or stands in another one, no steps, or some that do not fit
+        the team, the outline or one another.
     """
 
     team: Team
@@ -85,18 +93,29 @@ class Problem:
     separation: Separation = field(default_factory=Separation)
     arena: Arena | None = None
     title: str = ""
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        instance("team", self.team, Team)
+        instance("start", self.start, HitchStart, Hitch, DronesStart)
+        check_requirements(self)
+        text("title", self.title)
+        steps = sequence("mission", self.mission)
+        for i, step in enumerate(steps):
+            instance(f"mission[{i}]", step, Step)
+        object.__setattr__(self, "objects", dict(self.objects))
+        check_placed(self.objects, self.requirements.floor)
         object.__setattr__(self, "start", fitting_start(self.team, self.start))
-        steps = tuple(self.mission)
         if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
-        object.__setattr__(self, "mission", fitting_steps(self.team, self.start_outline, steps))
+        object.__setattr__(
+            self, "mission", fitting_steps(self.team, self.start_outline, steps, self.objects)
+        )
 
     @property
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
-        return Requirements(self.limits, self.separation, self.arena)
+        return Requirements(self.limits, self.separation, self.arena, objects=self.objects)
 
     @property
     def start_outline(self) -> Outline | None:
@@ -125,6 +144,12 @@ def fitting_start(team: Team, start: Start) -> Start:
                 bound = f"a list of {team.robots} points"
                 remedy = "add or remove points, or change team.robots"
                 raise InputError(name, f"{len(given)} points", bound, remedy)
+        apart = np.linalg.norm(start.q - start.r, axis=1)
+        k = int(np.argmax(apart / team.cable_length))
+        if apart[k] > FAR_OFF * team.cable_length[k]:
+            words = f"{apart[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
+            meant = "if millimetres were meant, write metres"
+            warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {meant}"))
     except InputError as error:
         raise error.within(f"start.{key}") from None
     return start

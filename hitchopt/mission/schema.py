@@ -114,10 +114,14 @@ Legs = Annotated[
     Discriminator(legs_form),
 ]
 
+ObjectName = Annotated[str, Field(min_length=1, max_length=50, pattern=r"^[A-Za-z0-9_ -]+$")]
+"""What an object may be called."""
+
 KINDS: dict[str, Any] = {
     "Angle": float,
     "Flag": bool,
     "Index": Index,
+    "Name": ObjectName,
     "Legs": Legs,
     "Number": Number,
     "Outline": Outline,
@@ -236,6 +240,11 @@ class MotionLimitsKeys(Keys):
     duration: Positive | None = Field(
         default=Limits.duration, description="Of the whole plan [s], or null for no limit"
     )
+    reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = Field(
+        default=Limits.reserve,
+        description="Share of acceleration and jerk that the plan uses; below 1 stops can begin at "
+        "every time",
+    )
 
 
 class LimitsKeys(MotionLimitsKeys):
@@ -271,6 +280,10 @@ class SeparationKeys(EllipsoidKeys):
     crossing: NotNegative = Field(
         default=Separation.crossing,
         description="Cable to cable where they share no clasp, taut parts [m]",
+    )
+    object: NotNegative = Field(
+        default=Separation.object,
+        description="A cable's centre line, and a held object, to objects [m]",
     )
 
 

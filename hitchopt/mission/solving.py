@@ -52,20 +52,20 @@ def _solved(
     requirements: Requirements,
     optimiser: bool,
 ) -> Certified:
+    planned = requirements.planned  # stops on the common clock may use the rest
     first_form = next((step for step in steps if isinstance(step, Form)), None)
-    begun = _begun(progress, team, start, first_form, requirements)
+    begun = _begun(progress, team, start, first_form, planned)
     situation = begun.situation
     parts: list[Certified] = []
     for first, group in _groups(steps):
-        _tell(progress, f"planning step {first} ({group[0].name})")
+        _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
+        here = situation.at_objects(planned)
         try:
-            part, situation = _step(
-                progress, group, StepTask(situation, first, requirements, optimiser)
-            )
+            part, situation = _step(progress, group, StepTask(situation, first, here, optimiser))
         except InfeasibleError as error:
             raise _in_step(error, first, group) from None
         parts.append(part)
-    motion = joined_motions([part.motion for part in parts])
+    motion = replace(joined_motions([part.motion for part in parts]), requirements=requirements)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
         broken = infeasible(certificate, motion)
@@ -99,7 +99,7 @@ def _begun(
             _tell(progress, "splitting the slack at the start")
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         check_at_rest(hitch, requirements, "at the start (t = 0)")
-        return _Begun(Situation.holding(hitch))
+        return _Begun(Situation.formed(hitch))
     named = Situation(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.values import Array, points, positive
+from hitchopt.one_line import OneLine
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation, check_requirements
+from hitchopt.values import Array, instance, points, positive, sequence, text
 
 
 @dataclass(frozen=True, eq=False)
-class SwarmProblem:
+class SwarmProblem(OneLine):
     """All that the separation planner needs to know.
 
     Parameters
@@ -42,6 +43,7 @@ class SwarmProblem:
         return Requirements(self.limits, self.separation, self.arena, self.keep_out)
 
     def __post_init__(self) -> None:
+        instance("team", self.team, Swarm)
         for name in ("start", "goal"):
             bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
             given = points(name, getattr(self, name), (1, 3), bound, remedy)
@@ -50,6 +52,8 @@ class SwarmProblem:
                 remedy = "add or remove points, or change team.drones"
                 raise InputError(name, f"{len(given)} points", bound, remedy)
             object.__setattr__(self, name, given)
-        object.__setattr__(self, "keep_out", tuple(self.keep_out))
+        object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
+        check_requirements(self)
+        text("title", self.title)
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))

@@ -37,7 +37,7 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
     task = SeparationTask(
         problem.start,
         problem.goal,
-        problem.requirements,
+        problem.requirements.planned,
         duration=problem.duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
@@ -69,4 +69,4 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
             for i in heavy
         )
     level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
-    return np.minimum(SHARE * np.minimum(spare, level), problem.limits.acceleration)
+    return np.minimum(SHARE * np.minimum(spare, level), problem.limits.planned.acceleration)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
+from hitchopt.one_line import OneLine
 from hitchopt.values import not_negative
 
 DEVIATIONS = 3.0
@@ -15,7 +16,7 @@ MARK = "sd:"
 
 
 @dataclass(frozen=True)
-class ErrorSize:
+class ErrorSize(OneLine):
     """Size of one kind of error, alike and independent for all that it befalls.
 
     Parameters

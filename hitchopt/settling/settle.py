@@ -18,7 +18,7 @@ from hitchopt.settling.energy_minimum import settled_nodes
 from hitchopt.settling.hitch_energy import HitchEnergy
 from hitchopt.settling.rigging import Rigging
 from hitchopt.settling.settled_hitch import Settled, bearing, residuals
-from hitchopt.values import Array
+from hitchopt.values import Array, instance
 
 LARGEST_RESIDUAL = 1e-6
 """[N] Largest force without balance of a solution that is returned."""
@@ -50,6 +50,7 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
     UnsupportedError: single drones.
     InfeasibleError: no rest is found.
     """
+    instance("plan", plan, Plan)
     return settle_motion(plan.motion, t, Conditions(**conditions))
 
 
@@ -108,6 +109,10 @@ def hitched_states(motion: Motion, t: ArrayLike) -> States:
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"
         raise InputError("t", float(states.t[~states.formed].flat[0]), bound, "see its phases")
+    carrying = np.any(states.borne > 0.0, axis=-1)
+    if np.any(carrying):
+        when = f"t = {float(states.t[carrying].flat[0]):.4g} s"
+        raise UnsupportedError(f"{when}: statics do not know of objects that a hitch carries")
     return states
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
+from hitchopt.one_line import OneLine
 from hitchopt.settling.hitch_energy import HitchEnergy
 from hitchopt.settling.rigging import Rigging, add_at_nodes
 from hitchopt.values import Array
@@ -22,7 +23,7 @@ SLACK_SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class Settled(OneLine):
     """Positions at rest of samples (…) at times of a plan.
 
     Attributes

@@ -12,7 +12,8 @@ from matplotlib.patches import Ellipse
 from hitchopt.settling.settled_hitch import Settled
 from hitchopt.settling.tolerance import Tolerance
 from hitchopt.values import Array
-from hitchopt.view.style import COLOURS, DASHES, INK, new_figure, save_png
+from hitchopt.view.house_colours import COLOURS
+from hitchopt.view.style import DASHES, INK, new_figure, save_figure
 
 SIZE = (10.0, 4.8)
 """Width and height [inch]."""
@@ -40,7 +41,7 @@ def save_statics_picture(path: Path, settled: Settled, ranges: Tolerance | None)
     ------
     OSError: the file cannot be written.
     """
-    save_png(draw_statics(settled, ranges), path)
+    save_figure(draw_statics(settled, ranges), path)
 
 
 def _draw_tensions(axes: Axes, settled: Settled, ranges: Tolerance | None) -> None:

@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InfeasibleError, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.motion.tensions import stated_tensions
+from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.settling.conditions import Conditions
 from hitchopt.settling.error_sizes import DEVIATIONS, Errors, ErrorSize
 from hitchopt.settling.sensitivities import Gradients, Response
 from hitchopt.settling.settle import energy_of, hitched_states, settle_motion
 from hitchopt.settling.settled_hitch import Settled, named
-from hitchopt.values import Array
+from hitchopt.values import Array, as_array, instance
 
 SAMPLES = 25
 """Times of a plan at which ranges are computed unless others are given."""
@@ -44,7 +45,7 @@ for what is beyond it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tolerance:
+class Tolerance(OneLine):
     """Ranges at times (S,) of a plan.
 
     Attributes
@@ -118,6 +119,7 @@ def tolerance(
     UnsupportedError: a plan without a taut hitch.
     InfeasibleError: no rest is found.
     """
+    instance("plan", plan, Plan)
     errors = Errors(
         ErrorSize.of("cable_error", cable_error),
         ErrorSize.of("position_error", position_error),
@@ -130,7 +132,9 @@ def tolerance_of_motion(
     motion: Motion, t: ArrayLike | None, errors: Errors, conditions: Conditions
 ) -> Tolerance:
     """Return the ranges of a motion's hitch; see ``tolerance``."""
-    times = taut_times(motion) if t is None else np.atleast_1d(np.asarray(t, np.float64))
+    times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
+    if times.ndim != 1:
+        raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
     settled = settle_motion(motion, times, conditions)
     parts = [_range(motion, settled, i, errors, conditions) for i in range(len(times))]
     return Tolerance(errors, settled, *(np.stack(values) for values in zip(*parts, strict=True)))
@@ -153,6 +157,7 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
         piece = np.clip(np.searchsorted(starts, times, "right") - 1, 0, motion.drones.pieces - 1)
         least = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
         found = states.formed & np.all(states.tensions >= TAUT * least[piece], axis=-1)
+        found &= ~np.any(states.borne > 0.0, axis=-1)  # statics do not know of objects
     taut = times[found]
     if not len(taut):
         raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")

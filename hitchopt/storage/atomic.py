@@ -25,6 +25,13 @@ from hitchopt.storage.directory_swap import (
     sync,
 )
 from hitchopt.storage.lock import locked
+from hitchopt.storage.previous_set import (
+    PREVIOUS,
+    Fate,
+    check_previous,
+    empty_previous,
+    kept_writers,
+)
 
 STAGE = ".hitchopt-"
 """Beginning of the hidden subdirectory's name."""
@@ -34,7 +41,11 @@ Writer = Callable[[Path], None]
 
 
 def replace_files(
-    directory: Path | str, writers: Mapping[str, Writer], owned: Collection[str], seal: str
+    directory: Path | str,
+    writers: Mapping[str, Writer],
+    owned: Collection[str],
+    seal: str,
+    previous: Fate = "leave",
 ) -> Path:
     """Let ``directory`` hold the named files and of ``owned`` no others; leave the rest alone.
 
@@ -44,6 +55,8 @@ def replace_files(
     writers: for each file's name, what writes it.
     owned: the names that may be replaced and removed, those of ``writers`` among them.
     seal: the name among ``owned`` that marks a whole set where files come one by one.
+    previous: whether the last set with a seal is kept in the subdirectory ``previous``, or that
+        subdirectory is removed, or left alone.
 
     Returns
     -------
@@ -62,14 +75,21 @@ def replace_files(
             path = target / name
             if path.is_dir() and not path.is_symlink():
                 raise FileError(f"{path}: is a directory where a file is to go; move it away")
+        if previous != "leave":
+            check_previous(target)
         missing = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         with locked(_lock(target)):
             _finish_abandoned(target, owned)
+            kept = kept_writers(target, owned, seal) if previous == "keep" else {}
             try:
-                _exchange(target, writers, owned)
+                ours = owned if previous == "leave" else (*owned, PREVIOUS)
+                _exchange(target, writers, ours, kept)
             except ExchangeUnavailableError:
-                _rename_one_by_one(target, writers, owned, seal)
+                kept = kept if (target / seal).is_file() else {}  # else it is in its place
+                _rename_one_by_one(target, writers, owned, seal, kept)
+                if previous == "remove" and (target / PREVIOUS).is_dir():
+                    _remove_previous(target / PREVIOUS, owned)
     except OSError as error:
         culprit = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
         raise FileError(
@@ -108,11 +128,17 @@ def _finish_abandoned(target: Path, owned: Collection[str]) -> None:
         _remove_stage(stage, owned)
 
 
-def _exchange(target: Path, writers: Mapping[str, Writer], owned: Collection[str]) -> None:
+def _exchange(
+    target: Path,
+    writers: Mapping[str, Writer],
+    owned: Collection[str],
+    kept: Mapping[str, Writer],
+) -> None:
     if os.path.ismount(target) or _holds_current_directory(target):
         raise ExchangeUnavailableError
     swap = Swap.begun(target, owned)
     try:
+        _write_kept(swap.new, kept)
         _write_all(swap.new, writers)
         swap.commit()
     finally:
@@ -120,14 +146,21 @@ def _exchange(target: Path, writers: Mapping[str, Writer], owned: Collection[str
 
 
 def _rename_one_by_one(
-    target: Path, writers: Mapping[str, Writer], owned: Collection[str], seal: str
+    target: Path,
+    writers: Mapping[str, Writer],
+    owned: Collection[str],
+    seal: str,
+    kept: Mapping[str, Writer],
 ) -> None:
     made = not target.exists()
     target.mkdir(exist_ok=True)
     stage = None
     try:
         stage = Path(tempfile.mkdtemp(SUFFIX, STAGE, target))
+        _write_kept(stage, kept)
         _write_all(stage, writers)
+        if kept:  # while the set itself is still there
+            _place_previous(stage / PREVIOUS, target / PREVIOUS, owned)
         old = [seal, *(name for name in owned if name != seal and name not in writers)]
         for name in old:
             (target / name).unlink(missing_ok=True)
@@ -143,7 +176,33 @@ def _rename_one_by_one(
                 target.rmdir()
 
 
+def _place_previous(new: Path, old: Path, owned: Collection[str]) -> None:
+    """Put ``new`` in the place of ``old``; others' files in that go along."""
+    if old.is_dir():
+        _remove_previous(old, owned)
+    if old.is_dir():  # others' files are in it
+        for name in os.listdir(new):
+            (new / name).replace(old / name)
+        new.rmdir()
+    else:
+        new.rename(old)
+    sync(old.parent)
+
+
+def _remove_previous(place: Path, owned: Collection[str]) -> None:
+    with contextlib.suppress(OSError):  # not empty: something in it is not ours to delete
+        empty_previous(place, place, owned)
+
+
+def _write_kept(directory: Path, kept: Mapping[str, Writer]) -> None:
+    if kept:
+        (directory / PREVIOUS).mkdir()
+        _write_all(directory / PREVIOUS, kept)
+
+
 def _remove_stage(stage: Path, owned: Collection[str]) -> None:
+    if (stage / PREVIOUS).is_dir():
+        _remove_previous(stage / PREVIOUS, owned)
     with contextlib.suppress(OSError):  # not empty: something in it is not ours to delete
         for name in owned:
             (stage / name).unlink(missing_ok=True)

@@ -15,10 +15,11 @@ import os
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hitchopt.storage.exchange import exchange
+from hitchopt.storage.previous_set import PREVIOUS, empty_previous
 
 SUFFIX = ".tmp"
 """End of the names of hidden directories."""
@@ -36,10 +37,12 @@ class _Record:
     ----------
     successor: inode of the directory that was built.
     others: inodes of the entries that are not ours, by name.
+    owned: names that are ours: another writer, who owns fewer, may have to finish.
     """
 
     successor: int
     others: dict[str, int]
+    owned: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,8 @@ class Swap:
         """Give the successor all of the target's entries that are not ours."""
         with os.scandir(self.target) as entries:
             others = [entry for entry in entries if entry.name not in self.owned]
-        record = _Record(self.new.stat().st_ino, {e.name: e.inode() for e in others})
+        inodes = {entry.name: entry.inode() for entry in others}
+        record = _Record(self.new.stat().st_ino, inodes, list(self.owned))
         self.record.write_text(json.dumps(vars(record)), encoding="utf-8")
         sync(self.record)
         for entry in others:
@@ -190,11 +194,14 @@ class Swap:
         is in it.
         """
         others = {} if record is None else record.others
-        ours = {*self.owned, *(() if used else others)}
+        owned = record.owned if record is not None and record.owned else self.owned
+        ours = {*owned, *(() if used else others)}
         for name in _names(self.new):
             path, home = self.new / name, self.target / name
             with contextlib.suppress(OSError):
-                if name in ours or self._is_stand_in(path):
+                if name == PREVIOUS and (record is None or name in owned) and path.is_dir():
+                    empty_previous(path, path if record is None else home, owned)
+                elif name in ours or self._is_stand_in(path):
                     path.unlink()
                 elif record is not None and not os.path.lexists(home):  # made meanwhile
                     path.rename(home)

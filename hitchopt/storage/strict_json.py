@@ -18,8 +18,12 @@ def write_strict_json(path: Path, content: dict[str, Any]) -> None:
     ------
     OSError: the file cannot be written.
     """
-    text = json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", newline="\n")
+    path.write_text(strict_json(content) + "\n", encoding="utf-8", newline="\n")
+
+
+def strict_json(content: dict[str, Any]) -> str:
+    """Return the text of the content, indented."""
+    return json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def parsed_json(text: str | bytes) -> Any:

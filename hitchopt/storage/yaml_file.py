@@ -6,7 +6,9 @@ of YAML 1.2 (``1e-3`` is a number, ``yes`` is text), so nothing but plain data c
 
 from __future__ import annotations
 
+import contextlib
 import re
+import sys
 from collections.abc import Callable, Iterator
 from io import StringIO
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import FileError, InputError, Place
 from hitchopt.storage.plain import MAX_TEXT, Budget, Plain, key_path
 
 MAX_BYTES = 4_000_000
@@ -35,16 +37,19 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
 """Patterns of plain scalars that are no text, and how to read them; the first match counts."""
 
 
+STDIN = "-"
+"""Path that stands for standard input."""
+
+
 def read_yaml(path: str | Path) -> Plain:
-    """Return what the YAML file at ``path`` holds.
+    """Return what the YAML file at ``path`` holds; ``-`` is standard input.
 
     Raises
     ------
     FileError: no such file, too large, not UTF-8 text, empty, or not YAML.
     InputError: a key twice or not text, too deeply nested or too many values.
     """
-    name = str(path)
-    return parse_yaml(_read_text(name), name)
+    return parse_yaml(*read_text(path))
 
 
 def parse_yaml(text: str, name: str = "text") -> Plain:
@@ -60,10 +65,41 @@ def parse_yaml(text: str, name: str = "text") -> Plain:
     return found
 
 
-def _read_text(name: str) -> str:
+def key_places(text: str, name: str) -> dict[str, Place]:
+    """Return where every key and list entry of the YAML ``text`` is, by its path.
+
+    Of a text that is refused those are returned that come before the fault.
+    """
+    reader = _Reader(text, name, marking=True)
+    with contextlib.suppress(FileError, InputError):
+        reader.document()
+    return reader.places
+
+
+def place_of(places: dict[str, Place], key: str) -> Place | None:
+    """Return the place of a key, or of the innermost mapping or list around it that is there."""
+    while key and key not in places:
+        key = key[: max(key.rfind("."), key.rfind("["), 0)]
+    return places.get(key)
+
+
+def read_text(path: str | Path) -> tuple[str, str]:
+    """Return a YAML file's text, and what messages call the file; ``-`` is standard input.
+
+    Raises
+    ------
+    FileError: no such file, too large, or not UTF-8 text.
+    """
+    name = str(path)
+    if name == STDIN:
+        return _text(sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"), "<stdin>"
+    return _text(_file_bytes(name), name), name
+
+
+def _file_bytes(name: str) -> bytes:
     try:
         with open(name, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            return file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise FileError(f"{name}: no such file; check the path, or run `hitchopt init`") from None
     except IsADirectoryError:
@@ -71,6 +107,9 @@ def _read_text(name: str) -> str:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or str(error)
         raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
+
+
+def _text(data: bytes, name: str) -> str:
     if len(data) > MAX_BYTES:
         raise FileError(
             f"{name}: is larger than the {MAX_BYTES} bytes that a problem file may have"
@@ -104,8 +143,10 @@ def _events(text: str, name: str) -> Iterator[Any]:
 class _Reader:
     """Values of one text, made by recursive descent; MAX_DEPTH bounds the recursion."""
 
-    def __init__(self, text: str, name: str) -> None:
+    def __init__(self, text: str, name: str, *, marking: bool = False) -> None:
         self.name = name
+        self.marking = marking
+        self.places: dict[str, Place] = {}
         self.events = _events(text, name)
         self.budget = Budget()
 
@@ -116,7 +157,7 @@ class _Reader:
             if isinstance(event, events.DocumentStartEvent) and found:
                 raise self._fault(event, "a second document begins here; keep one problem per file")
             if isinstance(event, events.NodeEvent):
-                found.append(self._value(event, []))
+                found.append(self._entry(event, []))
         return found[0] if found else None
 
     def _value(self, event: Any, path: list[str | int]) -> Plain:
@@ -125,12 +166,21 @@ class _Reader:
         if isinstance(event, events.ScalarEvent):
             return self.budget.checked(_scalar(event), path)
         if not isinstance(event, events.MappingStartEvent):
-            return [self._value(entry, [*path, i]) for i, entry in enumerate(self._entries())]
+            return [self._entry(entry, [*path, i]) for i, entry in enumerate(self._entries())]
         mapping: dict[str, Plain] = {}
         for entry in self._entries():
             key = self._new_key(entry, path, mapping)
             mapping[key] = self._value(next(self.events), [*path, key])
         return mapping
+
+    def _entry(self, event: Any, path: list[str | int]) -> Plain:
+        self._mark(event, path)
+        return self._value(event, path)
+
+    def _mark(self, event: Any, path: list[str | int]) -> None:
+        if self.marking:
+            mark = event.start_mark
+            self.places[key_path(path)] = Place(self.name, mark.line + 1, mark.column + 1)
 
     def _entries(self) -> Iterator[Any]:
         """Yield the events that follow until the innermost mapping or list ends."""
@@ -153,6 +203,7 @@ class _Reader:
         if not isinstance(event, events.ScalarEvent):
             raise self._fault(event, "a key must be a word; quote it if it is meant as text")
         key = _scalar(event)
+        self._mark(event, [*path, key] if isinstance(key, str) else path)
         line = event.start_mark.line + 1
         if not isinstance(key, str):
             where, remedy = key_path(path) or "problem", f"write the key in line {line} as a name"

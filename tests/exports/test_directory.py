@@ -112,13 +112,68 @@ def test_the_directory_tells_the_last_solve(
     violation = Violation("legs", 0.1, 0.15, "min", "m", ("q0",), "at t = 0 s", "longer cable")
     save_plan(tmp_path, motion, certificate, rate=5.0, pictures=PICTURES)
     save_diagnosis(tmp_path, InfeasibleError([violation]))
-    assert names(tmp_path) == {"notes.txt", "diagnosis.json"}
+    assert names(tmp_path) == {"notes.txt", "diagnosis.json", "previous"}
+    assert names(tmp_path / "previous") == set(SAVED)
     save_plan(tmp_path, motion, certificate, rate=5.0)  # no picture this time
     assert names(tmp_path) == {"notes.txt", *SAVED} - {"summary.png"}
-    save_diagnosis(tmp_path, HitchoptError("not found"))
-    assert names(tmp_path) == {"notes.txt", "diagnosis.json"}
+    for _ in range(3):
+        save_diagnosis(tmp_path, HitchoptError("not found"))
+        assert names(tmp_path) == {"notes.txt", "diagnosis.json", "previous"}
+        assert names(tmp_path / "previous") == {*SAVED} - {"summary.png"}
+        assert read_title(tmp_path / "previous" / "plan.npz") == ""
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert set(OWNED) == {*SAVED, "diagnosis.json", "statics.json", "statics.png"}
+    assert set(OWNED) == {
+        *SAVED,
+        "diagnosis.json",
+        "report.html",
+        "statics.json",
+        "statics.png",
+    } | {
+        "aborts.json",
+        "aborts.zip",
+    }
+
+
+@pytest.mark.parametrize("exchanging", [True, False])
+def test_others_files_in_previous_stay(
+    motion: Motion,
+    certificate: Certificate,
+    tmp_path: Path,
+    exchanging: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(38, "no such call")
+
+    if not exchanging:
+        monkeypatch.setattr("hitchopt.storage.directory_swap.exchange", refuse)
+    save_plan(tmp_path, motion, certificate, rate=5.0)
+    save_diagnosis(tmp_path, HitchoptError("not found"))
+    kept = tmp_path / "previous"
+    (kept / "notes.txt").write_text("mine")
+    save_diagnosis(tmp_path, HitchoptError("not found again"))
+    assert names(kept) == {"notes.txt", *SAVED} - {"summary.png"}
+    save_plan(tmp_path, motion, certificate, "again", rate=5.0)
+    assert names(kept) == {"notes.txt"}
+    save_diagnosis(tmp_path, HitchoptError("not found"))
+    assert names(kept) == {"notes.txt", *SAVED} - {"summary.png"}
+    assert read_title(kept / "plan.npz") == "again"
+    assert (kept / "notes.txt").read_text() == "mine"
+    assert names(tmp_path) == {"diagnosis.json", "previous"}
+    assert [path.name for path in tmp_path.parent.glob(f".{tmp_path.name}*")] == []
+
+
+def test_what_else_is_called_previous_is_not_touched(
+    motion: Motion, certificate: Certificate, tmp_path: Path
+) -> None:
+    (tmp_path / "previous").write_text("mine")
+    words = "is where hitchopt keeps the last plan; move it away"
+    with pytest.raises(FileError, match=words):
+        save_plan(tmp_path, motion, certificate, rate=5.0)
+    with pytest.raises(FileError, match=words):
+        save_diagnosis(tmp_path, HitchoptError("not found"))
+    assert names(tmp_path) == {"previous"}
+    assert (tmp_path / "previous").read_text() == "mine"
 
 
 def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:

@@ -111,8 +111,8 @@ def test_every_number_and_word_of_a_hitch_comes_back(tmp_path: Path) -> None:
     assert {kind.stiffness for kind in team.quadrotor} == {None}
     assert {(kind.integral, kind.feed_forward) for kind in team.quadrotor} == {(False, True)}
     requirements = motion.requirements
-    assert vars(requirements.limits) == LIMITS | {"body_rate": None}
-    assert vars(requirements.separation) == SEPARATION
+    assert vars(requirements.limits) == LIMITS | {"body_rate": None, "reserve": 1.0}
+    assert vars(requirements.separation) == SEPARATION | {"object": 0.035}
     assert requirements.arena is not None
     assert requirements.arena.lower.tolist() == [-4.0, -3.0, 0.1]
     assert requirements.arena.upper.tolist() == [5.0, 6.0, 3.5]

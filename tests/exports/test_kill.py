@@ -32,12 +32,21 @@ def writer(text):
     return write
 
 def save(tag):
-    atomic.replace_files(directory, {n: writer(t) for n, t in sets(tag).items()}, OWNED, SEAL)
+    """A plan for odd tags; a refusal, which keeps the last plan, for even ones."""
+    writers = {n: writer(t) for n, t in sets(tag).items()}
+    atomic.replace_files(directory, writers, OWNED, SEAL, "remove" if tag % 2 else "keep")
+
+def kept(tag):
+    """What previous/ holds after save(tag) that follows save(tag - 1)."""
+    return {} if tag % 2 else sets(tag - 1)
 
 def prepare(tag):
     directory.mkdir()
     for name, text in sets(tag).items():
         (directory / name).write_text(text)
+    for name, text in kept(tag).items():
+        (directory / "previous").mkdir(exist_ok=True)
+        (directory / "previous" / name).write_text(text)
     (directory / "notes.txt").write_text("mine")
     (directory / "sub" / "deep").mkdir(parents=True)
     (directory / "sub" / "deep" / "keep.txt").write_text("keep")
@@ -53,12 +62,17 @@ def check_others(final):
     assert (directory / ".hidden").read_text() == "hidden"
     if final:
         assert (directory / "link").is_symlink() and not (directory / "sub").is_symlink()
-        names = {p.name for p in directory.iterdir()} - set(OWNED)
+        names = {p.name for p in directory.iterdir()} - {*OWNED, "previous"}
+        assert (directory / "previous").exists() == bool(previous())
         assert names == {"notes.txt", "sub", "empty", "link", ".hidden"}, names
         assert [p.name for p in directory.parent.iterdir()] == [directory.name]
 
 def owned():
     return {n: (directory / n).read_text() for n in OWNED if (directory / n).exists()}
+
+def previous():
+    place = directory / "previous"
+    return {p.name: p.read_text() for p in place.iterdir()} if place.exists() else {}
 
 def clean():
     import shutil
@@ -117,6 +131,12 @@ for mode in ("exchange", "one by one", "absent"):
             done = forked(lambda: run(mode, count, tag))
             have = owned()
             before = {} if mode == "absent" else sets(tag - 1)
+            plans = [sets(tag - 1 - tag % 2), sets(tag - 1 + tag % 2)]  # before and after
+            if mode != "absent":  # a plan is whole at any time, in the directory or kept
+                plan = {n: t for n, t in have.items() if n in OWNED[:3]}
+                assert plan in plans or previous() in plans, (mode, count)
+            if mode == "exchange":
+                assert previous() == (kept(tag - 1) if have == before else kept(tag))
             if mode == "one by one":  # whole wherever there is a seal or a diagnosis
                 assert SEAL not in have or have in (before, sets(tag)), (count, have.keys())
             else:
@@ -127,6 +147,9 @@ for mode in ("exchange", "one by one", "absent"):
                 check_others(final=done)
             again = forked(lambda: save(tag + 1))  # cleans up after the killed one
             assert again and owned() == sets(tag + 1)
+            if mode != "absent":
+                last = tag if have == sets(tag) else tag - 2
+                assert previous() == ({} if tag % 2 == 0 else sets(last)), (mode, count)
             if mode != "absent":
                 check_others(final=True)
             else:

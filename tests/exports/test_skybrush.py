@@ -183,6 +183,7 @@ def test_a_zip_of_csv_is_the_plan(motion: Motion, tmp_path: Path) -> None:
             assert 0.0 <= t[-1] - motion.duration < 0.05
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> None:
     """Two drones on one circle, always opposite, at just their distance: lines cut corners."""
     angles = np.linspace(0.0, 4.0 * np.pi, 200)

@@ -122,6 +122,7 @@ def test_where_friction_asks_for_more_than_legs_may_lean_they_lean_by_a_part_of_
     assert angle == pytest.approx(share / 100.0 * 12.0, rel=0.3)  # FARTHEST, and nearly linear
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 @pytest.mark.parametrize("friction", [1e3, 1e9])
 def test_friction_as_large_as_may_be_given_is_planned_for(friction: float) -> None:
     """Nothing overflows; legs lean as far as they may, which is all that they can do."""
@@ -169,6 +170,7 @@ def test_timed_points_are_not_put_off_for_leaning(seconds: float) -> None:
     assert plan.duration == seconds
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 def test_long_plans_do_not_grow_without_end() -> None:
     """Also where nothing slides for a week before."""
     counts = [

@@ -19,6 +19,8 @@ from hitchopt.mission.json_schema import problem_schema
 from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.mission.problem import Problem
 
+pytestmark = pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
+
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 
 

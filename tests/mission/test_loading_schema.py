@@ -78,7 +78,7 @@ def test_defaults_are_shown_and_valid_themselves() -> None:
         (
             ["limits"],
             {
-                *("speed", "acceleration", "jerk", "tilt_deg", "body_rate_deg"),
+                *("speed", "acceleration", "jerk", "tilt_deg", "body_rate_deg", "reserve"),
                 *("vertex_speed", "leg", "duration"),
             },
         ),

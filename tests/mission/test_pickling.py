@@ -42,7 +42,14 @@ TEAM = ho.Team(
 HITCH = ho.Hitch.balanced(TEAM, TRIANGLE, 1.3)
 POINTS = np.arange(9.0).reshape(3, 3)
 REQUIREMENTS = Requirements(
-    ho.Limits(duration=20.0), ho.Separation(), ho.Arena([-3.0, -2.0, 0.1], [3.0, 4.0, 2.5])
+    ho.Limits(duration=20.0),
+    ho.Separation(),
+    ho.Arena([-3.0, -2.0, 0.1], [3.0, 4.0, 2.5]),
+    objects={
+        "tray": ho.SolidObject(
+            ho.Section(TRIANGLE.vertices), at=POINTS[0], rim=ho.Rim(ho.Section(radius=2.0), 0.2)
+        )
+    },
 )
 STEPS = (
     ho.Morph(TRIANGLE, HITCH.q_legs, 3.0, tension=(0.3, 0.6)),
@@ -55,6 +62,14 @@ STEPS = (
     ho.Form(TRIANGLE, 1.2, "spread", "fixed", ho.SwapSettings(0.2, 0.4, 2.0, 1)),
     ho.Release(2.0),
     ho.Land(),
+    ho.Enclose("tray", 9.0),
+    ho.Grasp("tray", "rest", 0.7),
+    ho.Lift(0.3),
+    ho.Carry("tray", np.array([0.1, 0.2, 1.0]), 0.3),
+    ho.SetDown("tray"),
+    ho.Loosen("tray"),
+    ho.Leave("tray"),
+    ho.TransportObject("tray", np.array([0.1, 0.2, 1.0]), "rest", 0.7, 0.1, 0.4),
 )
 SWARM = ho.SwarmProblem(
     ho.Swarm(
@@ -100,20 +115,33 @@ def variants(value: Any) -> Iterator[Any]:
         for i, item in enumerate(value):
             for other in variants(item):
                 yield (*value[:i], other, *value[i + 1 :])
+    elif isinstance(value, dict):
+        yield from changed_mappings(value)
     elif isinstance(value, np.ndarray):
         for place in np.ndindex(value.shape):
             other = value.copy()
             other[place] = np.nextafter(value[place], np.inf)
             yield other
         yield from [value[:-1]] if len(value) else []
-    elif value is None or isinstance(value, str):
-        yield f"{value}'"
-    elif isinstance(value, bool):
-        yield not value
-    elif isinstance(value, int):
-        yield value + 1
     else:
-        yield float(np.nextafter(value, np.inf))
+        yield changed_scalar(value)
+
+
+def changed_scalar(value: Any) -> Any:
+    """A word or number a little different."""
+    if value is None or isinstance(value, str):
+        return f"{value}'"
+    if isinstance(value, bool):
+        return not value
+    return value + 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
+
+
+def changed_mappings(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The same with one more key, or one of its values changed."""
+    for name, part in value.items():
+        yield {**value, f"{name}'": part}
+        for other in variants(part):
+            yield {**value, name: other}
 
 
 def copied(value: Any) -> Any:

@@ -217,6 +217,7 @@ def test_what_is_short_of_its_bound_may_stay_so_at_a_price_and_the_rest_may_not(
     np.testing.assert_allclose(np.asarray(found["x"]).ravel(), [1.0, 1.5, 0.0], atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     first = regular_polygon(4, 1.2)
     last = first.rotated(0.5).scaled(0.9)

@@ -30,6 +30,8 @@ def solved(name: str, rate_deg: float | None) -> ho.Plan:
         ("open_pair", 20.0),
         ("transport", 60.0),
         ("form_triangle", 50.0),
+        ("weight_form_and_carry", 60.0),
+        ("square_quarter_turn", 60.0),  # by the optimiser
         ("swarms/head_on", 30.0),
     ],
 )
@@ -81,6 +83,7 @@ def test_a_duration_that_is_too_short_is_refused() -> None:
         ho.solve(limited.problem)
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_points_that_are_met_on_time_refuse_with_the_remedy() -> None:
     problem = read_problem("problems/open_chain.yaml")
     rate = math.radians(0.5)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hitchopt import units
 from hitchopt.checks import acceleration, separation, speed
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, UnitWarning
 from hitchopt.exports.lint.findings import FARTHEST, Loaded
 from hitchopt.exports.lint.show_limits import DISTANCE, ShowLimits
 from hitchopt.hitch import Swarm
@@ -98,8 +100,12 @@ def _look(seen: Seen, window: PiecewisePolynomial, loaded: Loaded, rules: Rules)
         )
     if seen.first is None:
         seen.first, seen.start = window.coefficients[0, ..., 0], float(window.breaks[0])
-    finite = [min(limit, FARTHEST / SHORTEST) for limit in seen.limits]
-    requirements = Requirements(Limits(speed=finite[0], acceleration=finite[1]), rules.separation)
+    most = (units.SPEED.possible[1], units.ACCELERATION.possible[1])
+    fastest, steepest = map(min, seen.limits, most)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnitWarning)  # a show may have no limit
+        limits = Limits(speed=fastest, acceleration=steepest)
+    requirements = Requirements(limits, rules.separation)
     motion = Motion.single(Swarm(len(names)), requirements, window, ())
     found: dict[str, Check | None] = {"speed": speed.RULE.check(motion)}
     if len(names) > 1 and loaded.together and not at_one_point(seen.first):

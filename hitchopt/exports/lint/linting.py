@@ -18,6 +18,7 @@ from hitchopt.exports.lint.flight_rules import flown_from_places, flown_together
 from hitchopt.exports.lint.joint_flight import Rules
 from hitchopt.exports.manifest import FILE, part_folders, read_manifest
 from hitchopt.exports.recording import orders_told, with_orders
+from hitchopt.values import path as checked_path
 
 OTHERS = {
     ".bag": "a ROS 1 bag",
@@ -58,7 +59,8 @@ def lint(
     FileError: nothing there that is known, or a damaged file.
     UnsupportedError: a library that its format needs is not installed.
     """
-    place, applied = Path(path), rules or Rules()
+    place = checked_path("path", path)
+    applied = Rules() if rules is None else rules
     parts = part_folders(place) if place.is_dir() else ()
     return tuple(_report(part, applied, relative) for part in map(place.joinpath, parts or ("",)))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hitchopt.errors import InputError
 from hitchopt.mission.problem import Problem
+from hitchopt.one_line import OneLine
 
 DIGITS = 3
 """Significant digits of a suggested value: what a person would type."""
@@ -18,7 +19,7 @@ LEAST_LEFT = 0.1
 
 
 @dataclass(frozen=True)
-class Edit:
+class Edit(OneLine):
     """What to write into a problem file.
 
     Attributes
@@ -32,7 +33,7 @@ class Edit:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class Change(OneLine):
     """One quantity of a problem changed.
 
     Attributes
@@ -65,7 +66,7 @@ class Change:
 
 
 @dataclass(frozen=True, eq=False)
-class Suggestion:
+class Suggestion(OneLine):
     """A change with which the problem has been planned and certified.
 
     Attributes

@@ -11,9 +11,9 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import hanging_forces
 from hitchopt.planners.path.jets import chained
-from hitchopt.planners.timing.ramps import advanced
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
 
 Curve = Callable[[Array, int], Array]
@@ -119,10 +119,12 @@ def _check_reach(team: Team, drones: Array) -> None:
 
     Its pull has no bound there, and would hide the reason.
     """
+    if team.cable_density == 0.0:
+        return
     spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
     cable = int(np.argmax(np.max(spans, axis=0)))
     worst = float(np.max(spans))
-    if team.cable_density > 0.0 and worst >= 1.0:
+    if worst >= 1.0:
         where, when = (f"cable {cable}",), "between its drones' places"
         remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
         raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])

@@ -18,11 +18,12 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
+from hitchopt.one_line import OneLine
 from hitchopt.planners.forming.clock import accelerations, flown
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, acute, not_negative, positive
+from hitchopt.values import Array, acute, not_negative, positive, whole
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""
@@ -148,7 +149,7 @@ def _half_turn(
 
 
 @dataclass(frozen=True)
-class SwapSettings:
+class SwapSettings(OneLine):
     """Settings of pairs of drones that turn about each other.
 
     Parameters
@@ -170,5 +171,5 @@ class SwapSettings:
             object.__setattr__(self, "seconds", positive("seconds", self.seconds))
         if self.tilt is not None:
             object.__setattr__(self, "tilt", acute("tilt", not_negative("tilt", self.tilt)))
-        if self.sense not in {-1, 0, 1}:
+        if whole("sense", self.sense, -1) > 1:
             raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.model.evaluation import slipping_drones
@@ -24,8 +23,7 @@ from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SMALLEST = math.radians(0.5)
 """Smallest lean: legs that would lean less stay as they are."""

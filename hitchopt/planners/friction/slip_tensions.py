@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from hitchopt.geometry.vectors import length
@@ -24,8 +23,7 @@ from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.requirements import Separation
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DEGREE = 5
 """Degree of the splines by which friction grows and fades: smooth up to the snap."""

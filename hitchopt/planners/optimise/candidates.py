@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -146,24 +147,21 @@ class OptimisedMorph:
 def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     """Return the paths found from the given first ones, the fastest first.
 
-    Those that take the least time as they are come first; the others have to be near them. A guess
-    that is one with another, from which a path was found, would come to the same.
+    Those that take the least time as they are come first; the others have to be near them. Guesses
+    that are one would come to the same: another of them is tried only where one led nowhere.
     """
     found: list[Candidate] = []
     seen: list[KnotPath] = []
-    tried: list[KnotPath] = []
     fastest = np.inf
-    estimates = [estimate(path, search.requirements) for path in paths]
+    groups = _alike([path.resampled(_steps(path) + 1) for path in paths])
+    estimates = _estimates([group[0] for group in groups], search)
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
             break
-        knots = paths[k].resampled(_steps(paths[k]) + 1)
-        if any(same(knots, other) for other in tried):
-            continue
-        settled = _settled(knots, search, seen)
+        settling = (_settled(knots, search, seen) for knots in groups[k])
+        settled = next((path for path in settling if path is not None), None)
         if settled is None:
             continue
-        tried.append(knots)
         if found and estimate(settled, search.requirements) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
@@ -171,6 +169,25 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
             found.append(refined)
             fastest = min(fastest, refined.flight.duration)
     return sorted(found, key=lambda candidate: candidate.flight.duration)
+
+
+def _alike(paths: Sequence[KnotPath]) -> list[list[KnotPath]]:
+    """Return the paths in groups of one each, the last ones first: edges that turn stay convex."""
+    groups: list[list[KnotPath]] = []
+    for path in reversed(paths):
+        group = next((group for group in groups if same(path, group[0])), None)
+        if group is None:
+            groups.append([path])
+        else:
+            group.append(path)
+    return groups
+
+
+def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
+    """Return estimates of the paths' durations [s] to order them by; a single one needs none."""
+    if len(paths) == 1:
+        return [0.0]
+    return [estimate(path, search.requirements) for path in paths]
 
 
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
@@ -188,7 +205,8 @@ def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath 
 def _refined(path: KnotPath, search: Search) -> Candidate | None:
     """Return a path of least energy refined, or a faster one near it, with its flight.
 
-    Where limits are broken between the knots, rows are added there, then more knots.
+    Where limits are broken between the knots, rows are added there, then more knots; a path on
+    which none is has its least energy already.
     """
     steps = path.steps
     for how in ROUNDS:
@@ -196,7 +214,8 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
             path = path.resampled(how.finer * steps + 1)
         closer = replace(search, margin=how.margin)
         step = SolverStep(LATER_STRIDE, how.parts)
-        for moved in iterates(path, closer, step, LATER_STEPS, STILL):
+        as_it_is = [path] if how is ROUNDS[0] else []
+        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
             path = moved
             if clear(path, search):
                 break
@@ -204,7 +223,8 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
             continue
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
-        best = min([*faster, path], key=lambda choice: estimate(choice, search.requirements))
+        choices = [*faster, path]
+        best = choices[int(np.argmin(_estimates(choices, search)))]
         for choice in dict.fromkeys([best, path]):
             shape = choice.path()
             flight = judged(shape, search)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
@@ -19,8 +18,7 @@ from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.fly_path import GRID, fly
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 FINE = 2001
 """Number of points by which the lengths of path and flight are compared."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def product(a: Array, b: Array) -> Array:

@@ -13,15 +13,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
 from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 DEGREE = 3
 

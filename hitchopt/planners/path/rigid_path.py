@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import FlatJets
 from hitchopt.model.robot import JET
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)

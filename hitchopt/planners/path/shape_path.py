@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.cable_spans import cable_slack_of
@@ -14,8 +13,7 @@ from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.robot import JET
 from hitchopt.planners.path import jets
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 class Path(Protocol):

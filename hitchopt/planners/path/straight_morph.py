@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class StraightMorph:
     requirements: Requirements
     duration: float | None = None
 
-    @property
+    @cached_property
     def problem(self) -> ShapePath:
         """The path that is timed.
 

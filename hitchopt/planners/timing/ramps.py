@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import HitchoptError
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
 
 SHORTEST = 1e-9
@@ -91,10 +92,3 @@ def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomia
     x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
     breaks = np.concatenate([[0.0], np.cumsum(seconds)])
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
-
-
-def advanced(jets: Array, dt: Array | float) -> Array:
-    """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
-    p, v, a, j = np.moveaxis(jets, -1, 0)
-    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
-    return np.stack([*moved, j], axis=-1)

@@ -11,15 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.statics import cable_force_rates, cable_forces
 from hitchopt.planners.timing.demands import LIMIT_SHARE, loads_at_rest
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 SAMPLES = 33
 """Number of samples of a piece, ends included: a rate errs by 1e-3 of its change on the piece."""

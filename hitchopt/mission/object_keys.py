@@ -1,0 +1,112 @@
+"""Objects in a problem file, key by key, and the records made of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from hitchopt.mission.faults import Collector
+from hitchopt.mission.schema import Keys, NotNegative, Number, Point2, Point3, Positive, fault
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.outlines.outline_file import read_outline
+
+MAX_OBJECTS = 100
+"""Objects of one problem."""
+
+MAX_CORNERS = 1000
+"""Corners of one outline."""
+
+SHAPES = ("outline", "circle", "file")
+"""Keys of which an object has exactly one; a rim the first or the second."""
+
+Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
+
+
+def _one_of(values: object, names: tuple[str, ...]) -> None:
+    """Raise a fault unless exactly one of the names is given."""
+    if isinstance(values, dict) and sum(values.get(name) is not None for name in names) != 1:
+        words = ", ".join(names)
+        raise fault(f"a mapping with exactly one of {words}", "write circle: 0.2, for example")
+
+
+class RimKeys(Keys):
+    """A rim or tray that may rest on cables."""
+
+    outline: Corners | None = Field(
+        default=None, description="Corners [x, y] [m] of a convex outline, in either sense"
+    )
+    circle: Positive | None = Field(default=None, description="Radius [m] of a circle")
+    at: Number = Field(default=0.2, description="Height above the object's base [m]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_shape(cls, data: object) -> object:
+        _one_of(data, SHAPES[:2])
+        return data
+
+
+class ObjectKeys(Keys):
+    """An upright object that is carried, or stands in the way."""
+
+    outline: Corners | None = Field(
+        default=None, description="Corners [x, y] [m] of a convex outline, in either sense"
+    )
+    circle: Positive | None = Field(default=None, description="Radius [m] of a circle")
+    file: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
+        default=None, description="Drawing of its outline, in metres, relative to this file"
+    )
+    from_: Number = Field(
+        default=0.0, alias="from", description="Height of its floor above its base [m]"
+    )
+    to: Number = Field(default=0.3, description="Height of its ceiling above its base [m]")
+    mass: Positive = Field(default=0.1, description="Mass [kg]")
+    friction: NotNegative = Field(default=0.5, description="Coefficient of friction, with cables")
+    at: Point3 = Field(description="Where the origin of its base stands [m]", examples=[[1, 0, 0]])
+    yaw_deg: Number = Field(
+        default=0.0, description="By how much it is turned there, counter-clockwise [°]"
+    )
+    rim: RimKeys | None = Field(default=None, description=str(RimKeys.__doc__))
+    fixed: bool = Field(default=False, description="Whether it never moves, as tables do")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_shape(cls, data: object) -> object:
+        _one_of(data, SHAPES)
+        return data
+
+
+def objects_of(
+    keys: Mapping[str, ObjectKeys], folder: Path | None, faults: Collector
+) -> dict[str, SolidObject]:
+    """Return the objects that ``keys`` describe, by name.
+
+    Parameters
+    ----------
+    keys: by name.
+    folder: that of the problem file, in which drawings are looked for.
+    faults: gathers what is wrong.
+    """
+    made = {
+        name: faults.attempt(f"objects.{name}", partial(_object, given, folder))
+        for name, given in keys.items()
+    }
+    return {name: each for name, each in made.items() if each is not None}
+
+
+def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
+    """Return the object that ``keys`` describe."""
+    values: dict[str, Any] = keys.model_dump()
+    rim, file = values.pop("rim"), values.pop("file")
+    outline, circle = values.pop("outline"), values.pop("circle")
+    if file is not None:
+        outline = read_outline(Path(file) if folder is None else folder / file)
+    if rim is not None:
+        rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
+    yaw = math.radians(values.pop("yaw_deg"))
+    lower, upper = values.pop("from_"), values.pop("to")
+    return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
