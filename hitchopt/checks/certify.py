@@ -47,18 +47,21 @@ def certify(
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
-    total = len(RULES) + len(REPORTS)
-    for i, rule in enumerate(RULES):
-        if progress is not None and rule.limit_of(motion) is not None:
-            progress(f"{rule.name}, {i} of {total}")
+    names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
+    names += [report.name for report in REPORTS if not (part and report.whole)]
+
+    def tell(name: str) -> None:
+        if progress is not None and name in names:
+            progress(f"{name}, {names.index(name)} of {len(names)}")
+
+    for rule in RULES:
+        tell(rule.name)
         found[rule.name] = rule.findings(motion)
     checks = [most_pressing(each.check for each in spans) for spans in found.values()]
-    for i, report in enumerate(REPORTS, len(RULES)):
-        if part and report.whole:
-            continue
-        if progress is not None:
-            progress(f"{report.name}, {i} of {total}")
-        checks.append(report.check(motion, found, gamma))
+    for report in REPORTS:
+        if not (part and report.whole):
+            tell(report.name)
+            checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
 

@@ -34,7 +34,13 @@ CUTS = 6
 within 5 %."""
 
 SPACING = 0.07
-"""[s] Largest distance of stops that are looked at first."""
+"""[s] Distance of stops that are looked at first, for plans of up to ``SPACING * STARTS``."""
+
+STARTS = 10_000
+"""Largest number of stops that are looked at first."""
+
+MORE = 20_000
+"""Largest number of stops that are put between them in a round."""
 
 FINEST = 0.025
 """Distance of stops at which no more are put between them, relative to the time to rest."""
@@ -124,7 +130,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """
     bounds = StopBounds(limits or ClockLimits(motion))
     begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
-    count = max(2, int(np.ceil((end - begin) / SPACING)) + 1)
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
     table = StopTable(_rest(motion), starts, _shortest(bounds, starts))
     for _ in range(ROUNDS):
@@ -142,6 +148,8 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
         if not np.any(wide):
             break
         parts = np.minimum(np.ceil((ends - begins)[wide] / (FINEST * most)), PARTS).astype(int)
+        if np.sum(parts - 1) > MORE:
+            break
         share = np.concatenate([np.arange(1, count) / count for count in parts])
         more = np.repeat(begins[wide], parts - 1)
         more += share * np.repeat((ends - begins)[wide], parts - 1)
