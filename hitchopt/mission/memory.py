@@ -11,6 +11,7 @@ example after a change of the code.
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import io
 import os
@@ -25,6 +26,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.time_limit import Progress as Progress  # noqa: PLC0414, exported
+from hitchopt.values import Array
 
 VARIABLE = "HITCHOPT_MEMORY"
 OFF = "off"
@@ -39,16 +41,17 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class _Pickler(pickle.Pickler):
-    """Pickles arrays as read-only bytes, also if their memory has gaps or may be written to."""
+def _read_only(array: Array) -> Any:
+    """Return how an array is pickled: as read-only bytes, also if its memory has gaps."""
+    dense = array.view() if array.flags.forc else np.ascontiguousarray(array)
+    dense.setflags(write=False)
+    return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
 
-    def reducer_override(self, value: Any) -> Any:
-        """Return how an array is pickled; everything else has its own method."""
-        if type(value) is not np.ndarray:
-            return NotImplemented
-        dense = value.view() if value.flags.forc else np.ascontiguousarray(value)
-        dense.setflags(write=False)
-        return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+
+class _Pickler(pickle.Pickler):
+    """Pickles arrays as read-only ones."""
+
+    dispatch_table = copyreg.dispatch_table | {np.ndarray: _read_only}
 
 
 def pickled(value: object) -> bytes | None:
