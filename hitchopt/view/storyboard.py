@@ -109,7 +109,7 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
 
 def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> list[Axes]:
     """Draw the shots of a plan in a part of a figure; return the panels' axes."""
-    times = np.unique([min(shot.time, motion.duration) for shot in shots])
+    times = np.unique([0.0, motion.duration, *(min(s.time, motion.duration) for s in shots)])
     paths = np.linspace(0.0, motion.duration, PATH_SAMPLES)
     paths = np.unique(np.concatenate([paths, times]))
     flown = motion.drones.at(motion.drones.breaks[0] + paths)
