@@ -38,6 +38,7 @@ def leg_directions(
     tensions: ArrayLike,
     topology: str = CLOSED,
     loads: ClaspLoads | None = None,
+    arriving: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the directions of the legs that hold a hitch in balance.
 
@@ -57,6 +58,8 @@ def leg_directions(
     edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
     tensions: (…, n) or scalar [N], positive.
     loads: of the clasps, or None where they carry nothing and legs are not rolled.
+    arriving: (…, n, 2 or 3) unit vectors of edges at ``p_{k+1}``, where they bend on their way from
+        ``p_k``; None where they are straight.
 
     Returns
     -------
@@ -74,7 +77,8 @@ def leg_directions(
     if loads is not None and edges.shape[-1] == 2:
         edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
     u, T = edges[..., layout.ahead, :], pulls[..., layout.ahead, :]
-    behind, T_behind = edges[..., layout.behind, :], pulls[..., layout.behind, :]
+    onward = edges if arriving is None else arriving
+    behind, T_behind = onward[..., layout.behind, :], pulls[..., layout.behind, :]
     q, r = -edges, edges.copy()
     V = T_behind * behind - T * u
     if loads is None:

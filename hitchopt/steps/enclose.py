@@ -10,7 +10,9 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.rest_polygon import RestPolygons, rest_polygons
+from hitchopt.planners.carrying.grip_polygon import grip_polygons
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
+from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
     AROUND_SPEED,
@@ -36,7 +38,9 @@ OVER = 0.10
 
 @dataclass(frozen=True)
 class Enclose(Step):
-    """The hitch goes above an object, takes a polygon around it, and comes down below its rim.
+    """The hitch goes above an object, takes a polygon around it, and comes down around it.
+
+    It ends just below the object's rim, or, without one, as high as the centre of mass.
 
     Parameters
     ----------
@@ -53,11 +57,14 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
         requirements, hitch = task.requirements, task.hitch
-        body = object_of(task, self.object)
-        assert body.rim is not None
-        found = rest_polygons(self.object, body, len(hitch.polygon), gap_around(requirements))
+        body, gap = object_of(task, self.object), gap_around(requirements)
+        if body.rim is None:
+            found = grip_polygons(self.object, body, task.before.team, requirements, gap)
+            inside = float(body.at[2] + body.centre_of_mass[2])
+        else:
+            found = rest_polygons(self.object, body, len(hitch.polygon), gap)
+            inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
         polygons, polygon = _numbered(found, body, hitch.polygon)
-        inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
         steps = [
             Transport(np.append(hitch.polygon.centroid, altitude_over(task))),
             Transport(np.append(polygon.centroid, altitude_over(task))),
@@ -109,13 +116,13 @@ def _there(step: Transport, situation: Situation) -> bool:
 
 
 def _numbered(
-    found: RestPolygons, body: SolidObject, polygon: Outline
-) -> tuple[RestPolygons, ConvexPolygon]:
+    found: HoldPolygons, body: SolidObject, polygon: Outline
+) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered so that vertices have the shortest ways, and that around."""
     around = polygon_at(body, found.around)
     here = polygon.vertices - polygon.centroid
     there = around.vertices - around.centroid
     ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
     best = int(np.argmin(ways))
-    shifted = RestPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.below)))
+    shifted = HoldPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.closed)))
     return shifted, around.renumbered(best)

@@ -1,0 +1,172 @@
+"""Closing of a hitch around an object until it grips, and opening of one that does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.cable_slack import cable_slack
+from hitchopt.planners.carrying.grip_polygon import check_pull, grip_suggestion
+from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
+from hitchopt.planners.carrying.moves import Move, held_flight
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.steps.carrying import (
+    LIFT_SPEED,
+    PRELOAD,
+    STRETCHES,
+    changed_move,
+    ended_holding,
+    gentle_rates,
+    held_motion,
+    object_of,
+    place_of,
+    polygon_at,
+    resting_move,
+)
+from hitchopt.steps.certified_motions import certified, infeasible
+from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.values import Array
+
+LOOSE = 0.3
+"""[N] Tension with which a grip is opened: cables hold each other the less, the less they pull."""
+
+OVER = 0.0
+"""Share of the way to the grip by which it is closed farther, and opened again."""
+
+
+def grip_closed(
+    task: StepTask, name: str, tension: float | None, duration: float | None, step: str
+) -> StepPlan:
+    """Return the plan from around an object to cables that grip it.
+
+    Parameters
+    ----------
+    name: of the object.
+    tension: of all cables [N]; None for the team's.
+    duration, step: of the step, and what it is called.
+
+    Raises
+    ------
+    InputError: an object with a rim.
+    InfeasibleError: the object cannot be gripped, with what binds and what to change.
+    """
+    body, team = object_of(task, name), task.before.team
+    if body.rim is not None:
+        bound = "rest where the object has a rim, which the hitch is below"
+        raise InputError(f"mission[{task.index}].{step}.by", "grip", bound, "leave out the rim")
+    asked = team.tension if tension is None else np.full(team.robots, tension)
+    check_pull(float(np.max(asked)), team, task.requirements)
+    polygons = task.holding.polygons
+    held = GrippedHitch(
+        team,
+        body,
+        polygons.around,
+        polygons.closed,
+        float(body.centre_of_mass[2]),
+        task.hitch.fractions,
+    )
+    holding = Holding(name, polygons, asked, held)
+    here = replace(task, before=replace(task.before, holding=holding))
+    check_grip(here)
+    pulled = [changed_move(here, law, tension=pulls, closed=(0.0, 0.0)) for law, pulls in
+              _pulls(team.tension, asked)]
+    moves = [*pulled, *_closing(here, 0.0, 1.0 + OVER), *_closing(here, 1.0 + OVER, 1.0)]
+    motion = held_motion(here, [held_flight(held, move) for move in moves], step)
+    motion = lasting(motion, duration, task.index, step)
+    return ended_holding(task, holding, motion, place_of(body))
+
+
+def grip_opened(task: StepTask, name: str, duration: float | None, step: str) -> StepPlan:
+    """Return the plan from cables that grip a standing object to a hitch around it."""
+    body, team, holding = object_of(task, name), task.before.team, task.holding
+    held = holding.held
+    assert isinstance(held, GrippedHitch)
+    loose = np.minimum(holding.tension, LOOSE)
+    loosened = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
+    moves = [
+        *(changed_move(task, law, tension=pulls) for law, pulls in _pulls(holding.tension, loose)),
+        *_closing(loosened, 1.0, 0.0),
+        *(
+            changed_move(task, law, tension=pulls, closed=(0.0, 0.0))
+            for law, pulls in _pulls(loose, team.tension)
+        ),
+    ]
+    motion = held_motion(task, [held_flight(held, move) for move in moves], step)
+    motion = lasting(motion, duration, task.index, step)
+    polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
+    hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
+    freed = replace(holding, tension=team.tension, held=None)
+    drones = motion.drones.at(motion.duration)
+    return StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
+
+
+def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array, Array]]]:
+    """Yield the law and the tensions of a change of tensions, if there is one."""
+    if np.any(before != after):
+        yield SmoothLaw(0.5 * PRELOAD), (before, after)
+
+
+def _closing(task: StepTask, start: float, end: float) -> Iterator[Move]:
+    """Yield the moves that close or open a hitch; drones rest where edges come to touch."""
+    held = task.holding.held
+    assert isinstance(held, GrippedHitch)
+    events = held.events(max(start, end))
+    low, high = sorted((start, end))
+    between = events[(events > low) & (events < high)]
+    places = np.unique(np.concatenate([[low], between, [high]]))
+    if start > end:
+        places = places[::-1]
+    farthest = float(np.max(np.linalg.norm(held.closed - held.around, axis=1)))
+    limits = task.requirements.limits
+    for one, other in pairwise(places.tolist()):
+        length = farthest * abs(other - one)
+        law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
+        for _ in range(STRETCHES):
+            move = changed_move(task, law, closed=(one, other))
+            flight = held_flight(held, move).flight
+            parts = flight.drones, flight.vertices, flight.pulls
+            factor = needed_stretch(held.team, limits, *parts)
+            if not 1.0 < factor < math.inf:
+                break
+            law = law.slowed(1.01 * factor)
+        yield move
+
+
+def check_grip(task: StepTask) -> None:
+    """Raise InfeasibleError where an object cannot be gripped at rest, with what to change."""
+    holding, requirements, team = task.holding, task.requirements, task.before.team
+    held = holding.held
+    assert isinstance(held, GrippedHitch)
+    body, words = held.body, f"with objects.{holding.name} off its support"
+    bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
+
+    def suggested() -> str:
+        tension = float(np.min(holding.tension))
+        given = holding.name, body, held.closed, team, tension, requirements
+        capacity, ways = grip_suggestion(*given)
+        return f"{ways} ({capacity.binding} binds)"
+
+    try:
+        flight = held_flight(held, resting_move(bearing, 1.0))
+    except InfeasibleError as error:
+        broken = [replace(v, when=words, remedy=suggested()) for v in error.violations]
+        raise InfeasibleError(broken) from None
+    found = certified(held_motion(bearing, [flight], "hold"))
+    if found.certificate.certified:
+        return
+    error = infeasible(found.certificate, found.motion, words)
+    weighty = {"thrust", "tilt", "equilibrium", "grip"}
+    raise InfeasibleError(
+        [
+            replace(v, remedy=suggested()) if v.constraint in weighty else v
+            for v in error.violations
+        ]
+    )
