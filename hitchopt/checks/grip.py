@@ -29,11 +29,11 @@ LIMIT = 1.5
 def _find(motion: Motion, limit: float) -> Finding:
     """Return the smallest ratio of slip load to load, while the load is borne.
 
-    The slip load is ``μ Σ T_k θ_k``: μ the object's friction, ``θ_k`` the angle by which edge k turns
-    around it, seen from above, and ``T_k`` the smaller pull of cable k's legs, less what friction
-    takes off at most where it turns at its clasps. The load is the borne share of ``m (g + a_z)`` and
-    what turns the object about the vertical, over the distance of contacts. Level forces are not
-    held by friction but by where edges bend (check ``equilibrium``). What contradicts the phases
+    The slip load is ``μ Σ T_k θ_k``: μ the object's friction, ``θ_k`` the angle by which edge k
+    turns around it, seen from above, and ``T_k`` the smaller pull of cable k's legs, less what
+    friction takes off at most where it turns at its clasps. The load is the borne share of ``m (g +
+    a_z)`` and what turns the object about the vertical, over the distance of contacts. Level forces
+    are not held by friction but by where edges bend (check ``equilibrium``). What contradicts the phases
     counts as minus infinity: an edge that bends where nothing is gripped, or that is not on the
     section of what is.
     """
@@ -74,7 +74,7 @@ def _ratio(motion: Motion, index: int, body: SolidObject, pieces: Indices, limit
 
 def _pulls(motion: Motion) -> Array:
     """Return the least pull (pieces, n, 2) [N] of every leg."""
-    least = np.min(motion.pulls.coefficients, axis=-1)
+    least: Array = np.min(motion.pulls.coefficients, axis=-1)
     return least.reshape(len(least), -1, 2)
 
 
@@ -88,16 +88,15 @@ def _loads(motion: Motion, index: int, body: SolidObject, pieces: Indices) -> Ar
     upward = np.max(pushed[:, 2], axis=-1) / durations**2
     upward += derivative_margin(motion.vertices, 2)[pieces].max(axis=1)
     share = np.max(motion.object_shares.coefficients[pieces, index], axis=-1)
-    heading = bernstein.differentiate(
-        bernstein.differentiate(pose.coefficients[pieces, index, 3:])
-    )
+    heading = bernstein.differentiate(bernstein.differentiate(pose.coefficients[pieces, index, 3:]))
     turned = np.max(np.linalg.norm(heading, axis=1), axis=-1) / durations**2
     section = body.section
     away = np.linalg.norm(section.core - section.centroid, axis=-1)
     arm = section.rounding or float(np.min(away))
     reach = float(np.max(away)) + section.rounding
     load = body.mass * (share * (GRAVITY + upward) + turned * reach**2 / arm)
-    return load[:, None, None, None]
+    loads: Array = load[:, None, None, None]
+    return loads
 
 
 def _bound(blocks: tuple[Array, ...], friction: float, clasps: float, noise: float) -> Estimate:
@@ -111,7 +110,10 @@ def _bound(blocks: tuple[Array, ...], friction: float, clasps: float, noise: flo
     most = np.maximum(angle_range(-q, leaving, noise)[1], angle_range(-r, -arriving, noise)[1])
     load = loads[:, 0, 0] * (1.0 + ROUNDING)
     half = np.full(len(rows), 0.5)
-    here = [bernstein.evaluate(part, half[:, None, None])[..., None] for part in (q, leaving, r, arriving)]
+    here = [
+        bernstein.evaluate(part, half[:, None, None])[..., None]
+        for part in (q, leaving, r, arriving)
+    ]
     q, leaving, r, arriving = here
     turned = angle_range(flat * leaving, flat * arriving, 0.0)[0]
     clasped = np.maximum(angle_range(-q, leaving, 0.0)[1], angle_range(-r, -arriving, 0.0)[1])

@@ -16,6 +16,7 @@ from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.motion.phases import Hold
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
+from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
 from hitchopt.planners.carrying.rest_capacity import suggestion
 from hitchopt.planners.carrying.rest_polygon import ROOM
@@ -254,7 +255,7 @@ def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = Non
 def check_hold(task: StepTask, holding: Holding) -> None:
     """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
     held = holding.held
-    assert held is not None
+    assert isinstance(held, HeldHitch)
     bearing = replace(holding, borne=True)
     here = replace(task, before=replace(task.before, holding=bearing))
     limits, words = task.requirements.limits, f"with objects.{holding.name} on the clasps"

@@ -71,7 +71,7 @@ class Grasp(Step):
         super().__post_init__()
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from around the object to clasps that touch its rim, or edges that grip."""
+        """Return the plan from around the object to clasps below its rim, or edges that grip."""
         if self.by == "grip":
             return grip_closed(task, self.object, self.tension, self.duration, self.name)
         body, team, requirements = object_of(task, self.object), task.before.team, task.requirements

@@ -76,8 +76,10 @@ def grip_closed(
     holding = Holding(name, polygons, asked, held)
     here = replace(task, before=replace(task.before, holding=holding))
     check_grip(here)
-    pulled = [changed_move(here, law, tension=pulls, closed=(0.0, 0.0)) for law, pulls in
-              _pulls(team.tension, asked)]
+    pulled = [
+        changed_move(here, law, tension=pulls, closed=(0.0, 0.0))
+        for law, pulls in _pulls(team.tension, asked)
+    ]
     moves = [*pulled, *_closing(here, 0.0, 1.0 + OVER), *_closing(here, 1.0 + OVER, 1.0)]
     motion = held_motion(here, [held_flight(held, move) for move in moves], step)
     motion = lasting(motion, duration, task.index, step)
@@ -162,11 +164,11 @@ def check_grip(task: StepTask) -> None:
     found = certified(held_motion(bearing, [flight], "hold"))
     if found.certificate.certified:
         return
-    error = infeasible(found.certificate, found.motion, words)
+    refusal = infeasible(found.certificate, found.motion, words)
     weighty = {"thrust", "tilt", "equilibrium", "grip"}
     raise InfeasibleError(
         [
             replace(v, remedy=suggested()) if v.constraint in weighty else v
-            for v in error.violations
+            for v in refusal.violations
         ]
     )

@@ -24,7 +24,9 @@ def bent(motion: Motion) -> Mask:
     vertices = motion.vertices.elevated(order).coefficients
     first, last = np.moveaxis(contacts.elevated(order).coefficients, 2, 0)
     layout = motion.team.layout
-    return np.any(~_straight(vertices[:, layout.starts], first, last, vertices[:, layout.ends]), 1)
+    straight = _straight(vertices[:, layout.starts], first, last, vertices[:, layout.ends])
+    found: Mask = np.any(~straight, axis=1)
+    return found
 
 
 def misplaced(motion: Motion, index: int, body: SolidObject, pieces: Indices) -> Mask:
@@ -106,7 +108,9 @@ def _before(body: SolidObject, start: Array, end: Array, tolerance: float) -> Ma
     reach = reach + section.rounding * bernstein.elevate(size.coefficients, order)[:, :, None]
     most = np.max(reach, axis=(2, 3)) + section.rounding * size.radius
     # A part without length says nothing: the other part of its edge does.
-    found: Mask = (most > tolerance * np.maximum(least, 0.0)) & (np.max(size.coefficients, -1) > CONTACT)
+    found: Mask = (most > tolerance * np.maximum(least, 0.0)) & (
+        np.max(size.coefficients, -1) > CONTACT
+    )
     return found
 
 

@@ -67,7 +67,9 @@ def _of_pieces(
     blocks = [rows, tension, load, share, error[:, None, None, None]]
     cells = Cells.over(motion.drones.breaks, blocks, pieces=pieces)
     held = body.friction * body.mass * GRAVITY if stands else -1.0
-    bound = partial(_bound, size=body.section.circumradius, held=held, noise=position_margin(motion))
+    bound = partial(
+        _bound, size=body.section.circumradius, held=held, noise=position_margin(motion)
+    )
     found = largest(cells, bound)
     return Finding(found.worst, found.time)
 
@@ -113,7 +115,7 @@ def _bound(blocks: tuple[Array, ...], size: float, held: float, noise: float) ->
 
 
 def _moments(arms: Array, pulls: Array) -> tuple[Array, Array]:
-    """Return moments (cells, 3, …) [N m] of forces (cells, n, 2, 3, …), and lengths of their arms."""
+    """Return moments (cells, 3, …) [N m] of forces (cells, n, 2, 3, …), and arms' lengths."""
     found = []
     for i, j in ((1, 2), (2, 0), (0, 1)):
         each = bernstein.multiply(arms[..., i, :], pulls[..., j, :])

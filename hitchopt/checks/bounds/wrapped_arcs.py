@@ -28,9 +28,7 @@ def gripping(motion: Motion) -> list[tuple[int, str, SolidObject, Indices]]:
         phases = [
             i
             for i, phase in enumerate(motion.phases)
-            if phase.hold is not None
-            and phase.hold.object == name
-            and phase.hold.by is HoldBy.GRIP
+            if phase.hold is not None and phase.hold.object == name and phase.hold.by is HoldBy.GRIP
         ]
         pieces = np.flatnonzero(np.isin(of_piece, phases))
         if len(pieces):
@@ -95,7 +93,8 @@ def arc_enclosure(rows: Array) -> enclosure.Enclosure:
     arc = np.where(round_[:, None], scale[:, None] * arc, 0.0) + sides[:, None]
     known = np.isfinite(arc)
     return enclosure.Enclosure(
-        np.where(known, arc, 0.0), np.where(round_, np.where(np.all(known, axis=-1), error, np.inf), 0.0)
+        np.where(known, arc, 0.0),
+        np.where(round_, np.where(np.all(known, axis=-1), error, np.inf), 0.0),
     )
 
 

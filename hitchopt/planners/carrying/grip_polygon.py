@@ -29,7 +29,9 @@ ROBOTS = (3, 4)
 """Numbers of robots that are tried for a suggestion: more do not wrap enough."""
 
 
-def grip_task(body: SolidObject, team: Team, tension: float, requirements: Requirements) -> GripTask:
+def grip_task(
+    body: SolidObject, team: Team, tension: float, requirements: Requirements
+) -> GripTask:
     """Return the search for a grip by a team.
 
     Raises
@@ -124,7 +126,7 @@ def grip_suggestion(
     if capacity.mass > 0.0:
         ways.append(f"lower objects.{name}.mass to {capacity.mass:.3g} kg")
     most, _ = largest_tension(requirements, team.quadrotor[0])
-    for value in TENSIONS[(TENSIONS > tension) & (TENSIONS < most)]:
+    for value in TENSIONS[(tension < TENSIONS) & (most > TENSIONS)]:
         if capacity_of(body, closed, team, float(value), requirements).mass >= body.mass:
             ways.append(f"ask for a tension of {value:.3g} N")
             break

@@ -200,7 +200,8 @@ def _shift(T: Array, leaving: Array, arriving: Array, pulled: Array) -> Array:
 
     Moved across itself a straight part of length t turns, and pulls with ``T / t`` more per metre.
     """
-    force, stiffness = -pulled, 0.0
+    force: Array = -pulled
+    stiffness: Array = np.zeros((*pulled.shape, 2))
     for part, sign in ((leaving, -1.0), (arriving, 1.0)):
         along = unit(part)[..., :2]
         force = force + sign * np.sum(T[..., None] * along, axis=-2)
@@ -211,11 +212,11 @@ def _shift(T: Array, leaving: Array, arriving: Array, pulled: Array) -> Array:
 
 
 def _heights(T: Array, leaving: Array, arriving: Array, arms: Array, weight: Array) -> Array:
-    """Return the heights (…, n) [m] of clasps at which edges carry a weight (…) [N] without moments.
+    """Return the heights (…, n) [m] of clasps at which edges carry a weight (…) [N].
 
-    Clasp k lifts with ``f_k = z_k (T_k / t + T_{k-1} / t')``, t and t' its edges' straight parts, at
-    their contacts. Of all ``f`` with that sum and no moment about level axes the nearest to equal
-    ones is taken.
+    Clasp k lifts with ``f_k = z_k (T_k / t + T_{k-1} / t')``, t and t' its edges' straight parts,
+    at their contacts. Of all ``f`` with that sum and no moment about level axes the nearest to
+    equal ones is taken.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ class HeldHitch:
 
     @property
     def reach(self) -> float:
-        """Largest level distance [m] of a drone from the object's origin, while nothing is borne."""
+        """Largest level distance [m] of a drone from the object's origin without a load."""
         drones, _ = self.drones(self.team.tension, np.zeros(self.places.shape))
         return float(np.max(np.linalg.norm(drones[:, :2], axis=1)))
 
