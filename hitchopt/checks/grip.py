@@ -33,9 +33,9 @@ def _find(motion: Motion, limit: float) -> Finding:
     turns around it, seen from above, and ``T_k`` the smaller pull of cable k's legs, less what
     friction takes off at most where it turns at its clasps. The load is the borne share of ``m (g +
     a_z)`` and what turns the object about the vertical, over the distance of contacts. Level forces
-    are not held by friction but by where edges bend (check ``equilibrium``). What contradicts the phases
-    counts as minus infinity: an edge that bends where nothing is gripped, or that is not on the
-    section of what is.
+    are not held by friction but by where edges bend (check ``equilibrium``). What contradicts the
+    phases counts as minus infinity: an edge that bends where nothing is gripped, or that is not on
+    the section of what is.
     """
     best = Finding(math.inf, 0.0)
     lost = bent(motion)

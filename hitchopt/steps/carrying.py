@@ -112,6 +112,7 @@ def changed_move(
     borne: tuple[float, float] | None = None,
     below: tuple[float, float] = (0.0, 0.0),
     closed: tuple[float, float] = (1.0, 1.0),
+    lean: tuple[float, float] = (0.0, 0.0),
 ) -> Move:
     """Return a move from where an object is, with everything unchanged that is not given."""
     holding = task.holding
@@ -126,6 +127,7 @@ def changed_move(
         below,
         law,
         closed,
+        lean,
     )
 
 
@@ -165,9 +167,7 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     lifted = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
     for _ in range(STRETCHES):
         move = replace(changed_move(lifted, law, to=to), start=start)
-        flight = held_flight(held, move).flight
-        parts = flight.drones, flight.vertices, flight.pulls
-        factor = needed_stretch(held.team, limits, *parts)
+        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
         if not 1.0 < factor < math.inf:
             break
         law = law.slowed(1.01 * factor)
@@ -236,6 +236,7 @@ def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Mot
                 poses=PiecewisePolynomial(breaks, poses),
                 borne=PiecewisePolynomial(breaks, share),
                 contacts=each.contacts,
+                leg_tensions=each.leg_tensions,
             )
         )
     return one_phase(joined_motions(parts), task, name, hold)

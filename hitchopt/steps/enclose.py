@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -28,6 +29,7 @@ from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, Situation, StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.transport import Transport
+from hitchopt.values import Array
 
 LEVEL = 1e-6
 """[m] Heights that differ by less are the same."""
@@ -119,10 +121,35 @@ def _numbered(
     found: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered so that vertices have the shortest ways, and that around."""
-    around = polygon_at(body, found.around)
     here = polygon.vertices - polygon.centroid
+    if body.rim is None and body.section.radius is not None:
+        found = _turned(found, body, here)
+    around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
     ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
     best = int(np.argmin(ways))
     shifted = HoldPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.closed)))
     return shifted, around.renumbered(best)
+
+
+def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
+    """Return polygons around a circle, turned so that vertices have the shortest ways.
+
+    Parameters
+    ----------
+    here: (n, 2) [m], vertices of the hitch about its centroid.
+    """
+    c, s = math.cos(body.yaw), math.sin(body.yaw)
+    there = found.around @ np.array([[c, s], [-s, c]])
+    turns = []
+    for k in range(len(there)):
+        one = np.roll(there, -k, axis=0)
+        cross = float(np.sum(one[:, 0] * here[:, 1] - one[:, 1] * here[:, 0]))
+        turns.append(
+            (math.hypot(cross, float(np.sum(one * here))), cross, float(np.sum(one * here)))
+        )
+    _, cross, along = max(turns)
+    angle = math.atan2(cross, along)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, s], [-s, c]])
+    return HoldPolygons(found.around @ turn, found.closed @ turn)

@@ -17,6 +17,7 @@ from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.requirements import Separation
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
     PRELOAD,
@@ -38,8 +39,14 @@ from hitchopt.values import Array
 LOOSE = 0.3
 """[N] Tension with which a grip is opened: cables hold each other the less, the less they pull."""
 
-OVER = 0.0
-"""Share of the way to the grip by which it is closed farther, and opened again."""
+LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
+"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
+
+KEPT, SAMPLES = 1.02, 65
+"""Separation of drones that is kept while legs lean, and samples at which it is looked at."""
+
+APART = 1.15
+"""Distance of neighbouring drones while legs lean, over the least one."""
 
 
 def grip_closed(
@@ -72,6 +79,7 @@ def grip_closed(
         polygons.closed,
         float(body.centre_of_mass[2]),
         task.hitch.fractions,
+        APART * 2.0 * task.requirements.separation.radius,
     )
     holding = Holding(name, polygons, asked, held)
     here = replace(task, before=replace(task.before, holding=holding))
@@ -80,7 +88,7 @@ def grip_closed(
         changed_move(here, law, tension=pulls, closed=(0.0, 0.0))
         for law, pulls in _pulls(team.tension, asked)
     ]
-    moves = [*pulled, *_closing(here, 0.0, 1.0 + OVER), *_closing(here, 1.0 + OVER, 1.0)]
+    moves = [*pulled, *_closing(here, 0.0, 1.0)]
     motion = held_motion(here, [held_flight(held, move) for move in moves], step)
     motion = lasting(motion, duration, task.index, step)
     return ended_holding(task, holding, motion, place_of(body))
@@ -116,10 +124,29 @@ def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array
         yield SmoothLaw(0.5 * PRELOAD), (before, after)
 
 
-def _closing(task: StepTask, start: float, end: float) -> Iterator[Move]:
-    """Yield the moves that close or open a hitch; drones rest where edges come to touch."""
+def _closing(task: StepTask, start: float, end: float) -> list[Move]:
+    """Return the moves that close or open a hitch; drones rest where edges come to touch.
+
+    Legs lean against clasp friction all the while, and are turned for that before and after: as far
+    as drones stay apart.
+    """
     held = task.holding.held
     assert isinstance(held, GrippedHitch)
+    sign = math.copysign(1.0, end - start)
+    for share in LEANS if held.team.cable_friction else ():
+        moves = list(_leaning(task, start, end, sign * share))
+        if all(_apart(held, move, task.requirements.separation) for move in moves):
+            return moves
+    return list(_leaning(task, start, end, 0.0))
+
+
+def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
+    """Yield the moves from one share of the way to the grip to another, legs leaning."""
+    held = task.holding.held
+    assert isinstance(held, GrippedHitch)
+    turning = SmoothLaw(0.5 * PRELOAD)
+    if lean:
+        yield changed_move(task, turning, closed=(start, start), lean=(0.0, lean))
     events = held.events(max(start, end))
     low, high = sorted((start, end))
     between = events[(events > low) & (events < high)]
@@ -132,14 +159,22 @@ def _closing(task: StepTask, start: float, end: float) -> Iterator[Move]:
         length = farthest * abs(other - one)
         law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
         for _ in range(STRETCHES):
-            move = changed_move(task, law, closed=(one, other))
-            flight = held_flight(held, move).flight
-            parts = flight.drones, flight.vertices, flight.pulls
-            factor = needed_stretch(held.team, limits, *parts)
+            move = changed_move(task, law, closed=(one, other), lean=(lean, lean))
+            factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
             if not 1.0 < factor < math.inf:
                 break
             law = law.slowed(1.01 * factor)
         yield move
+    if lean:
+        yield changed_move(task, turning, closed=(end, end), lean=(lean, 0.0))
+
+
+def _apart(held: GrippedHitch, move: Move, separation: Separation) -> bool:
+    """Return whether drones keep off each other at samples of a move."""
+    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
+    one, other = np.triu_indices(drones.shape[1], 1)
+    ratios = np.linalg.norm((drones[:, one] - drones[:, other]) * separation.scale, axis=-1)
+    return bool(np.min(ratios) >= KEPT)
 
 
 def check_grip(task: StepTask) -> None:

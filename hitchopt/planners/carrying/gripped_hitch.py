@@ -27,6 +27,12 @@ from hitchopt.values import Array
 PASSES = 6
 """Times that heights and places of clasps are computed from each other: to 1e-9 m."""
 
+SOFT = 0.05
+"""Cosines of half of the angle between legs that are this far below the largest one count fully."""
+
+TINY = 1e-12
+"""Keeps quotients of friction finite where there is none."""
+
 SCAN = 400
 """Places on the way from around the object to the grip at which edges are looked at."""
 
@@ -42,6 +48,7 @@ class GrippedHitch:
     around, closed: (n, 2) [m], clasps around the object, and where they grip it.
     height: of the plane of contact above the object's base [m].
     open_fractions: (n,), how slack is split around the object; where it grips legs are equal.
+    apart: how far neighbouring drones have to be apart while legs lean [m].
     """
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
@@ -52,6 +59,7 @@ class GrippedHitch:
     closed: Array
     height: float
     open_fractions: Array
+    apart: float = 0.0
 
     @property
     def places(self) -> Array:
@@ -67,7 +75,7 @@ class GrippedHitch:
     def reach(self) -> float:
         """Largest level distance [m] of a drone from the object's origin where it grips."""
         still = np.zeros((1, 4))
-        drones = self._statics(np.ones(1), self.team.tension[None], still[:, 0], None)["drones"]
+        drones = self._statics(np.ones(1), self.team.tension[None], still[:, 0])["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
     def events(self, farthest: float) -> Array:
@@ -116,7 +124,10 @@ class GrippedHitch:
             pulled = self.body.mass * there[..., :2]
             weight = GRAVITY + there[..., 2]
         share = course.between(*move.closed)
-        found = self._statics(share, course.tension, self.body.mass * weight, pulled)
+        lean = course.between(*move.lean)
+        found = self._statics(share, course.tension, self.body.mass * weight, pulled, lean)
+        if move.lean == (0.0, 0.0):
+            del found["leg_tensions"]
         pose = course.pose[..., None, :]
         for name in ("drones", "vertices"):
             found[name] = in_world(pose, found[name])
@@ -124,9 +135,18 @@ class GrippedHitch:
         return found | {"pose": course.pose, "borne": borne}
 
     def _statics(
-        self, share: Array, tension: Array, weight: Array, pulled: Array | None
+        self,
+        share: Array,
+        tension: Array,
+        weight: Array,
+        pulled: Array | None = None,
+        lean: Array | None = None,
     ) -> dict[str, Array]:
         """Return drones, vertices, legs, tensions and contacts in the object's frame.
+
+        Legs that lean pull with the tension, and edges with ``exp(-s μ θ)`` of that: s is the share
+        of clasp friction, and θ the angle by which both of its cables turn at a clasp, the mean of
+        what edges and legs enclose.
 
         Parameters
         ----------
@@ -134,6 +154,7 @@ class GrippedHitch:
         tension: (…, n) [N]
         weight: (…) [N], what edges carry.
         pulled: (…, 2) [N], level force on the object; None while it stands.
+        lean: (…), as of Move; None for none.
         """
         team, section, T = self.team, self.body.section, tension
         polygon = self._polygon(share)
@@ -150,6 +171,9 @@ class GrippedHitch:
                 contacts = _contacts(polygon, wraps, section.core)
         leaving, arriving = _tangents(polygon, contacts, z)
         free = length(leaving) + length(arriving)
+        if lean is not None and np.any(lean):
+            legs = 0.5 * (team.cable_length - wraps.arcs - free)
+            T = tension * self._edge_ratios(lean, wraps.clasp_angles, legs)
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
@@ -158,7 +182,9 @@ class GrippedHitch:
         slack = team.cable_length - edges
         q_legs = (self.open_fractions + share[..., None] * (0.5 - self.open_fractions)) * slack
         loads = clasp_loads(team, q_legs, slack, None)
-        q, r = leg_directions(unit(leaving), T, team.topology, loads, unit(arriving))
+        pulls = np.stack([tension, tension], axis=-1)
+        leaning = None if lean is None or not np.any(lean) else pulls
+        q, r = leg_directions(unit(leaving), T, team.topology, loads, unit(arriving), leaning)
         d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
         both = np.stack([d, e], axis=-2)
         places = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
@@ -169,8 +195,44 @@ class GrippedHitch:
             "vertices": places,
             "legs": length(both),
             "tensions": T,
+            "leg_tensions": pulls,
             "contacts": np.concatenate([contacts, level], axis=-1),
         }
+
+    def _edge_ratios(self, lean: Array, edges: Array, legs: Array) -> Array:
+        """Return tensions of edges over those of their legs (…, n) where legs lean.
+
+        At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``. Legs that would
+        come too near to each other lean less, and of both clasps of a cable the lesser friction
+        counts.
+
+        Parameters
+        ----------
+        lean: (…), share of clasp friction.
+        edges: (…, n) [rad], between edges at clasps.
+        legs: (…, n) [m], lengths of cables' legs.
+        """
+        friction = self.team.cable_friction * np.abs(lean)[..., None]
+        sign = np.sign(lean)[..., None]
+        cosine = np.cos(0.5 * edges)
+        shorter = np.minimum(legs, np.roll(legs, 1, axis=-1))
+        most = np.sqrt(np.maximum(1.0 - (0.5 * self.apart / shorter) ** 2, 0.1))
+        ratio = np.ones_like(cosine)
+        for _ in range(PASSES):
+            wrapped = 0.5 * edges + np.arccos(np.clip(ratio * cosine, -1.0, 1.0))
+            ratio = _below(np.exp(-sign * friction * wrapped) * cosine, most) / _below(cosine, most)
+        one = np.abs(np.log(ratio)) + TINY
+        other = np.roll(one, -1, axis=-1)
+        lesser = one * other / (0.5 * (one**8 + other**8)) ** 0.125
+        ratios: Array = np.exp(-sign * lesser)
+        return ratios
+
+
+def _below(values: Array, most: Array) -> Array:
+    """Return values that smoothly stay below others, as they are where they are far below."""
+    start = most - SOFT
+    over: Array = np.maximum(values - start, 0.0)
+    return values - over + SOFT * np.tanh(over / SOFT)
 
 
 def _contacts(polygon: Array, wraps: Wraps, core: Array) -> Array:

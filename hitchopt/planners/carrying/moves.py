@@ -41,6 +41,8 @@ class Move:
     law: of the share.
     closed: how far a hitch that grips is closed before and after: 0 around the object, 1 where it
         grips, more where it is closed farther for a while.
+    lean: by what share of clasp friction legs pull more than edges before and after, so that clasps
+        close; negative where they open.
     """
 
     start: Array
@@ -50,6 +52,7 @@ class Move:
     below: tuple[float, float]
     law: SmoothLaw
     closed: tuple[float, float] = (1.0, 1.0)
+    lean: tuple[float, float] = (0.0, 0.0)
 
     @property
     def lifted(self) -> bool:
@@ -124,12 +127,23 @@ class HeldFlight:
     pose: of the object, (5,).
     borne: the share of its weight on clasps, ().
     contacts: of edges that are wrapped around it, (n, 2, 3) [m]; None where none may be.
+    leg_tensions: (n, 2) [N], of legs; None where they pull as their cables do.
     """
 
     flight: Flight
     pose: PiecewisePolynomial
     borne: PiecewisePolynomial
     contacts: PiecewisePolynomial | None = None
+    leg_tensions: PiecewisePolynomial | None = None
+
+    @property
+    def parts(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
+        """Drones, vertices and what legs pull with (2n,) [N]."""
+        pulls = self.flight.pulls
+        if self.leg_tensions is not None:
+            c = self.leg_tensions.coefficients
+            pulls = PiecewisePolynomial(pulls.breaks, c.reshape(len(c), -1, c.shape[-1]))
+        return self.flight.drones, self.flight.vertices, pulls
 
 
 def held_flight(held: Held, move: Move) -> HeldFlight:
@@ -143,7 +157,7 @@ def held_flight(held: Held, move: Move) -> HeldFlight:
     moves |= move.closed[0] != move.closed[1]
     turns = move.start[3] != move.end[3]
     changes = bool(np.any(move.tension[0] != move.tension[1])) or move.borne[0] != move.borne[1]
-    changes |= move.closed[0] != move.closed[1]
+    changes |= move.closed[0] != move.closed[1] or move.lean[0] != move.lean[1]
     longest = LONGEST if turns or changes or not moves else np.inf
     breaks = move.law.breaks(longest)
     t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
@@ -168,4 +182,6 @@ def held_flight(held: Held, move: Move) -> HeldFlight:
     flight = Flight(parts["drones"], parts["vertices"], parts["legs"], parts["tensions"])
     share = np.clip(parts["borne"].coefficients, 0.0, 1.0)  # polynomials overshoot by 1e-6
     borne = PiecewisePolynomial(breaks, share)
-    return HeldFlight(flight, parts["pose"], borne, parts.get("contacts"))
+    return HeldFlight(
+        flight, parts["pose"], borne, parts.get("contacts"), parts.get("leg_tensions")
+    )
