@@ -36,14 +36,15 @@ from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
 from hitchopt.values import Array
 
-LOOSE = 0.3
-"""[N] Tension with which a grip is opened: cables hold each other the less, the less they pull."""
+LOOSE = (0.3, 0.4, 0.5, 0.7, 1.0)
+"""[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
+but the more their weight brings drones together."""
 
 LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
 
-KEPT, SAMPLES = 1.02, 65
-"""Separation of drones that is kept while legs lean, and samples at which it is looked at."""
+KEPT, NEAREST, SAMPLES = 1.02, 1.002, 65
+"""Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
 
 APART = 1.15
 """Distance of neighbouring drones while legs lean, over the least one."""
@@ -99,16 +100,7 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
     body, team, holding = object_of(task, name), task.before.team, task.holding
     held = holding.held
     assert isinstance(held, GrippedHitch)
-    loose = np.minimum(holding.tension, LOOSE)
-    loosened = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
-    moves = [
-        *(changed_move(task, law, tension=pulls) for law, pulls in _pulls(holding.tension, loose)),
-        *_closing(loosened, 1.0, 0.0),
-        *(
-            changed_move(task, law, tension=pulls, closed=(0.0, 0.0))
-            for law, pulls in _pulls(loose, team.tension)
-        ),
-    ]
+    moves = next(_opening(task, held))
     motion = held_motion(task, [held_flight(held, move) for move in moves], step)
     motion = lasting(motion, duration, task.index, step)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
@@ -116,6 +108,33 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
     freed = replace(holding, tension=team.tension, held=None)
     drones = motion.drones.at(motion.duration)
     return StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
+
+
+def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
+    """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
+
+    The team's tensions come back on the last part of the way, on which nothing is touched.
+
+    Where they never do, those with the least tension follow all the same.
+    """
+    holding, team = task.holding, task.before.team
+    free = 0.5 * float(np.min(held.events(1.0)))  # half way from where edges part from the object
+    length = free * held.farthest
+    last = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
+    last = last.slowed(max(1.0, PRELOAD / last.duration))
+    found: list[list[Move]] = []
+    for value in LOOSE:
+        loose = np.minimum(holding.tension, value)
+        lax = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
+        moves = [
+            *(changed_move(task, law, tension=T) for law, T in _pulls(holding.tension, loose)),
+            *_closing(lax, 1.0, free),
+            changed_move(task, last, tension=(loose, team.tension), closed=(free, 0.0)),
+        ]
+        if all(_apart(held, move, task.requirements.separation, NEAREST) for move in moves):
+            yield moves
+        found.append(moves)
+    yield found[0]
 
 
 def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array, Array]]]:
@@ -153,10 +172,9 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
     places = np.unique(np.concatenate([[low], between, [high]]))
     if start > end:
         places = places[::-1]
-    farthest = float(np.max(np.linalg.norm(held.closed - held.around, axis=1)))
     limits = task.requirements.limits
     for one, other in pairwise(places.tolist()):
-        length = farthest * abs(other - one)
+        length = held.farthest * abs(other - one)
         law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
         for _ in range(STRETCHES):
             move = changed_move(task, law, closed=(one, other), lean=(lean, lean))
@@ -169,12 +187,12 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
         yield changed_move(task, turning, closed=(end, end), lean=(lean, 0.0))
 
 
-def _apart(held: GrippedHitch, move: Move, separation: Separation) -> bool:
+def _apart(held: GrippedHitch, move: Move, separation: Separation, least: float = KEPT) -> bool:
     """Return whether drones keep off each other at samples of a move."""
     drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
     one, other = np.triu_indices(drones.shape[1], 1)
     ratios = np.linalg.norm((drones[:, one] - drones[:, other]) * separation.scale, axis=-1)
-    return bool(np.min(ratios) >= KEPT)
+    return bool(np.min(ratios) >= least)
 
 
 def check_grip(task: StepTask) -> None:

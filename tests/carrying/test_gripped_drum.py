@@ -62,7 +62,7 @@ def box() -> Motion:
     body = {"outline": SIDES, "mass": 0.06, "friction": 0.8, "at": [1.5, 0.0, 0.0]}
     square = [[0.9, 0.0], [0.5, -0.4], [0.1, 0.0], [0.5, 0.4]]
     problem |= {
-        "team": {"robots": 4, "cable_length": 1.2, "tension": 1.0, "cable_density": 0.01},
+        "team": {"robots": 4, "cable_length": 1.3, "tension": 1.0, "cable_density": 0.01},
         "objects": {"box": body},
         "start": {"hitch": {"polygon": square, "altitude": 0.9}},
         "mission": [{"transport_object": {"object": "box", "to": [1.5, 0.5, 0], "tension": 1.3}}],
@@ -235,7 +235,7 @@ def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) 
         changed = with_body(motion, section=ho.Section(radius=radius))
     assert not all(check(changed, name).holds for name in ("grip", "support"))
     found = check(changed, "grip") if kind not in ("not held", "by rest") else None
-    assert found is None or found.bound == -math.inf or kind == "straight"
+    assert found is None or found.bound < -1e300 or kind == "straight"
 
 
 @pytest.mark.parametrize("share", [0.98, 1.02])

@@ -78,6 +78,11 @@ class GrippedHitch:
         drones = self._statics(np.ones(1), self.team.tension[None], still[:, 0])["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
+    @property
+    def farthest(self) -> float:
+        """Longest way [m] of a clasp from around the object to the grip."""
+        return float(np.max(length(self.closed - self.around)))
+
     def events(self, farthest: float) -> Array:
         """Return the shares in (0, farthest) at which an edge meets the object or another corner.
 
