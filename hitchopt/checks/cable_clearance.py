@@ -34,13 +34,13 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
     on_leg = layout.has_leg.ravel()
 
     def apart(drones: Indices, bodies: Indices) -> NDArray[np.bool_]:
-        part = layout.parts[bodies]
+        part = parts.part[bodies]
         counted: NDArray[np.bool_] = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
         return counted
 
     found = closest(motion, drone_points(motion), parts, apart, limit)
     drone, body = divmod(found.item, len(parts))
-    where = (motion.team.drone_names[drone], f"cable {layout.parts[body] // 3}")
+    where = (motion.team.drone_names[drone], f"cable {parts.part[body] // 3}")
     return Finding(found.worst, found.time, where, magnitude(motion))
 
 

@@ -8,10 +8,13 @@ stand for where the clasps may lie: where it does for some places of the clasps,
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
+from hitchopt.checks.bounds.bodies import bent_edges, concatenated, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
+from hitchopt.checks.bounds.wrapped_arcs import arc_at, arc_enclosure, wrapped_arcs
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import CableState, Motion
@@ -58,19 +61,33 @@ def _reaching(motion: Motion, _: float) -> Finding:
 def _largest(motion: Motion, stored: list[Array]) -> Finding:
     length = motion.team.cable_length
     legs = leg_vectors(motion)
-    per_cable = legs.reshape(len(legs), len(length), 2, *legs.shape[2:])
-    vectors = np.concatenate([per_cable, edge_vectors(motion)[:, :, None]], axis=2)
-    rows = vectors.reshape(len(legs), len(length), 9, -1) / length[:, None, None]
+    parts = [legs[:, 0::2], legs[:, 1::2]]
+    blocks: list[Array] = []
+    if motion.contacts is None:
+        parts.append(bent_edges(motion)[0])
+    else:
+        parts += bent_edges(motion)
+        blocks = [wrapped_arcs(motion) / length[:, None, None]]
+    rows = concatenated(parts, axis=2) / length[:, None, None]
     margin = 4.0 * position_margin(motion) / length  # of three lengths, and of their sum
-    found = largest(Cells.over(motion.drones.breaks, [rows, *stored], margin), _bound)
+    bound = partial(_bound, wrapped=len(blocks))
+    found = largest(Cells.over(motion.drones.breaks, [rows, *blocks, *stored], margin), bound)
     return Finding(found.worst, found.time, (f"cable {found.item}",))
 
 
-def _bound(blocks: tuple[Array, ...]) -> Estimate:
-    """Bound by how much three lengths sum to more than 1; with stored legs, errors of any sign."""
-    vectors, stored, sags = blocks[0].reshape(len(blocks[0]), 3, 3, -1), blocks[1:2], blocks[2:]
+def _bound(blocks: tuple[Array, ...], wrapped: int = 0) -> Estimate:
+    """Bound by how much lengths sum to more than 1; with stored legs, errors of any sign.
+
+    Parameters
+    ----------
+    blocks: both legs and the edge (cells, 9, degree + 1), or both of its straight parts (cells, 12,
+        …); then what ``wrapped_arcs`` returns, as often as ``wrapped`` says; stored legs; sags.
+    """
+    vectors = blocks[0].reshape(len(blocks[0]), -1, 3, blocks[0].shape[-1])
+    bends, stored, sags = blocks[1 : 1 + wrapped], blocks[1 + wrapped :][:1], blocks[2 + wrapped :]
     lengths = enclosure.norm(vectors)
     arcs = [_arcs(vectors, lengths, sag) for sag in sags]
+    arcs += [arc_enclosure(bend) for bend in bends]
     order = max(bernstein.degree(part) for part in (lengths.coefficients, *stored))
     order = max(order, *(bernstein.degree(arc.coefficients) for arc in arcs), 0)
     parts = bernstein.elevate(lengths.coefficients, order)
@@ -84,19 +101,29 @@ def _bound(blocks: tuple[Array, ...]) -> Estimate:
     spans = bernstein.evaluate(vectors, x[:, None, None])
     there = np.linalg.norm(spans, axis=-1)
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
-    longer = []
+    longer = [arc_at(bend, x)[:, None, None] for bend in bends]
     for sag in sags:
         weight, tension = np.moveaxis(bernstein.evaluate(sag, x[:, None]), -1, 0)
         factor = np.divide(weight, tension, out=np.zeros_like(weight), where=tension > 0.0) ** 2
-        arc_there = np.sum(there * (spans[..., 0] ** 2 + spans[..., 1] ** 2), axis=1)
+        level = _whole_spans(spans[..., None])[..., 0]
+        arc_there = np.sum(there * (level[..., 0] ** 2 + level[..., 1] ** 2), axis=1)
         longer.append((factor / 24.0 * arc_there)[:, None, None])
     value = np.max(_errors(there[..., None], given, longer), axis=(1, 2))
     return Estimate(np.max(reach, axis=(1, 2), initial=0.0), np.maximum(value, 0.0), x)
 
 
+def _whole_spans(vectors: Array) -> Array:
+    """Return the spans that sag (cells, parts, 3, …): both straight parts of an edge sag as one."""
+    if vectors.shape[1] == 3:
+        return vectors
+    edge = np.sum(vectors[:, 2:], axis=1, keepdims=True)
+    return np.concatenate([vectors[:, :2], edge, edge], axis=1)
+
+
 def _arcs(vectors: Array, lengths: enclosure.Enclosure, sag: Array) -> enclosure.Enclosure:
-    """Enclose by how much the three spans of a cable are longer than their chords (cells,)."""
-    level = bernstein.dot(vectors[:, :, :2], vectors[:, :, :2])
+    """Enclose by how much the spans of a cable are longer than their chords (cells,)."""
+    sagging = _whole_spans(vectors)[:, :, :2]
+    level = bernstein.dot(sagging, sagging)
     product = np.sum(bernstein.multiply(lengths.coefficients, level), axis=1)
     radius = np.sum(lengths.radius * np.max(np.abs(level), axis=-1), axis=1)
     # A quotient of polynomials lies between those of their coefficients, the divisor positive. A

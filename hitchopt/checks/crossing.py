@@ -34,18 +34,18 @@ def _taut(motion: Motion, limit: float) -> Finding:
     The two legs of one cable count among them: they cross where both pass a star tip. All parts of
     a chain of two cables share its one clasp: nothing is counted then.
     """
-    layout = motion.team.layout
+    layout, bodies = motion.team.layout, cable_parts(motion)
 
     def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
-        first_i, last_i = part_points(layout.parts[i], layout)
-        first_j, last_j = part_points(layout.parts[j], layout)
+        first_i, last_i = part_points(bodies.part[i], layout)
+        first_j, last_j = part_points(bodies.part[j], layout)
         shared: NDArray[np.bool_] = (
             (first_i == first_j) | (first_i == last_j) | (last_i == first_j) | (last_i == last_j)
         )
         return ~shared
 
-    names = [part_name(int(part)) for part in layout.parts]
-    return _closest(motion, cable_parts(motion), apart, limit, names)
+    names = [part_name(int(part)) for part in bodies.part]
+    return _closest(motion, bodies, apart, limit, names)
 
 
 def _hanging(motion: Motion, limit: float) -> Finding:

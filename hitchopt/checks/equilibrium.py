@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
+from hitchopt.checks.bounds.bodies import bent_edges, concatenated, leg_vectors
 from hitchopt.checks.bounds.clasp_weights import (
     clasp_weights,
     contact_bound,
@@ -15,6 +15,7 @@ from hitchopt.checks.bounds.clasp_weights import (
     weight_enclosure,
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
+from hitchopt.checks.bounds.gripped_balance import unbalanced
 from hitchopt.checks.bounds.pressed_loads import pressed_loads
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
@@ -52,12 +53,16 @@ def _find(motion: Motion, _: float) -> Finding:
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
     tension are compared coefficient by coefficient, and where both vanish nothing is unbalanced.
     """
-    legs, edges = leg_vectors(motion), edge_vectors(motion)
+    legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
     layout = motion.team.layout
     ahead, behind = layout.ahead, layout.behind
-    meeting = [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
-    vectors = np.stack(meeting, axis=2)
-    rows = vectors.reshape(*vectors.shape[:2], 12, -1)
+    meeting = [
+        legs[:, 2 * ahead],
+        leaving[:, ahead],
+        legs[:, 2 * behind + 1],
+        arriving[:, behind],
+    ]
+    rows = concatenated(meeting, axis=2)
     blocks = [rows, _pulls(motion)]
     pressed = pressed_loads(motion)
     if motion.team.loaded or pressed is not None:
@@ -76,6 +81,9 @@ def _find(motion: Motion, _: float) -> Finding:
         lifted = largest(cells, partial(contact_bound, noise=noise), within(0.0, "max"))
         if lifted.worst >= 0.0:
             worst, time, point = math.inf, lifted.time, layout.clasps[lifted.item]
+    gripped = unbalanced(motion)
+    if gripped.worst > worst:
+        return gripped
     return Finding(worst, time, (f"p{point}",))
 
 

@@ -40,18 +40,19 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
     Or of an object that is carried to another one. ``where`` names the cable or object, and the
     object.
     """
-    parts, layout = cable_parts(motion).corners, motion.team.layout
+    parts = cable_parts(motion)
+    cables = parts.part // 3
     breaks, size = motion.drones.breaks, magnitude(motion)
     aim = within(limit, "min", size, 0.5)
     best, poses = carried_gap(motion), motion.object_poses.coefficients
     for index, (name, each) in enumerate(motion.requirements.objects.items()):
-        counted = ~_holding(motion, name)[:, layout.parts // 3]
-        seen = seen_from(poses[:, index], parts)
+        counted = ~_holding(motion, name)[:, cables]
+        seen = seen_from(poses[:, index], parts.corners)
         for slab in each.slabs:
             margin = seen.error + ROUNDING * (size + slab.size)
             found = smallest_gap(breaks, seen.points, slab, margin, aim, counted)
             if found.worst < best.worst:
-                cable = f"cable {layout.parts[found.item] // 3}"
+                cable = f"cable {cables[found.item]}"
                 best = Finding(found.worst, found.time, (cable, name), size)
     return best
 

@@ -13,6 +13,7 @@ from hitchopt.checks import (
     crossing,
     duration,
     equilibrium,
+    grip,
     interlacing,
     jerk,
     keep_out,
@@ -52,6 +53,7 @@ RULES = (
     continuity.RULE,
     interlacing.RULE,
     object_clearance.RULE,
+    grip.RULE,
     support.RULE,
     duration.RULE,
 )

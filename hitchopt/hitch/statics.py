@@ -38,6 +38,8 @@ def leg_directions(
     tensions: ArrayLike,
     topology: str = CLOSED,
     loads: ClaspLoads | None = None,
+    arriving: Array | None = None,
+    leg_pulls: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the directions of the legs that hold a hitch in balance.
 
@@ -57,6 +59,10 @@ def leg_directions(
     edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
     tensions: (…, n) or scalar [N], positive.
     loads: of the clasps, or None where they carry nothing and legs are not rolled.
+    arriving: (…, n, 2 or 3) unit vectors of edges at ``p_{k+1}``, where they bend on their way from
+        ``p_k``; None where they are straight.
+    leg_pulls: (…, n, 2) [N], what legs pull with at their clasps where friction lets them pull
+        otherwise than their edges; None where they pull alike.
 
     Returns
     -------
@@ -71,10 +77,14 @@ def leg_directions(
     edges = np.asarray(edge_directions, dtype=np.float64)
     pulls = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])[..., None]
     layout = layout_of(edges.shape[-2], topology)
+    if leg_pulls is not None and loads is None:
+        shape = (*leg_pulls.shape[:-2], len(layout.clasps))
+        loads = ClaspLoads(np.zeros((*shape, 3)), np.zeros((*shape, 2)), np.zeros(shape))
     if loads is not None and edges.shape[-1] == 2:
         edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
     u, T = edges[..., layout.ahead, :], pulls[..., layout.ahead, :]
-    behind, T_behind = edges[..., layout.behind, :], pulls[..., layout.behind, :]
+    onward = edges if arriving is None else arriving
+    behind, T_behind = onward[..., layout.behind, :], pulls[..., layout.behind, :]
     q, r = -edges, edges.copy()
     V = T_behind * behind - T * u
     if loads is None:
@@ -86,11 +96,14 @@ def leg_directions(
         r_at_clasp = np.where(equal, -u, r_at_clasp)
     else:
         triangle = _Triangle.about(V, behind + u, loads, layout.clasps)
-        r_pull, q_pull = T_behind, T
+        r_own, q_own = T_behind, T
+        if leg_pulls is not None:
+            r_own, q_own = leg_pulls[..., layout.behind, 1:], leg_pulls[..., layout.ahead, :1]
+        r_pull, q_pull = r_own, q_own
         for _ in range(PASSES):
             r_at_clasp, q_at_clasp = triangle.closed(r_pull, q_pull)
-            r_pull = T_behind + loads.halves[..., :1] * r_at_clasp[..., 2:]
-            q_pull = T + loads.halves[..., 1:] * q_at_clasp[..., 2:]
+            r_pull = r_own + loads.halves[..., :1] * r_at_clasp[..., 2:]
+            q_pull = q_own + loads.halves[..., 1:] * q_at_clasp[..., 2:]
     q[..., layout.ahead, :], r[..., layout.behind, :] = q_at_clasp, r_at_clasp
     return q, r
 

@@ -24,8 +24,8 @@ __all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 """Fields of every motion that are polynomials."""
 
-FURTHER = ("leg_tensions", "poses", "borne")
-"""Fields that are polynomials where cables slide against friction, or objects are carried."""
+FURTHER = ("leg_tensions", "poses", "borne", "contacts")
+"""Fields that are polynomials where cables slide against friction, or objects are held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,8 @@ class Motion(OneLine):
         bases' origins, cosine and sine of their yaws; None where all stay where they stand.
     borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
         stands) to 1; None where they carry none.
+    contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
+        around; the same point of a straight edge. None where all edges are straight.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class Motion(OneLine):
     leg_tensions: PiecewisePolynomial | None = None
     poses: PiecewisePolynomial | None = None
     borne: PiecewisePolynomial | None = None
+    contacts: PiecewisePolynomial | None = None
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.drones} drones"
@@ -85,6 +88,7 @@ class Motion(OneLine):
             "leg_tensions": (n, 2),
             "poses": (len(self.requirements.objects), 5),
             "borne": (len(self.requirements.objects),),
+            "contacts": (n, 2, 3),
         }
         for name, shape in shapes.items():
             part: PiecewisePolynomial | None = getattr(self, name)
@@ -166,6 +170,15 @@ class Motion(OneLine):
             return self.borne
         count = len(self.requirements.objects)
         return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
+
+    @property
+    def edge_contacts(self) -> PiecewisePolynomial:
+        """Where edges bend, as ``contacts``, also where all are straight."""
+        if self.contacts is not None:
+            return self.contacts
+        c, layout = self.vertices.coefficients, self.team.layout
+        middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
+        return PiecewisePolynomial(self.vertices.breaks, np.stack([middles, middles], axis=2))
 
     @property
     def cable_states(self) -> frozenset[CableState]:
@@ -255,4 +268,6 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     if any(motion.poses is not None or motion.borne is not None for motion in motions):
         parts["poses"] = joined([motion.object_poses for motion in motions])
         parts["borne"] = joined([motion.object_shares for motion in motions])
+    if any(motion.contacts is not None for motion in motions):
+        parts["contacts"] = joined([motion.edge_contacts for motion in motions])
     return replace(motions[0], phases=tuple(phases), **parts)

@@ -10,13 +10,14 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import GRAVITY, Hitch
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion, Phase, joined_motions
-from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.motion.phases import Hold
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
-from hitchopt.planners.carrying.held_motion import HeldFlight, Move, held_flight
+from hitchopt.planners.carrying.held_motion import HeldHitch
+from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
 from hitchopt.planners.carrying.rest_capacity import suggestion
 from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
@@ -43,9 +44,6 @@ CARRY_ACCELERATION = 1.0
 LIFT_ACCELERATION = 0.3
 """[m/s²] The same where it is lifted or set down."""
 
-SHARE = 0.8
-"""Share of what friction and supports allow that is used."""
-
 STRETCHES = 5
 """So often a move is slowed down until no limit of motion is broken."""
 
@@ -63,12 +61,18 @@ def gap_below(requirements: Requirements) -> float:
     return requirements.separation.object + BELOW
 
 
+def gentle_rates(task: StepTask, length: float) -> tuple[float, float]:
+    """Return limits of acceleration and jerk over a length, gentle ones."""
+    limits = task.requirements.limits
+    return 0.5 * limits.acceleration / length, 0.5 * limits.jerk / length
+
+
 def object_of(task: StepTask, name: str) -> SolidObject:
-    """Return an object that can be held by its rim, where it is by now.
+    """Return an object that can be held, where it is by now.
 
     Raises
     ------
-    InputError: a fixed one, one without a rim, or an open chain.
+    InputError: a fixed one, or an open chain.
     """
     body = task.requirements.objects[name]
     key = f"objects.{name}"
@@ -76,8 +80,6 @@ def object_of(task: StepTask, name: str) -> SolidObject:
         raise InputError("team.topology", "open", "closed where objects are held", "close it")
     if body.fixed:
         raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
-    if body.rim is None:
-        raise InputError(f"{key}.rim", None, "given where it is held by rest", "give it a rim")
     return body
 
 
@@ -109,6 +111,8 @@ def changed_move(
     tension: tuple[Array, Array] | None = None,
     borne: tuple[float, float] | None = None,
     below: tuple[float, float] = (0.0, 0.0),
+    closed: tuple[float, float] = (1.0, 1.0),
+    lean: tuple[float, float] = (0.0, 0.0),
 ) -> Move:
     """Return a move from where an object is, with everything unchanged that is not given."""
     holding = task.holding
@@ -122,6 +126,8 @@ def changed_move(
         (share, share) if borne is None else borne,
         below,
         law,
+        closed,
+        lean,
     )
 
 
@@ -145,15 +151,13 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     holding, limits = task.holding, task.requirements.limits
     held = holding.held
     assert held is not None
-    drones, _ = held.drones(holding.tension, np.zeros(held.places.shape))
-    radius = float(np.max(np.linalg.norm(drones[:, :2], axis=1)))
-    length = float(np.linalg.norm((to - start)[:3])) + abs(float(to[3] - start[3])) * radius
+    turned = abs(float(to[3] - start[3])) * held.reach
+    length = float(np.linalg.norm((to - start)[:3])) + turned
     upright = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
     acceleration = min(
         LIFT_ACCELERATION if upright else CARRY_ACCELERATION,
         limits.acceleration,
-        SHARE * held.body.friction * GRAVITY,
-        SHARE * GRAVITY * held.support_width / max(abs(held.height), 1e-9),
+        held.largest_acceleration,
     )
     if length == 0.0 or acceleration == 0.0:
         law = SmoothLaw(0.5)
@@ -163,9 +167,7 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     lifted = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
     for _ in range(STRETCHES):
         move = replace(changed_move(lifted, law, to=to), start=start)
-        flight = held_flight(held, move).flight
-        parts = flight.drones, flight.vertices, flight.pulls
-        factor = needed_stretch(held.team, limits, *parts)
+        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
         if not 1.0 < factor < math.inf:
             break
         law = law.slowed(1.01 * factor)
@@ -211,7 +213,9 @@ def ended_holding(
 def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Motion:
     """Return the motion of a hitch that holds an object, as one phase."""
     holding, requirements = task.holding, task.requirements
-    hold = Hold(holding.name, HoldBy.REST, tuple(range(task.before.team.robots)))
+    held = holding.held
+    assert held is not None
+    hold = Hold(holding.name, held.by, tuple(range(task.before.team.robots)))
     parts = []
     for each in flights:
         breaks = each.pose.breaks
@@ -231,6 +235,8 @@ def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Mot
                 phases=(Phase(name, task.index, 0.0, each.flight.duration),),
                 poses=PiecewisePolynomial(breaks, poses),
                 borne=PiecewisePolynomial(breaks, share),
+                contacts=each.contacts,
+                leg_tensions=each.leg_tensions,
             )
         )
     return one_phase(joined_motions(parts), task, name, hold)
@@ -250,7 +256,7 @@ def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = Non
 def check_hold(task: StepTask, holding: Holding) -> None:
     """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
     held = holding.held
-    assert held is not None
+    assert isinstance(held, HeldHitch)
     bearing = replace(holding, borne=True)
     here = replace(task, before=replace(task.before, holding=bearing))
     limits, words = task.requirements.limits, f"with objects.{holding.name} on the clasps"

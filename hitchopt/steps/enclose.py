@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -10,7 +11,9 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.rest_polygon import RestPolygons, rest_polygons
+from hitchopt.planners.carrying.grip_polygon import grip_polygons
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
+from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
     AROUND_SPEED,
@@ -26,9 +29,13 @@ from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, Situation, StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.transport import Transport
+from hitchopt.values import Array
 
 LEVEL = 1e-6
 """[m] Heights that differ by less are the same."""
+
+BESIDE = 0.02
+"""[m] Room around an object without a rim besides, for its place: no rim is to be reached below."""
 
 OVER = 0.10
 """[m] Room between drones' lowest places and objects below, besides ``separation.radius``."""
@@ -36,7 +43,9 @@ OVER = 0.10
 
 @dataclass(frozen=True)
 class Enclose(Step):
-    """The hitch goes above an object, takes a polygon around it, and comes down below its rim.
+    """The hitch goes above an object, takes a polygon around it, and comes down around it.
+
+    It ends just below the object's rim, or, without one, as high as the centre of mass.
 
     Parameters
     ----------
@@ -53,11 +62,14 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
         requirements, hitch = task.requirements, task.hitch
-        body = object_of(task, self.object)
-        assert body.rim is not None
-        found = rest_polygons(self.object, body, len(hitch.polygon), gap_around(requirements))
+        body, gap = object_of(task, self.object), gap_around(requirements)
+        if body.rim is None:
+            found = grip_polygons(self.object, body, task.before.team, requirements, gap + BESIDE)
+            inside = float(body.at[2] + body.centre_of_mass[2])
+        else:
+            found = rest_polygons(self.object, body, len(hitch.polygon), gap)
+            inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
         polygons, polygon = _numbered(found, body, hitch.polygon)
-        inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
         steps = [
             Transport(np.append(hitch.polygon.centroid, altitude_over(task))),
             Transport(np.append(polygon.centroid, altitude_over(task))),
@@ -109,13 +121,38 @@ def _there(step: Transport, situation: Situation) -> bool:
 
 
 def _numbered(
-    found: RestPolygons, body: SolidObject, polygon: Outline
-) -> tuple[RestPolygons, ConvexPolygon]:
+    found: HoldPolygons, body: SolidObject, polygon: Outline
+) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered so that vertices have the shortest ways, and that around."""
-    around = polygon_at(body, found.around)
     here = polygon.vertices - polygon.centroid
+    if body.rim is None and body.section.radius is not None:
+        found = _turned(found, body, here)
+    around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
     ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
     best = int(np.argmin(ways))
-    shifted = RestPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.below)))
+    shifted = HoldPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.closed)))
     return shifted, around.renumbered(best)
+
+
+def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
+    """Return polygons around a circle, turned so that vertices have the shortest ways.
+
+    Parameters
+    ----------
+    here: (n, 2) [m], vertices of the hitch about its centroid.
+    """
+    c, s = math.cos(body.yaw), math.sin(body.yaw)
+    there = found.around @ np.array([[c, s], [-s, c]])
+    turns = []
+    for k in range(len(there)):
+        one = np.roll(there, -k, axis=0)
+        cross = float(np.sum(one[:, 0] * here[:, 1] - one[:, 1] * here[:, 0]))
+        turns.append(
+            (math.hypot(cross, float(np.sum(one * here))), cross, float(np.sum(one * here)))
+        )
+    _, cross, along = max(turns)
+    angle = math.atan2(cross, along)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, s], [-s, c]])
+    return HoldPolygons(found.around @ turn, found.closed @ turn)

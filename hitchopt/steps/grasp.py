@@ -1,4 +1,4 @@
-"""Grasp: the hitch closes below an object's rim and touches it."""
+"""Grasp: the hitch closes below an object's rim and touches it, or around it and grips it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from hitchopt.errors import UnsupportedError
+from hitchopt.errors import InputError
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
-from hitchopt.planners.carrying.held_motion import HeldHitch, held_flight
+from hitchopt.planners.carrying.held_motion import HeldHitch
+from hitchopt.planners.carrying.moves import held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
@@ -20,6 +21,7 @@ from hitchopt.steps.carrying import (
     check_hold,
     ended_holding,
     gap_below,
+    gentle_rates,
     held_motion,
     object_of,
     one_phase,
@@ -28,6 +30,7 @@ from hitchopt.steps.carrying import (
 )
 from hitchopt.steps.enclose import slowly
 from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
@@ -40,12 +43,12 @@ By = Literal["rest", "grip"]
 
 @dataclass(frozen=True)
 class Grasp(Step):
-    """The hitch closes below the object's rim, pulls as hard as asked, and rises to the rim.
+    """The hitch closes below the object's rim and rises to it, or closes around it and grips it.
 
     Parameters
     ----------
     object: its name.
-    by: ``rest``: its rim lies on the clasps.
+    by: ``rest``: its rim lies on the clasps; ``grip``: cables are wrapped around it.
     tension: of all cables from here on [N]; None for the team's.
     duration: as of Enclose.
     """
@@ -68,17 +71,19 @@ class Grasp(Step):
         super().__post_init__()
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from around the object to clasps that touch its rim."""
+        """Return the plan from around the object to clasps below its rim, or edges that grip."""
         if self.by == "grip":
-            raise UnsupportedError("grasp by grip: this version holds objects by their rims only")
+            return grip_closed(task, self.object, self.tension, self.duration, self.name)
         body, team, requirements = object_of(task, self.object), task.before.team, task.requirements
-        assert body.rim is not None
-        below = polygon_at(body, task.holding.polygons.below)
+        if body.rim is None:
+            key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
+            raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
+        below = polygon_at(body, task.holding.polygons.closed)
         closing = Morph(below).plan(task.within(slowly(without(task, self.object)), task.before))
         hitch = closing.after.hitch
         assert hitch is not None
         heights = np.full(team.robots, body.rim.height)
-        places = np.column_stack([task.holding.polygons.below, heights])
+        places = np.column_stack([task.holding.polygons.closed, heights])
         held = HeldHitch(team, body, places, hitch.fractions)
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
         holding = Holding(self.object, task.holding.polygons, asked, held)
@@ -101,12 +106,6 @@ class Grasp(Step):
         motion = one_phase(joined_motions([closed, touching]), task, self.name, hold)
         motion = lasting(motion, self.duration, task.index, self.name)
         return ended_holding(task, holding, motion, place_of(body))
-
-
-def gentle_rates(task: StepTask, length: float) -> tuple[float, float]:
-    """Return limits of acceleration and jerk over a length, gentle ones."""
-    limits = task.requirements.limits
-    return 0.5 * limits.acceleration / length, 0.5 * limits.jerk / length
 
 
 def without(task: StepTask, name: str) -> Requirements:

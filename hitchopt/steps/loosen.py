@@ -1,4 +1,4 @@
-"""Loosen: the hitch leaves an object's rim and opens around it."""
+"""Loosen: the hitch leaves an object's rim, or its grip, and opens around it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
-from hitchopt.planners.carrying.held_motion import held_flight
+from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
+from hitchopt.planners.carrying.moves import held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
@@ -17,6 +18,7 @@ from hitchopt.steps.carrying import (
     changed_move,
     ended_holding,
     gap_below,
+    gentle_rates,
     held_motion,
     object_of,
     one_phase,
@@ -25,7 +27,8 @@ from hitchopt.steps.carrying import (
 )
 from hitchopt.steps.enclose import slowly
 from hitchopt.steps.free_cables import lasting
-from hitchopt.steps.grasp import gentle_rates, without
+from hitchopt.steps.grasp import without
+from hitchopt.steps.gripping import grip_opened
 from hitchopt.steps.keys import OBJECT, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import StepPlan, StepTask
@@ -34,7 +37,7 @@ from hitchopt.steps.step import Stage, Step
 
 @dataclass(frozen=True)
 class Loosen(Step):
-    """The hitch sinks below the rim, pulls as the team does, and opens around the object.
+    """The hitch opens around the object, having sunk below its rim, and pulls as the team does.
 
     Parameters
     ----------
@@ -52,6 +55,8 @@ class Loosen(Step):
         """Return the plan from clasps below the rim to a hitch around the object."""
         body, team, holding = object_of(task, self.object), task.before.team, task.holding
         held = holding.held
+        if isinstance(held, GrippedHitch):
+            return grip_opened(task, self.object, self.duration, self.name)
         assert held is not None
         gap = gap_below(task.requirements)
         speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))

@@ -10,8 +10,9 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.held_motion import HeldHitch
-from hitchopt.planners.carrying.rest_polygon import RestPolygons
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
@@ -26,14 +27,14 @@ class Holding:
     name: of the object.
     polygons: of the hitch, in the object's frame.
     tension: (n,) [N], what cables pull with from grasping to loosening.
-    held: the hitch below it; None while it is only around it.
+    held: the hitch that holds it; None while it is only around it.
     borne: whether clasps carry its weight.
     """
 
     name: str
-    polygons: RestPolygons
+    polygons: HoldPolygons
     tension: Array
-    held: HeldHitch | None = None
+    held: HeldHitch | GrippedHitch | None = None
     borne: bool = False
 
 

@@ -56,7 +56,13 @@ class Cells:
         return len(self.item)
 
     @classmethod
-    def over(cls, breaks: Array, blocks: Sequence[Array], margin: ArrayLike = 0.0) -> Cells:
+    def over(
+        cls,
+        breaks: Array,
+        blocks: Sequence[Array],
+        margin: ArrayLike = 0.0,
+        pieces: Indices | None = None,
+    ) -> Cells:
         """Return one cell per piece and item.
 
         Parameters
@@ -64,14 +70,16 @@ class Cells:
         breaks: (pieces + 1,) [s]
         blocks: (pieces, items, rows, degree + 1) each.
         margin: broadcasts to (pieces, items).
+        pieces: of the breaks, that the blocks are of; None for all of them.
         """
-        pieces, items = blocks[0].shape[:2]
+        count, items = blocks[0].shape[:2]
+        chosen = np.arange(count) if pieces is None else pieces
         return cls(
-            tuple(block.reshape(pieces * items, *block.shape[2:]) for block in blocks),
-            np.tile(np.arange(items), pieces),
-            np.repeat(breaks[:-1], items),
-            np.repeat(breaks[1:], items),
-            np.broadcast_to(np.asarray(margin, dtype=np.float64), (pieces, items)).ravel(),
+            tuple(block.reshape(count * items, *block.shape[2:]) for block in blocks),
+            np.tile(np.arange(items), count),
+            np.repeat(breaks[chosen], items),
+            np.repeat(breaks[chosen + 1], items),
+            np.broadcast_to(np.asarray(margin, dtype=np.float64), (count, items)).ravel(),
         )
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:

@@ -7,6 +7,9 @@ to ``r_k``. Part ``3 k + type`` is cable k's, with types in that order; bodies a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
@@ -52,19 +55,65 @@ def edge_vectors(motion: Motion) -> Array:
     return motion.team.layout.edges(vertices, axis=1)
 
 
+def concatenated(parts: Sequence[Array], axis: int) -> Array:
+    """Return arrays of polynomials (…, degree + 1) in a row, in the largest of their degrees."""
+    order = max(bernstein.degree(part) for part in parts)
+    return np.concatenate([bernstein.elevate(part, order) for part in parts], axis=axis)
+
+
+def bent_edges(motion: Motion) -> tuple[Array, Array]:
+    """Return what edges are at both of their ends, each (pieces, n, 3, N+1) [m].
+
+    Edge k leaves ``p_k`` along the first and arrives at ``p_{k+1}`` along the second: up to where
+    it is wrapped around an object, or the whole edge where all are straight.
+    """
+    if motion.contacts is None:
+        edges = edge_vectors(motion)
+        return edges, edges
+    layout, parts = motion.team.layout, (motion.vertices, motion.contacts)
+    order = max(part.degree for part in parts)
+    vertices, contacts = (part.elevated(order).coefficients for part in parts)
+    leaving = contacts[:, :, 0] - vertices[:, layout.starts]
+    return leaving, vertices[:, layout.ends] - contacts[:, :, 1]
+
+
 def drone_points(motion: Motion) -> Bodies:
     """Return the drones as points, in the degree of the cable parts where there are any."""
     return Bodies(positions(motion)[0][:, :, None])
 
 
-def cable_parts(motion: Motion) -> Bodies:
-    """Return the cable parts as segments, in the order of ``Layout.parts``."""
+@dataclass(frozen=True, eq=False)
+class CableParts(Bodies):
+    """The cable parts as segments.
+
+    Attributes
+    ----------
+    part: (bodies,), the part that each is of. An edge that is wrapped around an object has three
+        segments: what is straight of it, and between the chord of its arc, which is on the object.
+    """
+
+    part: Indices
+
+
+def cable_parts(motion: Motion) -> CableParts:
+    """Return the cable parts in the order of ``Layout.parts``, edges' segments in theirs."""
     drones, vertices = positions(motion)
     layout = motion.team.layout
     before, following = vertices[:, layout.starts], vertices[:, layout.ends]
     ends = [(before, drones[:, 0::2]), (before, following), (following, drones[:, 1::2])]
-    parts = np.stack([np.stack(pair, axis=2) for pair in ends], axis=2)  # (pieces, n, 3, 2, 3, N+1)
-    return Bodies(parts.reshape(len(parts), -1, *parts.shape[3:])[:, layout.parts])
+    kinds, listed = [0, 1, 2], layout.parts
+    if motion.contacts is not None:  # all hitches that are wrapped around something are closed
+        order = max(bernstein.degree(vertices), motion.contacts.degree)
+        first, last = np.moveaxis(motion.contacts.elevated(order).coefficients, 2, 0)
+        ends[1:2] = [(before, first), (first, last), (last, following)]
+        kinds, listed = [0, 1, 1, 1, 2], np.arange(5 * layout.robots)
+        ends = [
+            (bernstein.elevate(first, order), bernstein.elevate(last, order))
+            for first, last in ends
+        ]
+    parts = np.stack([np.stack(pair, axis=2) for pair in ends], axis=2)  # (pieces, n, …, 2, 3, N+1)
+    of = (3 * np.arange(layout.robots)[:, None] + kinds).ravel()[listed]
+    return CableParts(parts.reshape(len(parts), -1, *parts.shape[3:])[:, listed], of)
 
 
 def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
+from hitchopt.checks.bounds.bodies import bent_edges, concatenated, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
@@ -33,9 +33,9 @@ def beyond_friction(motion: Motion) -> Extremum:
 
 def wrapping_vectors(motion: Motion) -> Array:
     """Return (pieces, 2n, 6, degree + 1) [m]: to each drone along its leg, and along its edge."""
-    edges = edge_vectors(motion)
-    away = np.stack([edges, -edges], axis=2).reshape(len(edges), -1, *edges.shape[2:])
-    return np.concatenate([pull_vectors(motion), away], axis=2)
+    leaving, arriving = bent_edges(motion)
+    away = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
+    return concatenated([pull_vectors(motion), away], axis=2)
 
 
 def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate:

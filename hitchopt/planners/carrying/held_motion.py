@@ -1,4 +1,4 @@
-"""Motions of a hitch with an object on its clasps: legs lean by what these carry, and its inertia.
+"""A hitch at rest below an object, and its motions: the object's rim lies on its clasps.
 
 All is computed in the object's frame, in which the clasps rest: directions of legs there follow
 from the forces on clasps, for which ``hitchopt.motion.carried`` has the law.
@@ -7,6 +7,7 @@ from the forces on clasps, for which ``hitchopt.motion.carried`` has the law.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,22 +21,11 @@ from hitchopt.hitch.cable_spans import (
 )
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.motion.carried import Supports
+from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.planners.carrying.smooth_law import SmoothLaw
-from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.planners.carrying.moves import SHARE, Move, courses
 from hitchopt.values import Array
-
-PROBE = 2e-3
-"""[s] Step of finite differences of the fourth order: they err by 1e-9 m/s² in such motions."""
-
-STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
-SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
-
-LONGEST = 0.5
-"""[s] Longest piece while what is held turns or tensions change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +40,7 @@ class HeldHitch:
     fractions: (n,), how slack is split, ``d_k / (d_k + e_k)``.
     """
 
+    by: ClassVar[HoldBy] = HoldBy.REST
     team: Team
     body: SolidObject
     places: Array
@@ -103,125 +94,42 @@ class HeldHitch:
         chords = np.linalg.norm(both, axis=-1)
         return (anchors + both).reshape(*both.shape[:-3], -1, 3), chords
 
+    @property
+    def reach(self) -> float:
+        """Largest level distance [m] of a drone from the object's origin without a load."""
+        drones, _ = self.drones(self.team.tension, np.zeros(self.places.shape))
+        return float(np.max(np.linalg.norm(drones[:, :2], axis=1)))
 
-@dataclass(frozen=True, eq=False)
-class Move:
-    """What changes in a span of time, by one share from 0 to 1.
+    @property
+    def largest_acceleration(self) -> float:
+        """What friction and supports allow, to a share [m/s²]."""
+        leaning = GRAVITY * self.support_width / max(abs(self.height), 1e-9)
+        return SHARE * min(self.body.friction * GRAVITY, leaning)
 
-    Attributes
-    ----------
-    start, end: (4,) x, y, z [m] of the object's base and its yaw [rad], of what the clasps' frame
-        follows.
-    tension: (2, n) [N], before and after.
-    borne: share of the object's weight on clasps before and after.
-    below: how far the clasps are below the rim before and after [m]; 0 where they touch it.
-    law: of the share.
-    """
-
-    start: Array
-    end: Array
-    tension: Array
-    borne: tuple[float, float]
-    below: tuple[float, float]
-    law: SmoothLaw
-
-
-@dataclass(frozen=True, eq=False)
-class HeldFlight:
-    """Curves of a hitch that holds an object.
-
-    Attributes
-    ----------
-    flight: of the hitch.
-    pose: of the object, (5,).
-    borne: the share of its weight on clasps, ().
-    """
-
-    flight: Flight
-    pose: PiecewisePolynomial
-    borne: PiecewisePolynomial
-
-
-def held_flight(held: HeldHitch, move: Move) -> HeldFlight:
-    """Return the curves of a move, from rest to rest.
-
-    Raises
-    ------
-    InfeasibleError: a weight that the tensions cannot carry.
-    """
-    moves = bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
-    turns = move.start[3] != move.end[3]
-    changes = bool(np.any(move.tension[0] != move.tension[1])) or move.borne[0] != move.borne[1]
-    longest = LONGEST if turns or changes or not moves else np.inf
-    breaks = move.law.breaks(longest)
-    t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
-    values = _curves(held, move, t)
-    centre = len(STENCIL) // 2
-    parts = {}
-    for name, each in values.items():
-        jets = [
-            each[:, centre],
-            np.tensordot(FIRST / PROBE, each, (0, 1)),
-            np.tensordot(SECOND / PROBE**2, each, (0, 1)),
-        ]
-        for jet in jets[1:]:
-            jet[[0, -1]] = 0.0
-        constant = np.all(each == each[:1, :1])
-        whole = np.stack(jets)
-        parts[name] = (
-            PiecewisePolynomial.constant(breaks, each[0, 0])
-            if constant
-            else PiecewisePolynomial.hermite(breaks, whole[:, :-1], whole[:, 1:])
-        )
-    flight = Flight(parts["drones"], parts["vertices"], parts["legs"], parts["tensions"])
-    share = np.clip(parts["borne"].coefficients, 0.0, 1.0)  # polynomials overshoot by 1e-6
-    return HeldFlight(flight, parts["pose"], PiecewisePolynomial(breaks, share))
-
-
-def _curves(held: HeldHitch, move: Move, t: Array) -> dict[str, Array]:
-    """Return all curves at times t (…) [s]."""
-    share, speed, change = np.moveaxis(move.law.jet(t), -1, 0)
-    offset = move.end - move.start
-    place = move.start + share[..., None] * offset
-    lifted = move.borne == (1.0, 1.0)
-    yaw, turning = place[..., 3], speed * offset[3]
-    pose = np.concatenate([place[..., :3], np.cos(yaw)[..., None], np.sin(yaw)[..., None]], axis=-1)
-    borne = move.borne[0] + share * (move.borne[1] - move.borne[0])
-    tension = move.tension[0] + share[..., None] * (move.tension[1] - move.tension[0])
-    pushed = change[..., None] * offset[:3]
-    back = np.stack([0 * yaw, 0 * yaw, 0 * yaw, np.cos(yaw), -np.sin(yaw)], axis=-1)
-    level = in_world(back, pushed)
-
-    def accelerated(points: Array) -> Array:
-        """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
-        x, y = points[:, 0], points[:, 1]
-        inward, sideways = (turning**2)[..., None], (change * offset[3])[..., None]
-        spin = [-inward * x - sideways * y, sideways * x - inward * y, 0.0 * inward * x]
-        found: Array = level[..., None, :] + np.stack(spin, axis=-1)
-        return found
-
-    centre = held.body.centre_of_mass
-    forces = np.zeros((*t.shape, *held.places.shape))
-    if lifted:
-        supports = held.supports
-        pulled = accelerated(held.places) + np.array([0.0, 0.0, GRAVITY])
-        forces = -held.body.mass * supports.shares[:, None] * pulled
-        moved = accelerated(centre[None])[..., 0, :2] @ supports.gains.T
-        forces[..., 2] += held.body.mass * held.height * moved
-    else:
-        weight = GRAVITY * held.body.mass * held.supports.shares
-        forces[..., 2] = -borne[..., None] * weight
-    drones, legs = held.drones(tension, forces)
-    below = move.below[0] + share * (move.below[1] - move.below[0])
-    lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
-    places = np.broadcast_to(held.places, (*t.shape, *held.places.shape))
-    # Clasps that are not below the rim yet move on their own, as the object does not.
-    curves: dict[str, Array] = {
-        "drones": in_world(pose[..., None, :], drones - lower),
-        "vertices": in_world(pose[..., None, :], places - lower),
-        "legs": legs,
-        "tensions": tension,
-        "pose": pose,
-        "borne": borne,
-    }
-    return curves
+    def curves(self, move: Move, t: Array) -> dict[str, Array]:
+        """Return all curves of a move at times t (…) [s]."""
+        course = courses(move, t)
+        forces = np.zeros((*t.shape, *self.places.shape))
+        if move.lifted:
+            supports = self.supports
+            pulled = course.accelerations(self.places) + np.array([0.0, 0.0, GRAVITY])
+            forces = -self.body.mass * supports.shares[:, None] * pulled
+            centre = self.body.centre_of_mass[None]
+            moved = course.accelerations(centre)[..., 0, :2] @ supports.gains.T
+            forces[..., 2] += self.body.mass * self.height * moved
+        else:
+            weight = GRAVITY * self.body.mass * self.supports.shares
+            forces[..., 2] = -course.borne[..., None] * weight
+        drones, legs = self.drones(course.tension, forces)
+        below = course.between(*move.below)
+        lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
+        places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))
+        # Clasps that are not below the rim yet move on their own, as the object does not.
+        return {
+            "drones": in_world(course.pose[..., None, :], drones - lower),
+            "vertices": in_world(course.pose[..., None, :], places - lower),
+            "legs": legs,
+            "tensions": course.tension,
+            "pose": course.pose,
+            "borne": course.borne,
+        }

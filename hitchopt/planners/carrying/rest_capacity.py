@@ -108,7 +108,7 @@ def suggestion(
             quadrotor=team.quadrotor[0],
         )
         try:
-            below = rest_polygons(name, held.body, robots, gap).below
+            below = rest_polygons(name, held.body, robots, gap).closed
         except HitchoptError:
             continue
         places = np.column_stack([below, np.full(robots, held.places[0, 2])])

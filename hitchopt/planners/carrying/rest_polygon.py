@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.values import Array
 
 ROOM = 0.025
@@ -28,21 +27,7 @@ SHRINKS = np.linspace(0.05, 1.0, 96)
 """Sizes of a polygon below a rim that are tried, over the rim's own."""
 
 
-@dataclass(frozen=True, eq=False)
-class RestPolygons:
-    """Where clasps are to hold an object by its rim, as seen from it.
-
-    Attributes
-    ----------
-    around: (n, 2) [m], outside of all of the object.
-    below: (n, 2) [m], below the rim, of the same shape.
-    """
-
-    around: Array
-    below: Array
-
-
-def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> RestPolygons:
+def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> HoldPolygons:
     """Return the polygons for a number of robots.
 
     Of regular polygons about the centre of mass, turned and stretched along the rim's axes, the one
@@ -80,12 +65,8 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Rest
         raise InfeasibleError(
             [Violation("support", value, LEAST_INSET, "min", "m", (name,), words, remedy)]
         )
-    below = places[best]
-    normals, reach = outward[best], offsets[best] - outward[best] @ centre
-    needed = [section.support(normals) + gap - normals @ centre for section in (rim, body.section)]
-    factor = float(np.max(np.max(needed, axis=0) / reach))
-    around = centre + factor * (below - centre)
-    return RestPolygons(ConvexPolygon(around).vertices, ConvexPolygon(below).vertices)
+    sections = rim, body.section
+    return HoldPolygons.about(places[best], centre, sections, gap)
 
 
 def _axes(core: Array, rounding: float) -> tuple[Array, Array]:

@@ -1,0 +1,146 @@
+"""The polygon at which a hitch grips an object, and what it grips at most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.hitch import Team
+from hitchopt.holding.capacity import Capacity
+from hitchopt.holding.grip_limits import largest_tension
+from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
+from hitchopt.requirements import Requirements
+from hitchopt.values import Array
+
+FACTOR = 1.5
+"""Least slip load over load."""
+
+SEARCHED = 0.9
+"""Share of the largest level pull with which polygons are looked for: they do not depend on it."""
+
+TENSIONS = np.geomspace(0.2, 5.0, 60)
+"""[N] Tensions that are tried for a suggestion."""
+
+ROBOTS = (3, 4)
+"""Numbers of robots that are tried for a suggestion: more do not wrap enough."""
+
+
+def grip_task(
+    body: SolidObject, team: Team, tension: float, requirements: Requirements
+) -> GripTask:
+    """Return the search for a grip by a team.
+
+    Raises
+    ------
+    InputError: cables or drones that differ.
+    """
+    for name, values in (("cable_length", team.cable_length), ("quadrotor", team.quadrotor)):
+        if len(set(values)) > 1:
+            bound = "alike for all robots where they grip an object"
+            raise InputError(f"team.{name}", list(values), bound, "use one kind")
+    return GripTask(
+        body.section,
+        team.robots,
+        float(team.cable_length[0]),
+        tension,
+        team.cable_friction,
+        requirements,
+        team.quadrotor[0],
+    )
+
+
+def grip_polygons(
+    name: str, body: SolidObject, team: Team, requirements: Requirements, gap: float
+) -> HoldPolygons:
+    """Return the polygons of the grip whose slip load is largest.
+
+    Parameters
+    ----------
+    name, body: the object.
+    gap: how far edges around it keep from it [m].
+
+    Raises
+    ------
+    InfeasibleError: no grip was found.
+    """
+    most, _ = largest_tension(requirements, team.quadrotor[0])
+    task = grip_task(body, team, SEARCHED * most, requirements)
+    try:
+        closed = best_grip(task).vertices[:, :2]
+    except InfeasibleError as error:
+        words = f"around objects.{name}"
+        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
+    centre = body.centre_of_mass[:2]
+    return HoldPolygons.about(closed, centre, (body.section,), gap)
+
+
+def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
+    """Raise InfeasibleError for level pulls that no drone can hold."""
+    most, binding = largest_tension(requirements, team.quadrotor[0])
+    if tension <= most:
+        return
+    own = requirements.limits
+    remedy = f"grasp with a tension of {most:.3g} N or less"
+    if binding == "tilt":
+        needed = np.degrees(np.arctan(tension / (9.81 * team.mass[0])))
+        remedy = (
+            f"level pulls of {tension:.3g} N need limits.tilt_deg of {np.ceil(needed) + 5:.0f}, "
+            f"above {np.degrees(own.tilt):.3g}; or {remedy}"
+        )
+    raise InfeasibleError(
+        [Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)]
+    )
+
+
+def capacity_of(
+    body: SolidObject, closed: Array, team: Team, tension: float, requirements: Requirements
+) -> Capacity:
+    """Return the largest mass [kg] that is gripped with a tension, and what binds."""
+    task = grip_task(body, team, tension, requirements)
+    return grip_capacity(task, task.grip(closed), body.friction, FACTOR)
+
+
+def grip_suggestion(
+    name: str,
+    body: SolidObject,
+    closed: Array,
+    team: Team,
+    tension: float,
+    requirements: Requirements,
+) -> tuple[Capacity, str]:
+    """Return what is gripped, and in words what to change so that the object is.
+
+    Parameters
+    ----------
+    name, body: the object.
+    closed: (n, 2) [m], clasps in its frame.
+    team, tension: as asked for.
+    requirements: limits and distances.
+    """
+    capacity = capacity_of(body, closed, team, tension, requirements)
+    ways = []
+    if capacity.mass > 0.0:
+        ways.append(f"lower objects.{name}.mass to {capacity.mass:.3g} kg")
+    most, _ = largest_tension(requirements, team.quadrotor[0])
+    for value in TENSIONS[(tension < TENSIONS) & (most > TENSIONS)]:
+        if capacity_of(body, closed, team, float(value), requirements).mass >= body.mass:
+            ways.append(f"ask for a tension of {value:.3g} N")
+            break
+    if capacity.binding == "grip" and capacity.mass > 0.0:
+        rougher = body.friction * body.mass / capacity.mass
+        ways.append(f"use rougher cables, objects.{name}.friction {rougher:.3g} or more")
+    for robots in ROBOTS:
+        if robots == team.robots:
+            continue
+        task = replace(grip_task(body, team, tension, requirements), robots=robots)
+        try:
+            found = grip_capacity(task, best_grip(task), body.friction, FACTOR)
+        except InfeasibleError:
+            continue
+        if found.mass >= body.mass:
+            ways.append(f"use {robots} robots")
+    return capacity, ", or ".join(ways) or "give it a rim, or use stronger quadrotors"

@@ -1,0 +1,187 @@
+"""Moves of a hitch with an object, and their curves as polynomials: at rest, pulling, or flying."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hitchopt.objects.placing import in_world
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+PROBE = 2e-3
+"""[s] Step of finite differences of the fourth order: they err by 1e-9 m/s² in such motions."""
+
+STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
+SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+
+LONGEST = 0.5
+"""[s] Longest piece while what is held turns or tensions change."""
+
+SHARE = 0.8
+"""Share of what friction and supports allow that is used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """What changes in a span of time, by one share from 0 to 1.
+
+    Attributes
+    ----------
+    start, end: (4,) x, y, z [m] of the object's base and its yaw [rad], of what the clasps' frame
+        follows.
+    tension: (2, n) [N], before and after.
+    borne: share of the object's weight on clasps before and after.
+    below: how far the clasps are below the rim before and after [m]; 0 where they touch it.
+    law: of the share.
+    closed: how far a hitch that grips is closed before and after: 0 around the object, 1 where it
+        grips, more where it is closed farther for a while.
+    lean: by what share of clasp friction legs pull more than edges before and after, so that clasps
+        close; negative where they open.
+    """
+
+    start: Array
+    end: Array
+    tension: Array
+    borne: tuple[float, float]
+    below: tuple[float, float]
+    law: SmoothLaw
+    closed: tuple[float, float] = (1.0, 1.0)
+    lean: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def lifted(self) -> bool:
+        """Whether the object is off its support all the time."""
+        return self.borne == (1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """Where an object is in the course of a move, at times (…).
+
+    Attributes
+    ----------
+    share: (…), of the move.
+    pose: (…, 5), of the object.
+    borne: (…), share of its weight on clasps.
+    tension: (…, n) [N]
+    level: (…, 3) [m/s²], acceleration of its base as seen from it, without that of turning.
+    turning, turned: (…) [rad/s], [rad/s²], of its yaw.
+    """
+
+    share: Array
+    pose: Array
+    borne: Array
+    tension: Array
+    level: Array
+    turning: Array
+    turned: Array
+
+    def between(self, before: float, after: float) -> Array:
+        """Return (…) what changes from ``before`` to ``after``."""
+        found: Array = before + self.share * (after - before)
+        return found
+
+    def accelerations(self, points: Array) -> Array:
+        """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
+        x, y = points[:, 0], points[:, 1]
+        inward, sideways = (self.turning**2)[..., None], self.turned[..., None]
+        spin = [-inward * x - sideways * y, sideways * x - inward * y, 0.0 * inward * x]
+        found: Array = self.level[..., None, :] + np.stack(spin, axis=-1)
+        return found
+
+
+def courses(move: Move, t: Array) -> Courses:
+    """Return where the object is at times t (…) [s] of a move."""
+    share, speed, change = np.moveaxis(move.law.jet(t), -1, 0)
+    offset = move.end - move.start
+    place = move.start + share[..., None] * offset
+    yaw = place[..., 3]
+    pose = np.concatenate([place[..., :3], np.cos(yaw)[..., None], np.sin(yaw)[..., None]], axis=-1)
+    borne = move.borne[0] + share * (move.borne[1] - move.borne[0])
+    tension = move.tension[0] + share[..., None] * (move.tension[1] - move.tension[0])
+    back = np.stack([0 * yaw, 0 * yaw, 0 * yaw, np.cos(yaw), -np.sin(yaw)], axis=-1)
+    level = in_world(back, change[..., None] * offset[:3])
+    return Courses(share, pose, borne, tension, level, speed * offset[3], change * offset[3])
+
+
+class Held(Protocol):
+    """A hitch that holds an object in one manner or another."""
+
+    def curves(self, move: Move, t: Array) -> dict[str, Array]:
+        """Return all curves of a move at times t (…) [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldFlight:
+    """Curves of a hitch that holds an object.
+
+    Attributes
+    ----------
+    flight: of the hitch.
+    pose: of the object, (5,).
+    borne: the share of its weight on clasps, ().
+    contacts: of edges that are wrapped around it, (n, 2, 3) [m]; None where none may be.
+    leg_tensions: (n, 2) [N], of legs; None where they pull as their cables do.
+    """
+
+    flight: Flight
+    pose: PiecewisePolynomial
+    borne: PiecewisePolynomial
+    contacts: PiecewisePolynomial | None = None
+    leg_tensions: PiecewisePolynomial | None = None
+
+    @property
+    def parts(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
+        """Drones, vertices and what legs pull with (2n,) [N]."""
+        pulls = self.flight.pulls
+        if self.leg_tensions is not None:
+            c = self.leg_tensions.coefficients
+            pulls = PiecewisePolynomial(pulls.breaks, c.reshape(len(c), -1, c.shape[-1]))
+        return self.flight.drones, self.flight.vertices, pulls
+
+
+def held_flight(held: Held, move: Move) -> HeldFlight:
+    """Return the curves of a move, from rest to rest.
+
+    Raises
+    ------
+    InfeasibleError: a weight that the tensions cannot carry.
+    """
+    moves = bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
+    moves |= move.closed[0] != move.closed[1]
+    turns = move.start[3] != move.end[3]
+    changes = bool(np.any(move.tension[0] != move.tension[1])) or move.borne[0] != move.borne[1]
+    changes |= move.closed[0] != move.closed[1] or move.lean[0] != move.lean[1]
+    longest = LONGEST if turns or changes or not moves else np.inf
+    breaks = move.law.breaks(longest)
+    t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
+    values = held.curves(move, t)
+    centre = len(STENCIL) // 2
+    parts = {}
+    for name, each in values.items():
+        jets = [
+            each[:, centre],
+            np.tensordot(FIRST / PROBE, each, (0, 1)),
+            np.tensordot(SECOND / PROBE**2, each, (0, 1)),
+        ]
+        for jet in jets[1:]:
+            jet[[0, -1]] = 0.0
+        constant = np.all(each == each[:1, :1])
+        whole = np.stack(jets)
+        parts[name] = (
+            PiecewisePolynomial.constant(breaks, each[0, 0])
+            if constant
+            else PiecewisePolynomial.hermite(breaks, whole[:, :-1], whole[:, 1:])
+        )
+    flight = Flight(parts["drones"], parts["vertices"], parts["legs"], parts["tensions"])
+    share = np.clip(parts["borne"].coefficients, 0.0, 1.0)  # polynomials overshoot by 1e-6
+    borne = PiecewisePolynomial(breaks, share)
+    return HeldFlight(
+        flight, parts["pose"], borne, parts.get("contacts"), parts.get("leg_tensions")
+    )

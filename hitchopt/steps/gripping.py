@@ -1,0 +1,227 @@
+"""Closing of a hitch around an object until it grips, and opening of one that does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.cable_slack import cable_slack
+from hitchopt.planners.carrying.grip_polygon import check_pull, grip_suggestion
+from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
+from hitchopt.planners.carrying.moves import Move, held_flight
+from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.requirements import Separation
+from hitchopt.steps.carrying import (
+    LIFT_SPEED,
+    PRELOAD,
+    STRETCHES,
+    changed_move,
+    ended_holding,
+    gentle_rates,
+    held_motion,
+    object_of,
+    place_of,
+    polygon_at,
+    resting_move,
+)
+from hitchopt.steps.certified_motions import certified, infeasible
+from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.values import Array
+
+LOOSE = (0.3, 0.4, 0.5, 0.7, 1.0)
+"""[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
+but the more their weight brings drones together."""
+
+LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
+"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
+
+KEPT, NEAREST, SAMPLES = 1.02, 1.002, 65
+"""Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+
+APART = 1.15
+"""Distance of neighbouring drones while legs lean, over the least one."""
+
+
+def grip_closed(
+    task: StepTask, name: str, tension: float | None, duration: float | None, step: str
+) -> StepPlan:
+    """Return the plan from around an object to cables that grip it.
+
+    Parameters
+    ----------
+    name: of the object.
+    tension: of all cables [N]; None for the team's.
+    duration, step: of the step, and what it is called.
+
+    Raises
+    ------
+    InputError: an object with a rim.
+    InfeasibleError: the object cannot be gripped, with what binds and what to change.
+    """
+    body, team = object_of(task, name), task.before.team
+    if body.rim is not None:
+        bound = "rest where the object has a rim, which the hitch is below"
+        raise InputError(f"mission[{task.index}].{step}.by", "grip", bound, "leave out the rim")
+    asked = team.tension if tension is None else np.full(team.robots, tension)
+    check_pull(float(np.max(asked)), team, task.requirements)
+    polygons = task.holding.polygons
+    held = GrippedHitch(
+        team,
+        body,
+        polygons.around,
+        polygons.closed,
+        float(body.centre_of_mass[2]),
+        task.hitch.fractions,
+        APART * 2.0 * task.requirements.separation.radius,
+    )
+    holding = Holding(name, polygons, asked, held)
+    here = replace(task, before=replace(task.before, holding=holding))
+    check_grip(here)
+    pulled = [
+        changed_move(here, law, tension=pulls, closed=(0.0, 0.0))
+        for law, pulls in _pulls(team.tension, asked)
+    ]
+    moves = [*pulled, *_closing(here, 0.0, 1.0)]
+    motion = held_motion(here, [held_flight(held, move) for move in moves], step)
+    motion = lasting(motion, duration, task.index, step)
+    return ended_holding(task, holding, motion, place_of(body))
+
+
+def grip_opened(task: StepTask, name: str, duration: float | None, step: str) -> StepPlan:
+    """Return the plan from cables that grip a standing object to a hitch around it."""
+    body, team, holding = object_of(task, name), task.before.team, task.holding
+    held = holding.held
+    assert isinstance(held, GrippedHitch)
+    moves = next(_opening(task, held))
+    motion = held_motion(task, [held_flight(held, move) for move in moves], step)
+    motion = lasting(motion, duration, task.index, step)
+    polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
+    hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
+    freed = replace(holding, tension=team.tension, held=None)
+    drones = motion.drones.at(motion.duration)
+    return StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
+
+
+def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
+    """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
+
+    The team's tensions come back on the last part of the way, on which nothing is touched.
+
+    Where they never do, those with the least tension follow all the same.
+    """
+    holding, team = task.holding, task.before.team
+    free = 0.5 * float(np.min(held.events(1.0)))  # half way from where edges part from the object
+    length = free * held.farthest
+    last = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
+    last = last.slowed(max(1.0, PRELOAD / last.duration))
+    found: list[list[Move]] = []
+    for value in LOOSE:
+        loose = np.minimum(holding.tension, value)
+        lax = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
+        moves = [
+            *(changed_move(task, law, tension=T) for law, T in _pulls(holding.tension, loose)),
+            *_closing(lax, 1.0, free),
+            changed_move(task, last, tension=(loose, team.tension), closed=(free, 0.0)),
+        ]
+        if all(_apart(held, move, task.requirements.separation, NEAREST) for move in moves):
+            yield moves
+        found.append(moves)
+    yield found[0]
+
+
+def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array, Array]]]:
+    """Yield the law and the tensions of a change of tensions, if there is one."""
+    if np.any(before != after):
+        yield SmoothLaw(0.5 * PRELOAD), (before, after)
+
+
+def _closing(task: StepTask, start: float, end: float) -> list[Move]:
+    """Return the moves that close or open a hitch; drones rest where edges come to touch.
+
+    Legs lean against clasp friction all the while, and are turned for that before and after: as far
+    as drones stay apart.
+    """
+    held = task.holding.held
+    assert isinstance(held, GrippedHitch)
+    sign = math.copysign(1.0, end - start)
+    for share in LEANS if held.team.cable_friction else ():
+        moves = list(_leaning(task, start, end, sign * share))
+        if all(_apart(held, move, task.requirements.separation) for move in moves):
+            return moves
+    return list(_leaning(task, start, end, 0.0))
+
+
+def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
+    """Yield the moves from one share of the way to the grip to another, legs leaning."""
+    held = task.holding.held
+    assert isinstance(held, GrippedHitch)
+    turning = SmoothLaw(0.5 * PRELOAD)
+    if lean:
+        yield changed_move(task, turning, closed=(start, start), lean=(0.0, lean))
+    events = held.events(max(start, end))
+    low, high = sorted((start, end))
+    between = events[(events > low) & (events < high)]
+    places = np.unique(np.concatenate([[low], between, [high]]))
+    if start > end:
+        places = places[::-1]
+    limits = task.requirements.limits
+    for one, other in pairwise(places.tolist()):
+        length = held.farthest * abs(other - one)
+        law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
+        for _ in range(STRETCHES):
+            move = changed_move(task, law, closed=(one, other), lean=(lean, lean))
+            factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
+            if not 1.0 < factor < math.inf:
+                break
+            law = law.slowed(1.01 * factor)
+        yield move
+    if lean:
+        yield changed_move(task, turning, closed=(end, end), lean=(lean, 0.0))
+
+
+def _apart(held: GrippedHitch, move: Move, separation: Separation, least: float = KEPT) -> bool:
+    """Return whether drones keep off each other at samples of a move."""
+    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
+    one, other = np.triu_indices(drones.shape[1], 1)
+    ratios = np.linalg.norm((drones[:, one] - drones[:, other]) * separation.scale, axis=-1)
+    return bool(np.min(ratios) >= least)
+
+
+def check_grip(task: StepTask) -> None:
+    """Raise InfeasibleError where an object cannot be gripped at rest, with what to change."""
+    holding, requirements, team = task.holding, task.requirements, task.before.team
+    held = holding.held
+    assert isinstance(held, GrippedHitch)
+    body, words = held.body, f"with objects.{holding.name} off its support"
+    bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
+
+    def suggested() -> str:
+        tension = float(np.min(holding.tension))
+        given = holding.name, body, held.closed, team, tension, requirements
+        capacity, ways = grip_suggestion(*given)
+        return f"{ways} ({capacity.binding} binds)"
+
+    try:
+        flight = held_flight(held, resting_move(bearing, 1.0))
+    except InfeasibleError as error:
+        broken = [replace(v, when=words, remedy=suggested()) for v in error.violations]
+        raise InfeasibleError(broken) from None
+    found = certified(held_motion(bearing, [flight], "hold"))
+    if found.certificate.certified:
+        return
+    refusal = infeasible(found.certificate, found.motion, words)
+    weighty = {"thrust", "tilt", "equilibrium", "grip"}
+    raise InfeasibleError(
+        [
+            replace(v, remedy=suggested()) if v.constraint in weighty else v
+            for v in refusal.violations
+        ]
+    )
