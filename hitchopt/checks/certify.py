@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
@@ -19,6 +19,7 @@ def certify(
     gamma: float = GAMMA,
     *,
     part: bool = False,
+    without: Collection[str] = (),
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -39,6 +40,7 @@ def certify(
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
     part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
+    without: names of reports that are left out.
 
     Raises
     ------
@@ -48,7 +50,8 @@ def certify(
     gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
     names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
-    names += [report.name for report in REPORTS if not (part and report.whole)]
+    reports = [r for r in REPORTS if not (part and r.whole) and r.name not in without]
+    names += [report.name for report in reports]
 
     def tell(name: str) -> None:
         if progress is not None and name in names:
@@ -58,10 +61,9 @@ def certify(
         tell(rule.name)
         found[rule.name] = rule.findings(motion)
     checks = [most_pressing(each.check for each in spans) for spans in found.values()]
-    for report in REPORTS:
-        if not (part and report.whole):
-            tell(report.name)
-            checks.append(report.check(motion, found, gamma))
+    for report in reports:
+        tell(report.name)
+        checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
 
