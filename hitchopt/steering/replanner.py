@@ -22,7 +22,7 @@ from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import shortest_brake, shortest_shift
+from hitchopt.steering.retarget_timing import brakes, shortest_shift
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -42,7 +42,10 @@ PIECE = 0.3
 FEWEST, MOST = 4, 96
 """Number of pieces, at least and at most."""
 
-ROUNDS = 4
+BRAKES = 3
+"""Brakes that are tried, from the shortest on, where limits of motion are broken."""
+
+ROUNDS = 3
 """Certificates that are tried for one goal, each after a change for what the last one said."""
 
 SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust": 2, "tilt": 2}
@@ -236,13 +239,16 @@ class Replanner(OneLine):
                 refusal = refusal or error
                 continue
             path = RetargetPath.to(team, state, end, yaw)
-            brake = shortest_brake(path, limits)
-            if brake is None:
+            options = brakes(path, limits)
+            if not options:
                 raise _NotNow(f"from t = {at:.4g} s: no brake keeps all limits")
-            found = self._certified(past, path, brake, limits)
-            if isinstance(found, Retarget):
-                return found, end
-            refusal = refusal or found
+            for brake in options[:BRAKES]:
+                found = self._certified(past, path, brake, limits)
+                if isinstance(found, Retarget):
+                    return found, end
+                refusal = refusal or found
+                if not {each.constraint for each in found.violations} <= SLOWER.keys():
+                    break
         assert refusal is not None
         raise refusal
 
@@ -314,6 +320,8 @@ class Replanner(OneLine):
             error = error or infeasible(certificate, ahead)
             if not broken.keys() <= SLOWER.keys() | FINER:
                 return infeasible(certificate, ahead)
+            if any(check.time <= recent.duration + brake for check in certificate.violated):
+                return error  # a longer shift does not change the brake
             ratios = [
                 (broken[name].bound / broken[name].number) ** (1.0 / power)
                 for name, power in SLOWER.items()

@@ -91,23 +91,24 @@ class RetargetPath:
         return replace(self, yaw=0.0)
 
     @cached_property
-    def _changes(self) -> tuple[SmoothChange, SmoothChange, SmoothChange]:
-        """Curves of the mean point, of the shape about it, and of the fractions."""
+    def _change(self) -> SmoothChange:
+        """Curves of the mean point, of the shape about it, and of the fractions, in a row."""
         points = self.state.vertices[..., :3]
         centre = points.mean(axis=0)
         goal = self.end.mean(axis=0)
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return (
-            SmoothChange(centre, goal),
-            SmoothChange(points - centre, (self.end - goal) @ back),
-            SmoothChange(self.state.fractions[..., :3], self.fractions),
-        )
+        shape = (points - centre).reshape(-1, 3)
+        start = np.concatenate([centre, shape, self.state.fractions[..., :3]])
+        ends = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
+        return SmoothChange(start, ends)
 
     def flat(self, t: Array, brake: float, shift: float) -> FlatJets:
         """Return the flat outputs' jets at times t (J,) [s]; the rest is of SmoothChange."""
         team, layout = self.team, self.team.layout
-        centre, shape, split = (each.jets(t, brake, shift) for each in self._changes)
+        each = self._change.jets(t, brake, shift)
+        centre, split = each[:, :3], each[:, 3 + 3 * layout.points :]
+        shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
         vertices = centre[:, None] + self._turned(shape, t, shift)
         edges = layout.edges(vertices, axis=1)
         chords = jets.square_root(np.sum(jets.product(edges, edges), axis=2))

@@ -7,20 +7,23 @@ import math
 import numpy as np
 
 from hitchopt.geometry.vectors import length
-from hitchopt.model.evaluation import DroneJets, FlatJets
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
 from hitchopt.values import Array
 
-BRAKES = np.array([0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2])
-"""[s] Durations of the brake that are tried; the shortest that keeps all limits is taken."""
+BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
+"""[s] Durations of the brake that are tried."""
 
-BRAKE_SAMPLES, SAMPLES = 8, 20
-"""Number of times at which the limits are looked at, of a brake and of the whole."""
+BRAKE_SHARE, SHARE = 0.95, 0.99
+"""Share of the limits that is used at samples, by the brake alone and by the whole; the rest is for
+what is between them, which the certificate bounds."""
 
-SHARE = 0.9985
-"""Share of the limits that is used at samples; the certificate bounds what is between them."""
+BRAKE_SAMPLES, SAMPLES = 8, 16
+"""Number of times at which the limits are looked at, besides those at which the jerk jumps."""
+
+AFTER = 1e-6
+"""Share of a duration before its end at which one-sided derivatives are taken."""
 
 SHORTEST = 0.3
 """[s] Shortest shift."""
@@ -32,47 +35,51 @@ GROWTH = 1.01
 """Least factor by which it is."""
 
 
-def excess(limits: Limits, flat: FlatJets, drones: DroneJets, most: Array) -> Array:
-    """Return (J,) by how many times slower a motion would have to be at each of its samples.
+def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: float) -> float:
+    """Return how many times slower a motion would have to be at its samples, at most.
 
     Exact for speed, acceleration and jerk; thrust and tilt, which do not scale, count by the square
-    root of their share of the limit.
+    root of their share of the limit. At t = 0 the state is given: there only the jerk counts.
 
     Parameters
     ----------
-    most: (2n,) largest thrusts [N].
+    t: (J,) times [s], the first one 0.
+    brake, shift: durations [s].
     """
+    flat, drones = path.drones(t, brake, shift)
     x, thrust = drones.positions, drones.thrusts
-    speed = np.max(length(x[..., 1]), axis=1) / limits.speed
-    vertex = np.max(length(flat.vertices[..., 1]), axis=1) / limits.vertex_speed
-    acceleration = np.max(length(x[..., 2]), axis=1) / limits.acceleration
-    jerk = np.max(length(x[..., 3]), axis=1) / limits.jerk
-    force = np.max(length(thrust) / most, axis=1)
-    level = np.hypot(thrust[..., 0], thrust[..., 1])
-    tilt = np.max(np.arctan2(level, thrust[..., 2]), axis=1) / limits.tilt
-    rates = [speed, vertex, np.sqrt(np.maximum.reduce([acceleration, force, tilt])), np.cbrt(jerk)]
-    found: Array = np.maximum.reduce(rates)
-    return np.where(np.isfinite(found), found, np.inf)
+    squared = np.einsum("jdxk,jdxk->kjd", x, x)
+    jerk = math.sqrt(float(np.max(squared[3]))) / limits.jerk
+    speed = math.sqrt(float(np.max(squared[1, 1:]))) / limits.speed
+    acceleration = math.sqrt(float(np.max(squared[2, 1:]))) / limits.acceleration
+    vertices = flat.vertices[1:, ..., 1]
+    vertex = float(np.max(np.einsum("jdx,jdx->jd", vertices, vertices)))
+    vertex = math.sqrt(vertex) / limits.vertex_speed
+    level2 = thrust[1:, :, 0] ** 2 + thrust[1:, :, 1] ** 2
+    up = thrust[1:, :, 2]
+    force = float(np.max(np.sqrt(level2 + up * up) / path.team.max_thrust))
+    lean = float(np.max(np.arctan2(np.sqrt(level2), up))) / limits.tilt
+    found = max(speed, vertex, math.sqrt(max(acceleration, force, lean)), float(np.cbrt(jerk)))
+    return found if math.isfinite(found) else math.inf
 
 
-def shortest_brake(path: RetargetPath, limits: Limits) -> float | None:
-    """Return the first duration [s] of BRAKES in which the state comes to rest within the limits."""
+def brakes(path: RetargetPath, limits: Limits) -> list[float]:
+    """Return the durations [s] of BRAKES in which the state comes to rest within the limits."""
     if not path.state.moves:
-        return float(BRAKES[0])
-    team = path.team
-    times = (np.arange(BRAKE_SAMPLES) + 0.7) / BRAKE_SAMPLES
-    for brake in BRAKES.tolist():
-        found = excess(limits, *path.braked.drones(times * brake, brake, math.inf), team.max_thrust)
-        if np.max(found) <= SHARE:
-            return brake
-    return None
+        return [BRAKES[0]]
+    times = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
+    alone = path.braked
+    return [
+        brake
+        for brake in BRAKES
+        if excess(alone, limits, brake * times, brake, math.inf) <= BRAKE_SHARE
+    ]
 
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
     """Return the duration [s] of a shift that keeps all limits at samples; None if none is found."""
     ends = np.array([brake])
-    whole = 1e-3 * brake  # a shift that is over at once: the drones at the goal
-    goal = path.drones(ends, brake, whole)[1].positions[0, ..., 0]
+    goal = path.drones(ends, brake, 1e-3 * brake)[1].positions[0, ..., 0]  # over at once
     rest = path.braked.drones(ends, brake, math.inf)[1].positions[0, ..., 0]
     far = float(np.max(length(goal - rest)))
     turned = 0.5 * abs(path.yaw) * float(np.max(length(goal - goal.mean(axis=0))))
@@ -82,13 +89,14 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
     shift = max(
         PEAK_SPEED * far / limits.speed,
         math.sqrt(PEAK_ACCELERATION * far / limits.acceleration),
-        np.cbrt(PEAK_JERK * far / limits.jerk),
+        float(np.cbrt(PEAK_JERK * far / limits.jerk)),
         SHORTEST,
     )
     for _ in range(ROUNDS):
         end = max(shift, brake)
-        times = end * (np.arange(SAMPLES) + 0.5) / SAMPLES
-        found = float(np.max(excess(limits, *path.drones(times, brake, shift), path.team.max_thrust)))
+        inner = np.linspace(0.0, end, SAMPLES, endpoint=False)
+        times = np.append(inner, [brake * (1.0 - AFTER), shift * (1.0 - AFTER)])
+        found = excess(path, limits, times, brake, shift)
         if found <= SHARE:
             return shift
         if not math.isfinite(found):

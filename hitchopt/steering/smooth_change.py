@@ -9,6 +9,7 @@ keeps with something to spare.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import perm
 
 import numpy as np
 
@@ -66,9 +67,14 @@ class SmoothChange:
 
 def _polynomial(powers: Array, t: Array) -> Array:
     """Return the jets (J, *shape, 4) of polynomials with coefficients (N, *shape) by powers of t."""
-    orders = []
-    for _ in range(JET):
-        table = t[:, None] ** np.arange(len(powers))
-        orders.append(np.tensordot(table, powers, axes=1))
-        powers = powers[1:] * np.arange(1, len(powers)).reshape(-1, *(1,) * (powers.ndim - 1))
-    return np.stack(orders, axis=-1)
+    count = len(powers)
+    table = t[:, None] ** np.arange(count)
+    rows = np.zeros((JET, len(t), count))
+    for order in range(JET):
+        rows[order, :, order:] = _FACTORS[order, order:count] * table[:, : count - order]
+    found = rows.reshape(-1, count) @ powers.reshape(count, -1)
+    return np.moveaxis(found.reshape(JET, len(t), *powers.shape[1:]), 0, -1)
+
+
+_FACTORS = np.array([[perm(k, order) for k in range(len(QUINTIC))] for order in range(JET)], float)
+"""Factors of the powers' derivatives."""
