@@ -5,8 +5,8 @@ Usage: python -m benchmarks.steering [--retargets N] [--from-rest M] [--robots N
 A hitch is steered to random goals at random times while it moves: polygons, single vertices, and
 poses. Every answer is timed, its certificate (all checks but tracking_radius and survivable)
 included, by the process's time and by the wall's. Up to M goals that were refused are planned from
-rest in the goal before, by ``ho.solve``'s own steps: what can be planned from there counts as missed.
-Every hundredth whole plan is certified anew.
+rest in the goal before, by the usual steps: what can be planned from there counts as missed. Every
+hundredth whole plan is certified anew.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import argparse
 import platform
 import time
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -57,7 +58,7 @@ class Counts:
     reasons: dict[str, int] = field(default_factory=dict)
 
 
-def goal(rng: Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, object]:
+def goal(rng: Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, Any]:
     """Return a random goal: a polygon, a vertex, or a pose."""
     kind = rng.integers(3)
     base = first.polygon.vertices - first.polygon.centroid
@@ -74,7 +75,7 @@ def goal(rng: Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, object]:
     return {"to": place, "yaw": float(rng.uniform(-0.5, 0.5))}
 
 
-def from_rest(now: ho.Hitch, asked: dict[str, object]) -> bool:
+def from_rest(now: ho.Hitch, asked: dict[str, Any]) -> bool:
     """Return whether the goal can be planned from rest in the last goal, by the usual steps."""
     try:
         if "polygon" in asked:
@@ -124,7 +125,9 @@ def measure(n: int, retargets: int, most: int) -> Counts:
 
 def row(n: int, found: Counts) -> str:
     """Return the row of a table."""
-    quantiles = [1e3 * float(np.quantile(x, q)) for x in (found.own, found.wall) for q in (0.5, 0.99)]
+    quantiles = [
+        1e3 * float(np.quantile(x, q)) for x in (found.own, found.wall) for q in (0.5, 0.99)
+    ]
     asked, refused = len(found.wall), len(found.wall) - found.accepted
     missed = refused * found.missed / found.tried if found.tried else 0.0
     share = found.accepted / max(found.accepted + missed, 1.0)
@@ -162,8 +165,8 @@ def main() -> None:
     print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}\n")
     print(
         "| n | retargets | from moving states | median, process [ms] | p99, process [ms] | "
-        "median, wall [ms] | p99, wall [ms] | accepted | begun later | refused, but planned from rest | "
-        "accepted of what can be planned | broken when certified anew |"
+        "median, wall [ms] | p99, wall [ms] | accepted | begun later | refused, but planned from "
+        "rest | accepted of what can be planned | broken when certified anew |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for n in given.robots:

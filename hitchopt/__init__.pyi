@@ -88,7 +88,8 @@ from hitchopt.settling.tolerance import (
     Tolerance as Tolerance,
     tolerance as tolerance,
 )
-from hitchopt.steering.replanner import Replanner as Replanner, Retarget as Retarget
+from hitchopt.steering.replanner import Replanner as Replanner
+from hitchopt.steering.retarget import Retarget as Retarget
 from hitchopt.steps import (
     Adjust as Adjust,
     Carry as Carry,

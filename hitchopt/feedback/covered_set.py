@@ -2,10 +2,10 @@
 
 Two bodies (a drone, or a straight part of a cable) with the distance D to keep are parted by a
 direction n. The coefficients of their ends' polynomials a(t), b(t) give ``m ≤ n·(a - b)`` for all
-t of a cell. With ends off by ``ρ_a``, ``ρ_b`` they keep D if ``n·(ρ_a - ρ_b) ≥ D - m`` for all pairs
-of ends. These are linear in the offsets, so a set of half-spaces covers every distance at every
-time of the cell; a common shift of all drones and vertices changes none of them. Vertices are taken
-to be where they are planned, but for the reserve.
+t of a cell. With ends off by ``ρ_a``, ``ρ_b`` they keep D if ``n·(ρ_a - ρ_b) ≥ D - m`` for all
+pairs of ends. These are linear in the offsets, so a set of half-spaces covers every distance at
+every time of the cell; a common shift of all drones and vertices changes none of them. Vertices are
+taken to be where they are planned, but for the reserve.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import cable_parts, part_points, positions
+from hitchopt.checks.bounds.bodies import part_points, positions
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein

@@ -28,7 +28,7 @@ PROPORTIONAL, INTEGRAL = 0.4, 0.8
 """Gains [1], [1/s]: slower than drones of 4.75 N/m, whose setpoints take 0.4 s to move vertices."""
 
 SMOOTHING = 0.1
-"""[s] Time constant of the filter of measured errors: white noise of 1 cm at 100 Hz becomes 2 mm."""
+"""[s] Time constant of the filter of errors: of 1 cm of white noise at 100 Hz 2 mm are left."""
 
 LARGEST_ERROR = 0.5
 """[m] A measured error larger than this is no error of a vertex, but a false measurement."""
@@ -85,7 +85,8 @@ class Feedback(OneLine):
         if not isinstance(motion, Motion) or not motion.team.has_cables:
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
         if motion.requirements.keep_out or motion.requirements.objects:
-            raise UnsupportedError("feedback keeps no distance to keep-outs and objects: fly without")
+            words = "feedback keeps no distance to keep-outs and objects: fly without them"
+            raise UnsupportedError(words)
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), not_negative("delay", delay)
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
@@ -249,5 +250,6 @@ def _shaped(key: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape; nan is allowed."""
     found = np.asarray(values, dtype=np.float64)
     if found.shape != shape:
-        raise InputError(key, found.shape, f"of shape {shape}", "give a row of nan where one is missing")
+        remedy = "give a row of nan where one is missing"
+        raise InputError(key, found.shape, f"of shape {shape}", remedy)
     return found

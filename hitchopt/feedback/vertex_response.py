@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.layout import Index
 from hitchopt.values import Array
 
 DAMPING = 0.3
@@ -64,7 +65,7 @@ def vertex_response(
     return VertexResponse(forward, np.swapaxes(np.linalg.solve(gram, forward), 1, 2))
 
 
-def _spans(team: Team) -> tuple[Array, Array, Array]:
+def _spans(team: Team) -> tuple[Index, Index, Index]:
     """Return the first and last nodes of all spans of cable, and their cables."""
     layout, n = team.layout, team.robots
     node = np.full(layout.points, -1)
@@ -79,9 +80,9 @@ def _spans(team: Team) -> tuple[Array, Array, Array]:
 
 
 def _forward(
-    nodes: Array, first: Array, last: Array, cable: Array, tensions: Array, stiffness: Array
+    nodes: Array, first: Index, last: Index, cable: Index, tensions: Array, stiffness: Array
 ) -> Array:
-    """Return (clasps, 3, 2n, 3), by how much clasps move with the drones' setpoints."""
+    """Return (3 clasps, 6n), by how much clasps move with the drones' setpoints."""
     count, drones = len(nodes), len(stiffness)
     along = nodes[last] - nodes[first]
     lengths = np.maximum(np.linalg.norm(along, axis=-1), LEAST_LENGTH)
@@ -103,5 +104,5 @@ def _forward(
     matrix[:size, size:] = matrix[size:, :size].T
     pushed = np.zeros((len(matrix), 3 * drones))
     pushed[held, held] = np.repeat(stiffness, 3)
-    moved = np.linalg.solve(matrix, pushed)[3 * drones : size]
-    return moved.reshape(-1, 3, drones, 3)
+    moved: Array = np.linalg.solve(matrix, pushed)[3 * drones : size]
+    return moved

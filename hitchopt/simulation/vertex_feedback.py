@@ -52,7 +52,9 @@ class VertexFeedback:
         self._waiting: deque[tuple[float, Array]] = deque()
         self._measured = 0.0
 
-    def corrected(self, setpoints: Setpoints, time: float, seconds: float, drones: Array) -> Setpoints:
+    def corrected(
+        self, setpoints: Setpoints, time: float, seconds: float, drones: Array
+    ) -> Setpoints:
         """Return the setpoints with the corrections at a time [s] of the flight.
 
         Parameters

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
-from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steering.retarget import LATER, SLOWER, Retarget, certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes, shortest_shift
-from hitchopt.steps.certified_motions import flying, infeasible
+from hitchopt.steering.retarget_timing import brakes
+from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
@@ -33,63 +33,11 @@ WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
 HOLD = 1.0
 """[s] Rest with which steering begins."""
 
-LATER = ("tracking_radius", "survivable")
-"""Reports that are left to the whole plan's certificate."""
-
-PIECE = 0.3
-"""[s] Length of the pieces: a cable's length is then right within 1e-7 of it."""
-
-FEWEST, MOST = 4, 96
-"""Number of pieces, at least and at most."""
-
 BRAKES = 3
 """Brakes that are tried, from the shortest on, where limits of motion are broken."""
 
-ROUNDS = 3
-"""Certificates that are tried for one goal, each after a change for what the last one said."""
-
-SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust": 2, "tilt": 2}
-"""Checks that a longer shift eases, and the power of the duration with which they fall."""
-
-STRETCH = 1.02
-"""Least factor by which a shift is prolonged then."""
-
-FINER = frozenset({"cable_length", "equilibrium", "tension"})
-"""Checks that shorter pieces ease."""
-
 SAME_STATE = 1e-6
 """[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Retarget(OneLine):
-    """Answer of a replanner.
-
-    Attributes
-    ----------
-    accepted: whether the hitch flies to the new goal; if not, all goes on as before.
-    start: time at which the new plan leaves the old one [s].
-    motion: what flies now, from the beginning of steering.
-    ahead: the part from the last break before ``start`` on, t = 0 there; of a refusal the motion.
-    certificate: of ``ahead``, all checks but those that need no limit and most time.
-    reason: of a refusal, in words.
-    """
-
-    accepted: bool
-    start: float
-    motion: Motion
-    ahead: Motion
-    certificate: Certificate
-    reason: str = ""
-
-    def _parts(self) -> Iterator[str]:
-        yield "accepted" if self.accepted else f"refused: {self.reason}"
-        yield f"from t = {self.start:.4g} s, until {self.motion.duration:.4g} s"
-
-    @cached_property
-    def plan(self) -> Plan:
-        """The whole plan, the old one until ``start``, with a full certificate of its own."""
-        return Plan(self.motion, certify(self.motion), "Steered")
 
 
 class Replanner(OneLine):
@@ -123,14 +71,17 @@ class Replanner(OneLine):
         instance("team", team, Team)
         instance("start", start, Hitch, Plan)
         own = start.motion.team if isinstance(start, Plan) else start.team
-        if own is not team and vars(own).keys() != vars(team).keys():
+        if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
         if team.cable_density > 0.0 or np.any(team.load):
             raise UnsupportedError("steering plans cables without weight and clasps without load")
         given = start.motion.requirements if isinstance(start, Plan) else Requirements()
-        parts = {"limits": limits, "separation": separation, "arena": arena}
-        chosen = {name: part for name, part in parts.items() if part is not None}
-        self.requirements = replace(given, **chosen)
+        self.requirements = replace(
+            given,
+            limits=limits or given.limits,
+            separation=separation or given.separation,
+            arena=arena or given.arena,
+        )
         if isinstance(start, Plan):
             self.motion = replace(start.motion, requirements=self.requirements)
             self._goal = start.end
@@ -188,18 +139,23 @@ class Replanner(OneLine):
                 found = self._planned(outline, altitude, turned, at + wait)
             except InfeasibleError as error:
                 return self._kept(at, str(error))
-            except _NotNow as late:
+            except _NotNowError as late:
                 refusal = refusal or str(late)
                 continue
-            self.motion, self._certificate, self._goal = found[0].motion, found[0].certificate, found[1]
-            return found[0]
+            answer, self._goal = found
+            self.motion, self._certificate = answer.motion, answer.certificate
+            return answer
         return self._kept(at, refusal)
 
     def _kept(self, at: float, reason: str) -> Retarget:
         return Retarget(False, at, self.motion, self.motion, self._certificate, reason)
 
     def _asked(
-        self, polygon: Outline | ArrayLike | None, vertex: int | None, to: ArrayLike | None, yaw: float
+        self,
+        polygon: Outline | ArrayLike | None,
+        vertex: int | None,
+        to: ArrayLike | None,
+        yaw: float,
     ) -> tuple[Outline, float, float]:
         """Return outline, altitude and yaw of the goal that is asked for."""
         goal, team = self._goal, self.motion.team
@@ -229,7 +185,7 @@ class Replanner(OneLine):
         """Return the answer of a plan that leaves the present one at a time, and its goal."""
         past = self._past(at)
         state = self._state(past)
-        team, limits = past.team, self.requirements.planned.limits
+        team, need = past.team, self.requirements
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
         for chosen in (False, True):
@@ -239,22 +195,21 @@ class Replanner(OneLine):
                 refusal = refusal or error
                 continue
             path = RetargetPath.to(team, state, end, yaw)
-            options = brakes(path, limits)
-            if not options:
-                raise _NotNow(f"from t = {at:.4g} s: no brake keeps all limits")
-            for brake in options[:BRAKES]:
-                found = self._certified(past, path, brake, limits)
+            tried = False
+            for brake in islice(brakes(path, need.planned.limits), BRAKES):
+                tried = True
+                found = certified_retarget(past, path, brake, need)
                 if isinstance(found, Retarget):
                     return found, end
                 refusal = refusal or found
                 if not {each.constraint for each in found.violations} <= SLOWER.keys():
                     break
+            if not tried:
+                raise _NotNowError(f"from t = {at:.4g} s: no brake keeps all limits")
         assert refusal is not None
         raise refusal
 
-    def _end(
-        self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool
-    ) -> Hitch:
+    def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
         """Return the hitch of a goal: with the present split of the slack, or the nearest one."""
         team, need = self.motion.team, self.requirements
         if not chosen:
@@ -285,67 +240,19 @@ class Replanner(OneLine):
 
         Raises
         ------
-        _NotNow: no hitch there with the team's tensions.
+        _NotNowError: no hitch there with the team's tensions.
         """
         state = MovingState.of(past, past.duration)
         when = f"at t = {past.duration:.4g} s"
         if not past.phases[-1].formed:
-            raise _NotNow(f"{when} there is no hitch")
+            raise _NotNowError(f"{when} there is no hitch")
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.drones(np.zeros(1), 1.0, math.inf)[1].positions[0, ..., 0]
         if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
-            raise _NotNow(f"{when} legs lean, are rolled, or do not have the team's tensions")
+            raise _NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return state
 
-    def _certified(
-        self, past: Motion, path: RetargetPath, brake: float, limits: Limits
-    ) -> Retarget | InfeasibleError:
-        """Return the answer for a path, or what keeps it from being certified."""
-        shift = shortest_shift(path, limits, brake)
-        if shift is None:
-            return InfeasibleError([], "no duration keeps all limits on the way to the goal")
-        piece, error = PIECE, None
-        recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
-        for _ in range(ROUNDS):
-            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
-            flight = path.flight(_breaks(brake, shift, piece, moving=path.state.moves), brake, shift)
-            fresh = flying(flight, path.team, self.requirements, [phase])
-            ahead = followed(recent, fresh)
-            certificate = certify(ahead.untimed, without=LATER)
-            if certificate.certified:
-                motion = followed(past, fresh)
-                return Retarget(True, past.duration, motion, ahead, certificate)
-            broken = {check.name: check for check in certificate.violated}
-            error = error or infeasible(certificate, ahead)
-            if not broken.keys() <= SLOWER.keys() | FINER:
-                return infeasible(certificate, ahead)
-            if any(check.time <= recent.duration + brake for check in certificate.violated):
-                return error  # a longer shift does not change the brake
-            ratios = [
-                (broken[name].bound / broken[name].number) ** (1.0 / power)
-                for name, power in SLOWER.items()
-                if name in broken
-            ]
-            shift *= max([STRETCH * ratio for ratio in ratios], default=1.0)
-            piece *= 0.5 if broken.keys() & FINER else 1.0
-        assert error is not None
-        return error
 
-
-class _NotNow(Exception):
+class _NotNowError(Exception):
     """A retarget cannot begin at this time."""
-
-
-def _breaks(brake: float, shift: float, piece: float, *, moving: bool) -> Array:
-    """Return the breaks of a retarget: its end, the brake's and the shift's, and more."""
-    end = max(brake, shift) if moving else shift
-    inner = [brake, shift] if moving else [shift]
-    edges = np.unique([0.0, *inner])
-    count = int(np.clip(np.ceil(end / piece), FEWEST, MOST))
-    counts = np.maximum(np.round(np.diff(edges) / end * count), 1).astype(int)
-    parts = [
-        np.linspace(a, b, k + 1)[1:] for a, b, k in zip(edges[:-1], edges[1:], counts, strict=True)
-    ]
-    return np.concatenate([[0.0], *parts])
-

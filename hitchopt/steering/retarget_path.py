@@ -51,9 +51,7 @@ class MovingState:
         has_both = np.all(motion.team.layout.has_leg, axis=1)
         slack[~has_both, 0] = np.where(slack[~has_both, 0] > 0.0, slack[~has_both, 0], 1.0)
         fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
-        return cls(
-            motion.vertices.jet(t, JET)[0], fractions, motion.drones.jet(t, JET)[0], legs
-        )
+        return cls(motion.vertices.jet(t, JET)[0], fractions, motion.drones.jet(t, JET)[0], legs)
 
     @property
     def moves(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -63,21 +64,20 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     return found if math.isfinite(found) else math.inf
 
 
-def brakes(path: RetargetPath, limits: Limits) -> list[float]:
-    """Return the durations [s] of BRAKES in which the state comes to rest within the limits."""
+def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
+    """Yield the durations [s] of BRAKES in which the state comes to rest within the limits."""
     if not path.state.moves:
-        return [BRAKES[0]]
+        yield BRAKES[0]
+        return
     times = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
     alone = path.braked
-    return [
-        brake
-        for brake in BRAKES
-        if excess(alone, limits, brake * times, brake, math.inf) <= BRAKE_SHARE
-    ]
+    for brake in BRAKES:
+        if excess(alone, limits, brake * times, brake, math.inf) <= BRAKE_SHARE:
+            yield brake
 
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
-    """Return the duration [s] of a shift that keeps all limits at samples; None if none is found."""
+    """Return the duration [s] of a shift that keeps all limits at samples, or None."""
     ends = np.array([brake])
     goal = path.drones(ends, brake, 1e-3 * brake)[1].positions[0, ..., 0]  # over at once
     rest = path.braked.drones(ends, brake, math.inf)[1].positions[0, ..., 0]

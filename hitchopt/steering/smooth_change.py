@@ -66,7 +66,7 @@ class SmoothChange:
 
 
 def _polynomial(powers: Array, t: Array) -> Array:
-    """Return the jets (J, *shape, 4) of polynomials with coefficients (N, *shape) by powers of t."""
+    """Return the jets (J, *shape, 4) of polynomials with coefficients (N, *shape) by t."""
     count = len(powers)
     table = t[:, None] ** np.arange(count)
     rows = np.zeros((JET, len(t), count))
