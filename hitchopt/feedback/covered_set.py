@@ -66,6 +66,7 @@ class HalfSpaces:
                 if beyond.max() <= NOTHING:
                     break
                 own = own - np.maximum(beyond, 0.0) @ self.rows
+            own = (own.reshape(-1, 3) - own.reshape(-1, 3).mean(axis=0)).ravel()
             values = self.rows @ own
             beyond = values > self.bounds
             if beyond.any():
