@@ -45,10 +45,8 @@ def row(task: Task, preset: str, friction: float, seed: int, *, feedback: bool) 
     own = errors.errors[errors.moving, moved]
     each = (done.run.moving.mean, done.run.moving.largest, float(np.nanmean(own)))
     numbers = " | ".join(f"{100.0 * value:.2f}" for value in each)
-    return (
-        f"| {friction:g} | {seed} | {'yes' if feedback else 'no'} | {numbers} | {done.run.verdict} |"
-        f" <!-- {time.perf_counter() - begin:.0f} s -->"
-    )
+    begun = f"| {friction:g} | {seed} | {'yes' if feedback else 'no'} |"
+    return f"{begun} {numbers} | {done.run.verdict} | <!-- {time.perf_counter() - begin:.0f} s -->"
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ TRAVEL = 0.05
 MOST_CELLS = 64
 """Number of cells into which a piece is cut at most."""
 
-LARGEST = 0.15
+LARGEST = 0.25
 """[m] Largest offset of a drone besides the common shift of all of them."""
 
 FARTHEST = 0.4

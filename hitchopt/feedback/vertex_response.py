@@ -104,5 +104,4 @@ def _forward(
     matrix[:size, size:] = matrix[size:, :size].T
     pushed = np.zeros((len(matrix), 3 * drones))
     pushed[held, held] = np.repeat(stiffness, 3)
-    moved: Array = np.linalg.solve(matrix, pushed)[3 * drones : size]
-    return moved
+    return np.linalg.solve(matrix, pushed)[3 * drones : size].astype(np.float64)
