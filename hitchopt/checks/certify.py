@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import Found
+from hitchopt.checks.rule import Found, ReportRule
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative
@@ -19,7 +19,7 @@ def certify(
     gamma: float = GAMMA,
     *,
     part: bool = False,
-    without: Collection[str] = (),
+    reports: Sequence[ReportRule] = REPORTS,
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -40,7 +40,7 @@ def certify(
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
     part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
-    without: names of reports that are left out.
+    reports: that are made after the checks; others than the usual ones where time is short.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def certify(
     gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
     names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
-    reports = [r for r in REPORTS if not (part and r.whole) and r.name not in without]
+    reports = [report for report in reports if not (part and report.whole)]
     names += [report.name for report in reports]
 
     def tell(name: str) -> None:

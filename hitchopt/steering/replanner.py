@@ -20,7 +20,7 @@ from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steering.retarget import LATER, SLOWER, Retarget, certified_retarget
+from hitchopt.steering.retarget import IN_FLIGHT, SLOWER, Retarget, certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import brakes
 from hitchopt.steps.certified_motions import infeasible
@@ -89,7 +89,7 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        self._certificate = certify(self.motion, without=LATER)
+        self._certificate = certify(self.motion, reports=IN_FLIGHT)
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 

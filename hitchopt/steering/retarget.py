@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.stoppable import QUICK
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion, Phase
@@ -21,8 +22,8 @@ from hitchopt.steering.retarget_timing import shortest_shift
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
-LATER = ("tracking_radius", "survivable")
-"""Reports that are left to the whole plan's certificate."""
+IN_FLIGHT = (QUICK,)
+"""Reports that are made while the hitch flies; all others are of the whole plan."""
 
 PIECE = 0.3
 """[s] Length of the pieces: a cable's length is then right within 1e-7 of it."""
@@ -96,7 +97,7 @@ def certified_retarget(
         flight = path.flight(_breaks(brake, shift, piece, moving=path.state.moves), brake, shift)
         fresh = flying(flight, path.team, requirements, [phase])
         ahead = followed(recent, fresh)
-        certificate = certify(ahead.untimed, without=LATER)
+        certificate = certify(ahead.untimed, reports=IN_FLIGHT)
         if certificate.certified:
             motion = followed(past, fresh)
             return Retarget(True, past.duration, motion, ahead, certificate)

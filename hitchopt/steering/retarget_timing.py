@@ -16,9 +16,9 @@ from hitchopt.values import Array
 BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
 """[s] Durations of the brake that are tried."""
 
-BRAKE_SHARE, SHARE = 0.95, 0.99
-"""Share of the limits that is used at samples, by the brake alone and by the whole; the rest is for
-what is between them, which the certificate bounds."""
+BRAKE_SHARES, SHARE = (0.85, 0.95), 0.99
+"""Shares of the limits that are used at samples, by the brake alone (the larger one where no brake
+keeps the smaller) and by the whole; the rest is for what is between samples."""
 
 BRAKE_SAMPLES, SAMPLES = 8, 16
 """Number of times at which the limits are looked at, besides those at which the jerk jumps."""
@@ -29,10 +29,10 @@ AFTER = 1e-6
 SHORTEST = 0.3
 """[s] Shortest shift."""
 
-ROUNDS = 10
+ROUNDS = 8
 """Maximum number of times that a shift is prolonged."""
 
-GROWTH = 1.01
+GROWTH = 1.04
 """Least factor by which it is."""
 
 
@@ -71,9 +71,14 @@ def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
         return
     times = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
     alone = path.braked
+    left = []
     for brake in BRAKES:
-        if excess(alone, limits, brake * times, brake, math.inf) <= BRAKE_SHARE:
+        found = excess(alone, limits, brake * times, brake, math.inf)
+        if found <= BRAKE_SHARES[0]:
             yield brake
+        elif found <= BRAKE_SHARES[1]:
+            left.append(brake)
+    yield from left
 
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
