@@ -10,6 +10,7 @@ taken to be where they are planned, but for the reserve.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,11 +33,8 @@ LARGEST = 0.25
 FARTHEST = 0.4
 """[m] Largest common shift."""
 
-PASSES = 3
+PASSES = 2
 """Rounds of projection onto broken half-spaces, before all is scaled to hold certainly."""
-
-NOTHING = 1e-12
-"""[m] Violation that counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,25 +55,26 @@ class HalfSpaces:
 
     def within(self, offsets: Array) -> Array:
         """Return offsets (2n, 3) [m] of the set near the given ones."""
-        common = offsets.mean(axis=0)
+        count = len(offsets)
+        common = np.add.reduce(offsets, 0) / count
         own = (offsets - common).ravel()
         common = np.minimum(np.maximum(common, self.lower), self.upper)
-        if len(self.rows):
+        values = self.rows @ own
+        if np.any(values > self.bounds):
             for _ in range(PASSES):
-                beyond = self.rows @ own - self.bounds
-                if beyond.max() <= NOTHING:
-                    break
-                own = own - np.maximum(beyond, 0.0) @ self.rows
-            own = (own.reshape(-1, 3) - own.reshape(-1, 3).mean(axis=0)).ravel()
+                own = own - np.maximum(values - self.bounds, 0.0) @ self.rows
+                values = self.rows @ own
+            each = own.reshape(-1, 3)
+            own = (each - np.add.reduce(each, 0) / count).ravel()
             values = self.rows @ own
             beyond = values > self.bounds
-            if beyond.any():
-                own = own * min(1.0, float(np.min(self.bounds[beyond] / values[beyond])))
-        own = own.reshape(-1, 3)
-        largest = float(np.sqrt(np.max(np.einsum("ij,ij->i", own, own))))
+            if np.any(beyond):
+                own = own * float(np.min(self.bounds[beyond] / values[beyond]))
+        each = own.reshape(-1, 3)
+        largest = math.sqrt(np.einsum("ij,ij->i", each, each).max())
         if largest > LARGEST:
-            own = own * (LARGEST / largest)
-        found: Array = own + common
+            each = each * (LARGEST / largest)
+        found: Array = each + common
         return found
 
 

@@ -118,6 +118,7 @@ class Feedback(OneLine):
             (s.drones.breaks[0], s.drones.breaks[-1]) for s in motion.spans(HITCHED_STATE)
         ]
         self._end = float(breaks[-1])
+        self._clasps = team.layout.clasps
         self._drones = Sampler(motion.drones)
         self._vertices = Sampler(motion.vertices)
         self.reset()
@@ -131,9 +132,11 @@ class Feedback(OneLine):
         clasps = len(self.motion.team.layout.clasps)
         self._error = np.zeros((clasps, 3))
         self._integral = np.zeros((clasps, 3))
+        self._speed = np.zeros((clasps, 3))
         self._age = np.full(clasps, math.inf)
         self._offsets = np.zeros((self.motion.team.drones, 3))
         self._velocities = np.zeros_like(self._offsets)
+        self._here = -1
 
     @property
     def offsets(self) -> Array:
@@ -178,12 +181,10 @@ class Feedback(OneLine):
         if seconds > 0.0:
             if vertices is not None:
                 then = time - clock[0] * self._delay if measured is None else measured
-                self._measure(_shaped("vertices", vertices, self._error.shape), then, seconds)
+                self._measure(_shaped("vertices", vertices, self._error.shape), then, clock[0])
             self._age += seconds
             growing = drones is None or not self._strayed(planned, drones)
-            speed = self._vertices.at(time, clock[0], 0.0, 0.0).velocities
-            speed = speed[self.motion.team.layout.clasps]
-            self._correct(time, here, seconds, speed, growing=growing)
+            self._correct(time, here, seconds, growing=growing)
         return Setpoints(
             planned.time,
             planned.rate,
@@ -198,39 +199,36 @@ class Feedback(OneLine):
         away = _shaped("drones", drones, self._offsets.shape) - planned.positions - self._offsets
         return bool(np.einsum("ij,ij->i", away, away).max(initial=0.0) > FAR * FAR)
 
-    def _measure(self, vertices: Array, time: float, seconds: float) -> None:
-        """Filter the errors of the vertices that a measurement holds."""
+    def _measure(self, vertices: Array, time: float, rate: float) -> None:
+        """Filter the errors of the vertices that a measurement of a plan time holds."""
         if self._row[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._row) - 1)] < 0:
             return
-        there = self._vertices.at(min(max(time, 0.0), self._end), 1.0, 0.0, 0.0).positions
-        error = there[self.motion.team.layout.clasps] - vertices
+        there = self._vertices.at(min(max(time, 0.0), self._end), rate, 0.0, 0.0)
+        self._speed = there.velocities[self._clasps]
+        error = there.positions[self._clasps] - vertices
         size = np.einsum("ij,ij->i", error, error)
         good = size <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
-        new = good & (self._age > HELD)
-        weight = np.where(new, 1.0, 1.0 - math.exp(-seconds / SMOOTHING))
+        weight = np.where(self._age > HELD, 1.0, 1.0 - np.exp(-self._age / SMOOTHING))
         weight = np.where(good, weight, 0.0)[:, None]
         self._error += weight * (np.where(good[:, None], error, 0.0) - self._error)
-        self._age = np.where(good, 0.0, self._age)
+        self._age[good] = 0.0
 
-    def _correct(
-        self, time: float, here: int, seconds: float, speed: Array, *, growing: bool
-    ) -> None:
+    def _correct(self, time: float, here: int, seconds: float, *, growing: bool) -> None:
         """Advance the integral and the offsets by some time."""
         fresh = (self._age <= HELD)[:, None]
-        fading = math.exp(-seconds / FADING)
-        error = np.where(fresh, self._error, 0.0)
-        self._error = np.where(fresh, self._error, fading * self._error)
+        error = fresh * self._error
         if growing:
-            self._integral = self._integral + INTEGRAL * seconds * error
-        self._integral = np.where(fresh, self._integral, fading * self._integral)
-        np.clip(self._integral, -LARGEST_MOVE, LARGEST_MOVE, out=self._integral)
+            self._integral += INTEGRAL * seconds * error
+        if not fresh.all():
+            self._integral *= np.where(fresh, 1.0, math.exp(-seconds / FADING))
+        np.minimum(np.maximum(self._integral, -LARGEST_MOVE), LARGEST_MOVE, out=self._integral)
         share, asked = self._authority(time), None
         cell = self._cells[here]
         if cell is None or share == 0.0:
             goal = np.zeros_like(self._offsets)
         else:
             row = self._row[here]
-            wanted = PROPORTIONAL * error + self._integral + LEAD * speed * fresh
+            wanted = PROPORTIONAL * error + self._integral + LEAD * self._speed * fresh
             asked = share * (self._inverse[row] @ wanted.ravel()).reshape(-1, 3)
             goal = cell.within(asked)
             following = self._cells[min(here + 1, len(self._cells) - 1)]
@@ -240,8 +238,9 @@ class Feedback(OneLine):
         largest = math.sqrt(float(np.einsum("ij,ij->i", change, change).max()))
         step = min(1.0, self._rate * seconds / largest) if largest > 0.0 else 0.0
         offsets = self._offsets + step * change
-        if cell is not None:
+        if cell is not None and here != self._here:  # else between two of the same convex set
             offsets = cell.within(offsets)
+        self._here = here
         if asked is not None:
             missed = (self._forward[self._row[here]] @ (offsets - asked).ravel()).reshape(-1, 3)
             self._integral += min(seconds / UNWINDING, 1.0) * missed
