@@ -37,6 +37,7 @@ from hitchopt.errors import (
     Violation as Violation,
 )
 from hitchopt.exports.lint.linting import lint as lint
+from hitchopt.feedback.feedback import Feedback as Feedback
 from hitchopt.fitting.fit import Fit as Fit, Holding as Holding, fit as fit
 from hitchopt.geometry import (
     ConvexArc as ConvexArc,
@@ -87,6 +88,8 @@ from hitchopt.settling.tolerance import (
     Tolerance as Tolerance,
     tolerance as tolerance,
 )
+from hitchopt.steering.replanner import Replanner as Replanner
+from hitchopt.steering.retarget import Retarget as Retarget
 from hitchopt.steps import (
     Adjust as Adjust,
     Carry as Carry,

@@ -38,7 +38,8 @@ def simulate(
     perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
     progress: called with what is being done now.
     settings: further fields of ``Settings``: ``body``, ``seed``, ``friction``, ``density``,
-        ``stiffness``, ``integral``, ``feed_forward``, ``ground``, ``pull_test``.
+        ``stiffness``, ``integral``, ``feed_forward``, ``ground``, ``pull_test``,
+        ``feedback``.
 
     Raises
     ------

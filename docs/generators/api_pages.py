@@ -21,7 +21,10 @@ GROUPS = {
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
     "fits": ("Fits", ("hitchopt.fitting", "hitchopt.holding")),
-    "stopping": ("Stops", ("hitchopt.stopping",)),
+    "stopping": (
+        "Stops, steering and feedback",
+        ("hitchopt.stopping", "hitchopt.steering", "hitchopt.feedback"),
+    ),
     "statics": ("Statics and tolerance", ("hitchopt.settling",)),
     "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
     "sweeps": ("Sweeps", ("hitchopt.sweeps",)),

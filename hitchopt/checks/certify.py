@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import Found
+from hitchopt.checks.rule import Found, ReportRule
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative
@@ -19,6 +19,7 @@ def certify(
     gamma: float = GAMMA,
     *,
     part: bool = False,
+    reports: Sequence[ReportRule] = REPORTS,
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -39,6 +40,7 @@ def certify(
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
     part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
+    reports: that are made after the checks; others than the usual ones where time is short.
 
     Raises
     ------
@@ -48,7 +50,8 @@ def certify(
     gamma = not_negative("gamma", gamma)
     found: dict[str, tuple[Found, ...]] = {}
     names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
-    names += [report.name for report in REPORTS if not (part and report.whole)]
+    reports = [report for report in reports if not (part and report.whole)]
+    names += [report.name for report in reports]
 
     def tell(name: str) -> None:
         if progress is not None and name in names:
@@ -58,10 +61,9 @@ def certify(
         tell(rule.name)
         found[rule.name] = rule.findings(motion)
     checks = [most_pressing(each.check for each in spans) for spans in found.values()]
-    for report in REPORTS:
-        if not (part and report.whole):
-            tell(report.name)
-            checks.append(report.check(motion, found, gamma))
+    for report in reports:
+        tell(report.name)
+        checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
 

@@ -57,6 +57,8 @@ PATH = GivenPath()
 @click.option("--wind", metavar="N", type=float, help="Force of gusts on every drone [N].")
 @click.option("--steady-wind", metavar="N", type=float, help="Constant level force on drones [N].")
 @click.option("--lag", metavar="S", type=float, help="Time constant of the thrust [s].")
+@click.option("--vertex-noise", metavar="M", type=float, help="Of measured vertices, per axis [m].")
+@click.option("--vertex-delay", metavar="S", type=float, help="Age of measured vertices [s].")
 @click.option("--cable-error", metavar="X", type=float, help="Relative error of cable lengths.")
 @click.option("--start-error", metavar="M", type=float, help="Error of starts per axis [m].")
 @click.option(
@@ -76,6 +78,11 @@ PATH = GivenPath()
     default=None,
     help="Whether the cable forces of setpoints.csv are added; by default the team's.",
 )
+@click.option(
+    "--feedback",
+    is_flag=True,
+    help="Correct setpoints by measured vertices, as ho.Feedback does.",
+)
 @click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
 @click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
@@ -92,10 +99,10 @@ def simulate(
 
     It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
     and for the length that the bends of thick simulated ropes use up, which it prints.
-    Drones follow setpoints.csv and nothing else: of the cables they feed forward cable_x, cable_y
-    and cable_z. Vertex errors are distances in three dimensions, sag included. The exit code of
-    one flight is 3 if anything fails: drones touch, a vertex does not hold, or an object is
-    touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
+    Drones follow setpoints.csv and nothing else, unless --feedback corrects them: of the cables
+    they feed forward cable_x, cable_y and cable_z. Vertex errors are distances in three dimensions,
+    sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
+    not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
     simulation leaves its valid range, which is reported as not simulated and says nothing about the
     plan. The exit code of a campaign (--runs) is 0; it reports the rate of success.
     """

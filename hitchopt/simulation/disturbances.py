@@ -69,8 +69,8 @@ class Disturbances:
     """
 
     def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
-        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(7))
-        cables, start, noise, wind, velocity, direction, self._objects = streams
+        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
+        cables, start, noise, wind, velocity, direction, self._objects, vertices = streams
         self._perturbations = perturbations
         drones = (2 * robots, 3)
         self.cable_scale: Array = 1.0 + perturbations.cable_error * cables.standard_normal(robots)
@@ -80,10 +80,16 @@ class Disturbances:
             perturbations.velocity_noise, VELOCITY_NOISE_TIME, drones, velocity
         )
         self.wind = Drift(perturbations.wind / np.sqrt(3.0), GUST_TIME, drones, wind)
+        self._vertices = vertices
         heading = direction.uniform(0.0, 2.0 * np.pi)
         self.steady_wind: Array = perturbations.steady_wind * np.array(
             [np.cos(heading), np.sin(heading), 0.0]
         )
+
+    def measured(self, vertices: Array) -> Array:
+        """Return vertices (clasps, 3) [m] as they are measured."""
+        spread = self._perturbations.vertex_noise
+        return vertices + spread * self._vertices.standard_normal(vertices.shape)
 
     def disturbed(self, objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
         """Return objects as they really are; call it once.

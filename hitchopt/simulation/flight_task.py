@@ -16,6 +16,7 @@ from hitchopt.exports.directory import PLAN, SETPOINTS, VERTICES
 from hitchopt.exports.setpoints import HEADER as SETPOINTS_HEADER
 from hitchopt.exports.vertices import HEADER as VERTICES_HEADER
 from hitchopt.hitch import Team
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.tensions import tautness
 from hitchopt.simulation.flight_cargo import Cargo
@@ -72,6 +73,7 @@ class Task:
     taut: share of its part of the clasps' loads that each cable carries (samples, n); None: all of
         it where the cable has tension.
     cargo: objects.
+    motion: the plan, for the corrections of ``Feedback``; None of tables alone.
     """
 
     team: Team
@@ -83,6 +85,7 @@ class Task:
     digest: str = ""
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)
+    motion: Motion | None = None
 
     @property
     def duration(self) -> float:
@@ -116,7 +119,7 @@ def read_task(directory: Path) -> Task:
     task = read_tables(directory / SETPOINTS, directory / VERTICES, motion.team)
     taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
     times = np.clip(task.t, *taut.breaks[[0, -1]])
-    return replace(task, taut=taut.at(times), cargo=Cargo.of(motion, times))
+    return replace(task, taut=taut.at(times), cargo=Cargo.of(motion, times), motion=motion)
 
 
 def read_tables(setpoints: Path, vertices: Path, team: Team) -> Task:

@@ -26,6 +26,7 @@ from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
 from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.simulation.validity import InvalidRunError, check_valid
+from hitchopt.simulation.vertex_feedback import VertexFeedback
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]
@@ -124,6 +125,10 @@ class _Run:
         self._recorder = Recorder(world, task, self._motors)
         self._least_bearing = least_bearing(task)
         self._gains = PositionGains.of(team, settings)
+        self._feedback = None
+        if settings.feedback:
+            parts = (task, settings, world, self._disturbances, self._gains.stiffness)
+            self._feedback = VertexFeedback(*parts)
         self._wound = np.zeros_like(start)
         self._longer = float(np.max(allowance))
         self._substeps = max(1, round(CONTROL / ropes.preset.time_step))
@@ -203,6 +208,8 @@ class _Run:
         measured = world.drones + disturbances.noise.advance(self._period)
         velocities = world.data.qvel[world.drone_dofs]
         velocities = velocities + disturbances.velocity_noise.advance(self._period)
+        if self._feedback is not None and time >= 0.0:
+            setpoints = self._feedback.corrected(setpoints, time, self._period, measured)
         desired = desired_thrusts(setpoints, world.masses, gains, measured, velocities, self._wound)
         if pull != 1.0:
             pulling = gains.feed_forward | (pull > 1.0)
@@ -221,6 +228,8 @@ class _Run:
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
         world.step(self._substeps)
         check_valid(world, time)
+        if self._feedback is not None and time >= 0.0:
+            self._feedback.observe(time + self._period, self._least_bearing[index])
         self._recorder.observe(time, index)
 
     def _outward_pulls(self, index: int) -> Array:

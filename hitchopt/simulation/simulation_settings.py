@@ -69,6 +69,9 @@ class Perturbations(OneLine):
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
     downwash: whether drones push down those below them.
+    vertex_noise: standard deviation per axis of measured vertices, new at every measurement [m];
+        vertices are measured for ``feedback`` alone.
+    vertex_delay: age of the measured vertices when they arrive [s].
     object_mass, object_friction: largest deviations of objects' masses and friction, relative.
     object_place: largest distance of movable objects from where they are said to stand [m].
     """
@@ -81,6 +84,8 @@ class Perturbations(OneLine):
     cable_error: float = 0.0
     start_error: float = 0.0
     downwash: bool = False
+    vertex_noise: float = 0.0
+    vertex_delay: float = 0.0
     object_mass: float = 0.0
     object_friction: float = 0.0
     object_place: float = 0.0
@@ -88,6 +93,7 @@ class Perturbations(OneLine):
     def __post_init__(self) -> None:
         _check(self, not_negative, "noise", "velocity_noise", "wind", "steady_wind")
         _check(self, not_negative, "lag", "cable_error", "start_error", "object_place")
+        _check(self, not_negative, "vertex_noise", "vertex_delay")
         _check(self, not_negative, "object_mass", "object_friction")
         for name in ("object_mass", "object_friction"):
             if getattr(self, name) >= 1.0:
@@ -115,6 +121,8 @@ USUAL = Perturbations(
     cable_error=0.005,
     start_error=0.02,
     downwash=True,
+    vertex_noise=0.01,
+    vertex_delay=0.05,
     object_mass=0.1,
     object_friction=0.2,
     object_place=0.02,
@@ -152,6 +160,7 @@ class Settings(OneLine):
     ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
         stand on it.
     pull_test: whether the flight ends with a pull test of the hitch.
+    feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
     """
 
     preset: Preset = FAST
@@ -165,6 +174,7 @@ class Settings(OneLine):
     feed_forward: bool | None = None
     ground: float | None = None
     pull_test: bool = True
+    feedback: bool = False
 
     def __post_init__(self) -> None:
         if self.body not in BODIES:

@@ -60,7 +60,7 @@ class Player(OneLine):
         self.motion = motion
         self.limits = ClockLimits(motion)
         self._search = ChangeSearch(self.limits)
-        self._sampler = Sampler(motion)
+        self._sampler = Sampler(motion.drones)
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         if not self._begin <= finite("time", time) <= self._end:
             raise InputError("time", time, f"within [0, {self._end:g}] s", "start within the plan")

@@ -8,8 +8,8 @@ from math import comb, perm
 
 import numpy as np
 
-from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 
@@ -34,15 +34,15 @@ class Setpoints(OneLine):
 
 
 class Sampler:
-    """The polynomials of a plan's drones, laid out for one time at a time.
+    """The polynomials of a plan's drones, or of its vertices, laid out for one time at a time.
 
     Parameters
     ----------
-    motion: the plan.
+    part: of shape (drones, 3) [m].
     """
 
-    def __init__(self, motion: Motion) -> None:
-        c = motion.drones.coefficients
+    def __init__(self, part: PiecewisePolynomial) -> None:
+        c = part.coefficients
         pieces, self._drones, _, count = c.shape
         order = count - 1
         to_powers = np.array(
@@ -56,13 +56,13 @@ class Sampler:
         )
         powers = np.einsum("ki,pdci->pkdc", to_powers, c).reshape(pieces, count, -1)
         rows = np.zeros((pieces, count, 4, powers.shape[-1]))
-        h = motion.drones.durations[:, None]
+        h = part.durations[:, None]
         for derivative in range(4):
             for k in range(derivative, count):
                 factor = perm(k, derivative)
                 rows[:, k - derivative, derivative] = factor * powers[:, k] / h**derivative
         self._rows = rows.reshape(pieces, count, -1)
-        self._breaks = motion.drones.breaks.tolist()
+        self._breaks = part.breaks.tolist()
         self._order = order
 
     def at(self, time: float, rate: float, slope: float, jerk: float) -> Setpoints:

@@ -1,0 +1,1 @@
+"""Corrections of a plan in flight by measured vertices."""

@@ -1,0 +1,1 @@
+"""Certified plans to new goals from moving states."""

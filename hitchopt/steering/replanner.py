@@ -1,0 +1,258 @@
+"""Steering: a hitch that moves is given new goals, and every answer is certified."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.checks import certify
+from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.retiming import before, followed, resting
+from hitchopt.one_line import OneLine
+from hitchopt.plan import Plan
+from hitchopt.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.steering.retarget import IN_FLIGHT, SLOWER, Retarget, certified_retarget
+from hitchopt.steering.retarget_path import MovingState, RetargetPath
+from hitchopt.steering.retarget_timing import brakes
+from hitchopt.steps.certified_motions import infeasible
+from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.values import Array, finite, instance, not_negative, points, whole
+
+WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
+"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
+
+HOLD = 1.0
+"""[s] Rest with which steering begins."""
+
+BRAKES = 3
+"""Brakes that are tried, from the shortest on, where limits of motion are broken."""
+
+SAME_STATE = 1e-6
+"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
+
+
+class Replanner(OneLine):
+    """A hitch that is steered: it is given new goals while it moves.
+
+    Times are those since steering began. From a moving state positions, velocities and
+    accelerations go on without a jump. What was flown until then stays as it is.
+
+    Parameters
+    ----------
+    team: with cables that have no weight and clasps that carry none.
+    start: the hitch at t = 0, or a plan that is being flown.
+    limits, separation, arena: what plans must satisfy; None for the plan's, or the defaults.
+
+    Raises
+    ------
+    InputError: a start of another team, or one that ends without a hitch.
+    InfeasibleError: the start breaks a limit at rest.
+    UnsupportedError: cables with weight, or loads.
+    """
+
+    def __init__(
+        self,
+        team: Team,
+        start: Hitch | Plan,
+        *,
+        limits: Limits | None = None,
+        separation: Separation | None = None,
+        arena: Arena | None = None,
+    ) -> None:
+        instance("team", team, Team)
+        instance("start", start, Hitch, Plan)
+        own = start.motion.team if isinstance(start, Plan) else start.team
+        if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
+            raise InputError("start", start, "of the same team", "give the team of the start")
+        if team.cable_density > 0.0 or np.any(team.load):
+            raise UnsupportedError("steering plans cables without weight and clasps without load")
+        given = start.motion.requirements if isinstance(start, Plan) else Requirements()
+        self.requirements = replace(
+            given,
+            limits=limits or given.limits,
+            separation=separation or given.separation,
+            arena=arena or given.arena,
+        )
+        if isinstance(start, Plan):
+            self.motion = replace(start.motion, requirements=self.requirements)
+            self._goal = start.end
+        else:
+            phase = Phase("hold", 0, 0.0, HOLD)
+            self.motion = rest_of(start, self.requirements, HOLD, phase)
+            self._goal = start
+        self._certificate = certify(self.motion, reports=IN_FLIGHT)
+        if not self._certificate.certified:
+            raise infeasible(self._certificate, self.motion)
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{self.motion.team.drones} drones"
+        yield f"until {self.motion.duration:.4g} s"
+
+    @property
+    def goal(self) -> Hitch:
+        """The hitch in which the present plan ends."""
+        return self._goal
+
+    @property
+    def plan(self) -> Plan:
+        """The present plan from the beginning of steering, with its full certificate."""
+        return Plan(self.motion, certify(self.motion), "Steered")
+
+    def retarget(
+        self,
+        polygon: Outline | ArrayLike | None = None,
+        *,
+        vertex: int | None = None,
+        to: ArrayLike | None = None,
+        yaw: float = 0.0,
+        at: float,
+    ) -> Retarget:
+        """Return the answer to a new goal, and fly there if it is accepted.
+
+        Parameters
+        ----------
+        polygon: where the vertices go, (points, 2) [m], clockwise.
+        vertex: the one that goes ``to`` (2,) [m], all others to the present goal.
+        to: without ``vertex``, (3,) [m], where the centroid of the present goal goes.
+        yaw: by how much that is turned about its centroid [rad].
+        at: time at which the present plan is to be left [s]; where the limits do not allow that,
+            up to 0.4 s later.
+
+        Raises
+        ------
+        InputError: not exactly one goal, or one that is wrong in itself.
+        """
+        at = not_negative("at", at)
+        outline, altitude, turned = self._asked(polygon, vertex, to, yaw)
+        refusal = ""
+        for wait in WAITS:
+            try:
+                found = self._planned(outline, altitude, turned, at + wait)
+            except InfeasibleError as error:
+                return self._kept(at, str(error))
+            except _NotNowError as late:
+                refusal = refusal or str(late)
+                continue
+            answer, self._goal = found
+            self.motion, self._certificate = answer.motion, answer.certificate
+            return answer
+        return self._kept(at, refusal)
+
+    def _kept(self, at: float, reason: str) -> Retarget:
+        return Retarget(False, at, self.motion, self.motion, self._certificate, reason)
+
+    def _asked(
+        self,
+        polygon: Outline | ArrayLike | None,
+        vertex: int | None,
+        to: ArrayLike | None,
+        yaw: float,
+    ) -> tuple[Outline, float, float]:
+        """Return outline, altitude and yaw of the goal that is asked for."""
+        goal, team = self._goal, self.motion.team
+        own = goal.polygon
+        yaw = finite("yaw", yaw)
+        if (polygon is None) is (to is None):
+            remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
+            raise InputError("polygon", polygon, "exactly one goal", remedy)
+        if polygon is not None:
+            return fitting_polygon(team, polygon), goal.altitude, 0.0
+        if vertex is not None:
+            k = whole("vertex", vertex, 0)
+            if k >= len(own.vertices):
+                raise InputError("vertex", k, f"below {len(own.vertices)}", "count from 0")
+            moved = own.vertices.copy()
+            moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
+            return fitting_polygon(team, moved), goal.altitude, 0.0
+        place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
+        c, s = math.cos(yaw), math.sin(yaw)
+        centre = own.centroid
+        turned = (own.vertices - centre) @ np.array([[c, s], [-s, c]]) + place[:2]
+        return fitting_polygon(team, turned), float(place[2]), yaw
+
+    def _planned(
+        self, outline: Outline, altitude: float, yaw: float, at: float
+    ) -> tuple[Retarget, Hitch]:
+        """Return the answer of a plan that leaves the present one at a time, and its goal."""
+        past = self._past(at)
+        state = self._state(past)
+        team, need = past.team, self.requirements
+        fractions = self._goal.fractions
+        refusal: InfeasibleError | None = None
+        for chosen in (False, True):
+            try:
+                end = self._end(outline, altitude, fractions, chosen=chosen)
+            except InfeasibleError as error:
+                refusal = refusal or error
+                continue
+            path = RetargetPath.to(team, state, end, yaw)
+            tried = False
+            for brake in islice(brakes(path, need.planned.limits), BRAKES):
+                tried = True
+                found = certified_retarget(past, path, brake, need)
+                if isinstance(found, Retarget):
+                    return found, end
+                refusal = refusal or found
+                if not {each.constraint for each in found.violations} <= SLOWER.keys():
+                    break
+            if not tried:
+                raise _NotNowError(f"from t = {at:.4g} s: no brake keeps all limits")
+        assert refusal is not None
+        raise refusal
+
+    def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
+        """Return the hitch of a goal: with the present split of the slack, or the nearest one."""
+        team, need = self.motion.team, self.requirements
+        if not chosen:
+            q_legs = fractions * cable_slack(team, outline)
+            return Hitch(team, outline, altitude, q_legs)
+        return Hitch.nearest(
+            team,
+            outline,
+            altitude,
+            fractions,
+            limits=need.limits,
+            separation=need.separation,
+            arena=need.arena,
+        )
+
+    def _past(self, at: float) -> Motion:
+        """Return the present plan until a time, resting after its end."""
+        duration = self.motion.duration
+        if at <= duration - 1e-6:
+            return before(self.motion, max(at, 1e-3))
+        if at <= duration + 1e-3:
+            return self.motion
+        phase = replace(self.motion.phases[-1], name="hold", remark="")
+        return followed(self.motion, resting(self.motion, at - duration, phase))
+
+    def _state(self, past: Motion) -> MovingState:
+        """Return the state at the end of a motion.
+
+        Raises
+        ------
+        _NotNowError: no hitch there with the team's tensions.
+        """
+        state = MovingState.of(past, past.duration)
+        when = f"at t = {past.duration:.4g} s"
+        if not past.phases[-1].formed:
+            raise _NotNowError(f"{when} there is no hitch")
+        away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
+        still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
+        model = still.drones(np.zeros(1), 1.0, math.inf)[1].positions[0, ..., 0]
+        if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
+            raise _NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
+        return state
+
+
+class _NotNowError(Exception):
+    """A retarget cannot begin at this time."""

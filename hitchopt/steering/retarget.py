@@ -1,0 +1,131 @@
+"""The answer to a new goal: a plan that leaves the present one, certified from there on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hitchopt.checks import Certificate, certify
+from hitchopt.checks.stoppable import QUICK
+from hitchopt.errors import InfeasibleError
+from hitchopt.motion.cutting import cut
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.retiming import followed
+from hitchopt.one_line import OneLine
+from hitchopt.plan import Plan
+from hitchopt.requirements import Requirements
+from hitchopt.steering.retarget_path import RetargetPath
+from hitchopt.steering.retarget_timing import shortest_shift
+from hitchopt.steps.certified_motions import flying, infeasible
+from hitchopt.values import Array
+
+IN_FLIGHT = (QUICK,)
+"""Reports that are made while the hitch flies; all others are of the whole plan."""
+
+PIECE = 0.3
+"""[s] Length of the pieces: a cable's length is then right within 1e-7 of it."""
+
+FEWEST, MOST = 4, 96
+"""Number of pieces, at least and at most."""
+
+ROUNDS = 3
+"""Certificates that are tried for one goal, each after a change for what the last one said."""
+
+SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust": 2, "tilt": 2}
+"""Checks that a longer shift eases, and the power of the duration with which they fall."""
+
+STRETCH = 1.02
+"""Least factor by which a shift is prolonged then."""
+
+FINER = frozenset({"cable_length", "equilibrium", "tension"})
+"""Checks that shorter pieces ease."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retarget(OneLine):
+    """Answer of a replanner.
+
+    Attributes
+    ----------
+    accepted: whether the hitch flies to the new goal; if not, all goes on as before.
+    start: time at which the new plan leaves the old one [s].
+    motion: what flies now, from the beginning of steering.
+    ahead: the part from the last break before ``start`` on, t = 0 there; of a refusal the motion.
+    certificate: of ``ahead``, all checks but those that need no limit and most time.
+    reason: of a refusal, in words.
+    """
+
+    accepted: bool
+    start: float
+    motion: Motion
+    ahead: Motion
+    certificate: Certificate
+    reason: str = ""
+
+    def _parts(self) -> Iterator[str]:
+        yield "accepted" if self.accepted else f"refused: {self.reason}"
+        yield f"from t = {self.start:.4g} s, until {self.motion.duration:.4g} s"
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The whole plan, the old one until ``start``, with a full certificate of its own."""
+        return Plan(self.motion, certify(self.motion), "Steered")
+
+
+def certified_retarget(
+    past: Motion, path: RetargetPath, brake: float, requirements: Requirements
+) -> Retarget | InfeasibleError:
+    """Return the answer for a path, or what keeps it from being certified.
+
+    Parameters
+    ----------
+    past: the present plan until it is left.
+    path: from its end.
+    brake: duration of the brake [s].
+    requirements: what the plan must satisfy.
+    """
+    shift = shortest_shift(path, requirements.planned.limits, brake)
+    if shift is None:
+        return InfeasibleError([], "no duration keeps all limits on the way to the goal")
+    piece, error = PIECE, None
+    recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
+    for _ in range(ROUNDS):
+        phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
+        flight = path.flight(_breaks(brake, shift, piece, moving=path.state.moves), brake, shift)
+        fresh = flying(flight, path.team, requirements, [phase])
+        ahead = followed(recent, fresh)
+        certificate = certify(ahead.untimed, reports=IN_FLIGHT)
+        if certificate.certified:
+            motion = followed(past, fresh)
+            return Retarget(True, past.duration, motion, ahead, certificate)
+        broken = {check.name: check for check in certificate.violated}
+        error = error or infeasible(certificate, ahead)
+        if not broken.keys() <= SLOWER.keys() | FINER:
+            return infeasible(certificate, ahead)
+        if any(check.time <= recent.duration + brake for check in certificate.violated):
+            return error  # a longer shift does not change the brake
+        ratios = [
+            (broken[name].bound / broken[name].number) ** (1.0 / power)
+            for name, power in SLOWER.items()
+            if name in broken
+        ]
+        shift *= max([STRETCH * ratio for ratio in ratios], default=1.0)
+        piece *= 0.5 if broken.keys() & FINER else 1.0
+    assert error is not None
+    return error
+
+
+def _breaks(brake: float, shift: float, piece: float, *, moving: bool) -> Array:
+    """Return the breaks of a retarget: its end, the brake's and the shift's, and more."""
+    end = max(brake, shift) if moving else shift
+    inner = [brake, shift] if moving else [shift]
+    edges = np.unique([0.0, *inner])
+    count = int(np.clip(np.ceil(end / piece), FEWEST, MOST))
+    counts = np.maximum(np.round(np.diff(edges) / end * count), 1).astype(int)
+    parts = [
+        np.linspace(a, b, k + 1)[1:] for a, b, k in zip(edges[:-1], edges[1:], counts, strict=True)
+    ]
+    return np.concatenate([[0.0], *parts])

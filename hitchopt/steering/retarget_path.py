@@ -1,0 +1,163 @@
+"""Motion of a hitch from a moving state to rest in another hitch: flat outputs in closed form.
+
+The polygon's mean point, its shape as seen from a frame that turns with it, and the split of the
+cables' slack are curves of ``smooth_change``. The frame itself turns from rest to rest, so that a
+hitch that is to be turned keeps its shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hitchopt.hitch import Hitch, Team
+from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.path import jets
+from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.steering.smooth_change import JET, SmoothChange
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+SIDE = 1e-9
+"""Share of a piece by which one-sided derivatives are taken inside of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingState:
+    """A hitch in motion.
+
+    Attributes
+    ----------
+    vertices: (points, 3, 4), positions and their derivatives by time.
+    fractions: (n, 4), ``d_k / (d_k + e_k)``.
+    drones: (2n, 3, 4)
+    legs: (n, 2, 4)
+    """
+
+    vertices: Array
+    fractions: Array
+    drones: Array
+    legs: Array
+
+    @classmethod
+    def of(cls, motion: Motion, time: float) -> MovingState:
+        """Return the state of a motion at a time [s]."""
+        t = np.array([time])
+        legs = motion.legs.jet(t, JET)[0]
+        slack = np.sum(legs, axis=1)
+        has_both = np.all(motion.team.layout.has_leg, axis=1)
+        slack[~has_both, 0] = np.where(slack[~has_both, 0] > 0.0, slack[~has_both, 0], 1.0)
+        fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
+        return cls(motion.vertices.jet(t, JET)[0], fractions, motion.drones.jet(t, JET)[0], legs)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything moves or accelerates."""
+        return bool(np.any(np.abs(self.drones[..., 1:3]) > 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class RetargetPath:
+    """Flat outputs from a moving state to a hitch at rest.
+
+    Attributes
+    ----------
+    team: whose cables.
+    state: at time 0.
+    end: vertices (points, 3) [m] and fractions (n,) at rest.
+    fractions: see ``end``.
+    yaw: by how much the frame turns [rad].
+    """
+
+    team: Team
+    state: MovingState
+    end: Array
+    fractions: Array
+    yaw: float = 0.0
+
+    @classmethod
+    def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
+        """Return the path to a hitch."""
+        return cls(team, state, end.vertices, end.fractions, yaw)
+
+    @cached_property
+    def braked(self) -> RetargetPath:
+        """The path on which the state comes to rest wherever that is."""
+        return replace(self, yaw=0.0)
+
+    @cached_property
+    def _change(self) -> SmoothChange:
+        """Curves of the mean point, of the shape about it, and of the fractions, in a row."""
+        points = self.state.vertices[..., :3]
+        centre = points.mean(axis=0)
+        goal = self.end.mean(axis=0)
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        shape = (points - centre).reshape(-1, 3)
+        start = np.concatenate([centre, shape, self.state.fractions[..., :3]])
+        ends = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
+        return SmoothChange(start, ends)
+
+    def flat(self, t: Array, brake: float, shift: float) -> FlatJets:
+        """Return the flat outputs' jets at times t (J,) [s]; the rest is of SmoothChange."""
+        team, layout = self.team, self.team.layout
+        each = self._change.jets(t, brake, shift)
+        centre, split = each[:, :3], each[:, 3 + 3 * layout.points :]
+        shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
+        vertices = centre[:, None] + self._turned(shape, t, shift)
+        edges = layout.edges(vertices, axis=1)
+        chords = jets.square_root(np.sum(jets.product(edges, edges), axis=2))
+        slack = -chords
+        slack[..., 0] += team.cable_length
+        wanted, orders = jets.product(split, slack), np.moveaxis(slack, -1, 0)
+        q_legs = np.moveaxis(layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders), 0, -1)
+        tensions = np.zeros((len(t), team.robots, JET))
+        tensions[..., 0] = team.tension
+        return FlatJets(vertices, q_legs, tensions)
+
+    def _turned(self, shape: Array, t: Array, shift: float) -> Array:
+        """Return the jets of shapes seen from the world."""
+        if self.yaw == 0.0:
+            return shape
+        rest = SmoothChange(np.zeros(3), np.array(self.yaw))
+        angle = rest.jets(t, shift, shift)
+        c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
+        cos = jets.chained(np.stack([c, -s, -c, s], axis=-1), angle)[:, None]
+        sin = jets.chained(np.stack([s, c, -s, -c], axis=-1), angle)[:, None]
+        x, y = shape[:, :, 0], shape[:, :, 1]
+        found = shape.copy()
+        found[:, :, 0] = jets.product(cos, x) - jets.product(sin, y)
+        found[:, :, 1] = jets.product(sin, x) + jets.product(cos, y)
+        return found
+
+    def drones(self, t: Array, brake: float, shift: float) -> tuple[FlatJets, DroneJets]:
+        """Return flat outputs and drones at times t (J,) [s]."""
+        flat = self.flat(t, brake, shift)
+        return flat, drone_jets(self.team, flat)
+
+    def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
+        """Return the polynomials, which meet the state itself at their start."""
+        h = np.diff(breaks)
+        count = len(h)
+        sides = np.concatenate([breaks[:-1] + SIDE * h, breaks[1:] - SIDE * h])
+        flat, found = self.drones(sides, brake, shift)
+        legs = found.legs * self.team.layout.has_leg[..., None]
+        starts = (self.state.drones, self.state.vertices, self.state.legs)
+
+        def part(values: Array, start: Array) -> PiecewisePolynomial:
+            orders = np.moveaxis(values, -1, 0).copy()
+            left, right = orders[:, :count], orders[:, count:]
+            left[:3, 1:] = right[:3, :-1]
+            left[:3, 0] = np.moveaxis(start, -1, 0)[:3]
+            right[1:3, -1] = 0.0
+            return PiecewisePolynomial.hermite(breaks, left, right)
+
+        drones, vertices, leg_curves = (
+            part(values, start)
+            for values, start in zip((found.positions, flat.vertices, legs), starts, strict=True)
+        )
+        tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
+        return Flight(drones, vertices, leg_curves, tensions)

@@ -1,0 +1,110 @@
+"""Durations of a retarget: a brake that keeps all limits, then the shortest shift that does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hitchopt.geometry.vectors import length
+from hitchopt.requirements import Limits
+from hitchopt.steering.retarget_path import RetargetPath
+from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
+from hitchopt.values import Array
+
+BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
+"""[s] Durations of the brake that are tried."""
+
+BRAKE_SHARES, SHARE = (0.85, 0.95), 0.99
+"""Shares of the limits that are used at samples, by the brake alone (the larger one where no brake
+keeps the smaller) and by the whole; the rest is for what is between samples."""
+
+BRAKE_SAMPLES, SAMPLES = 8, 16
+"""Number of times at which the limits are looked at, besides those at which the jerk jumps."""
+
+AFTER = 1e-6
+"""Share of a duration before its end at which one-sided derivatives are taken."""
+
+SHORTEST = 0.3
+"""[s] Shortest shift."""
+
+ROUNDS = 8
+"""Maximum number of times that a shift is prolonged."""
+
+GROWTH = 1.04
+"""Least factor by which it is."""
+
+
+def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: float) -> float:
+    """Return how many times slower a motion would have to be at its samples, at most.
+
+    Exact for speed, acceleration and jerk; thrust and tilt, which do not scale, count by the square
+    root of their share of the limit. At t = 0 the state is given: there only the jerk counts.
+
+    Parameters
+    ----------
+    t: (J,) times [s], the first one 0.
+    brake, shift: durations [s].
+    """
+    flat, drones = path.drones(t, brake, shift)
+    x, thrust = drones.positions, drones.thrusts
+    squared = np.einsum("jdxk,jdxk->kjd", x, x)
+    jerk = math.sqrt(float(np.max(squared[3]))) / limits.jerk
+    speed = math.sqrt(float(np.max(squared[1, 1:]))) / limits.speed
+    acceleration = math.sqrt(float(np.max(squared[2, 1:]))) / limits.acceleration
+    vertices = flat.vertices[1:, ..., 1]
+    vertex = float(np.max(np.einsum("jdx,jdx->jd", vertices, vertices)))
+    vertex = math.sqrt(vertex) / limits.vertex_speed
+    level2 = thrust[1:, :, 0] ** 2 + thrust[1:, :, 1] ** 2
+    up = thrust[1:, :, 2]
+    force = float(np.max(np.sqrt(level2 + up * up) / path.team.max_thrust))
+    lean = float(np.max(np.arctan2(np.sqrt(level2), up))) / limits.tilt
+    found = max(speed, vertex, math.sqrt(max(acceleration, force, lean)), float(np.cbrt(jerk)))
+    return found if math.isfinite(found) else math.inf
+
+
+def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
+    """Yield the durations [s] of BRAKES in which the state comes to rest within the limits."""
+    if not path.state.moves:
+        yield BRAKES[0]
+        return
+    times = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
+    alone = path.braked
+    left = []
+    for brake in BRAKES:
+        found = excess(alone, limits, brake * times, brake, math.inf)
+        if found <= BRAKE_SHARES[0]:
+            yield brake
+        elif found <= BRAKE_SHARES[1]:
+            left.append(brake)
+    yield from left
+
+
+def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
+    """Return the duration [s] of a shift that keeps all limits at samples, or None."""
+    ends = np.array([brake])
+    goal = path.drones(ends, brake, 1e-3 * brake)[1].positions[0, ..., 0]  # over at once
+    rest = path.braked.drones(ends, brake, math.inf)[1].positions[0, ..., 0]
+    far = float(np.max(length(goal - rest)))
+    turned = 0.5 * abs(path.yaw) * float(np.max(length(goal - goal.mean(axis=0))))
+    far = max(far, turned)
+    if not math.isfinite(far):
+        return None
+    shift = max(
+        PEAK_SPEED * far / limits.speed,
+        math.sqrt(PEAK_ACCELERATION * far / limits.acceleration),
+        float(np.cbrt(PEAK_JERK * far / limits.jerk)),
+        SHORTEST,
+    )
+    for _ in range(ROUNDS):
+        end = max(shift, brake)
+        inner = np.linspace(0.0, end, SAMPLES, endpoint=False)
+        times = np.append(inner, [brake * (1.0 - AFTER), shift * (1.0 - AFTER)])
+        found = excess(path, limits, times, brake, shift)
+        if found <= SHARE:
+            return shift
+        if not math.isfinite(found):
+            return None
+        shift *= max(found / SHARE, GROWTH)
+    return None

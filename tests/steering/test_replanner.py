@@ -1,0 +1,195 @@
+"""Steering from moving states: certified, continuous, and the old plan where it is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.values import Array
+
+TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
+HEXAGON = 1.3 * np.array([[np.cos(a), np.sin(a)] for a in -np.arange(6) * np.pi / 3.0])
+
+
+def steered(outline: Array = TRIANGLE, length: float = 2.4) -> ho.Replanner:
+    """A replanner of a hitch at rest."""
+    start = ho.Hitch.spread(ho.Team(len(outline), length), outline, 1.0)
+    return ho.Replanner(start.team, start)
+
+
+def moving(replanner: ho.Replanner) -> float:
+    """Set a hitch in motion; return a time at which it moves."""
+    first = replanner.retarget(to=[1.5, 2.3, 1.3], at=0.5)
+    assert first.accepted
+    return first.start + 0.6
+
+
+def check_splice(old: ho.Motion, answer: ho.Retarget) -> None:
+    """The new plan is the old one until it leaves it, and goes on from there without a jump."""
+    before = np.linspace(0.0, answer.start, 40)
+    there = np.minimum(before, old.duration)
+    np.testing.assert_allclose(answer.motion.drones.at(before), old.drones.at(there), atol=1e-10)
+    sides = answer.start + np.array([-1e-7, 1e-7])
+    for order, jump in ((0, 1e-6), (1, 2e-6), (2, 2e-5)):
+        first, last = answer.motion.drones.at(sides, order)
+        np.testing.assert_allclose(first, last, atol=jump)
+        if answer.start < old.duration:
+            np.testing.assert_allclose(first, old.drones.at(answer.start, order), atol=jump)
+
+
+def check_limits(motion: ho.Motion, begin: float) -> None:
+    """Limits hold at samples."""
+    limits, t = motion.requirements.limits, np.linspace(begin, motion.duration, 700)
+    for order, most in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+        norms = np.linalg.norm(motion.drones.at(t, order), axis=-1)
+        assert np.max(norms) <= most * (1.0 + 1e-9)
+    speeds = np.linalg.norm(motion.vertices.at(t, 1), axis=-1)
+    assert np.max(speeds) <= limits.vertex_speed * (1.0 + 1e-9)
+
+
+def test_a_polygon_is_reached_from_a_moving_state() -> None:
+    replanner = steered()
+    at, old = moving(replanner), replanner.motion
+    goal = TRIANGLE + [[0.1, 0.2], [0.0, 0.0], [0.05, 0.1]]
+    speed = np.max(np.linalg.norm(old.drones.at(at, 1), axis=-1))
+    assert speed > 0.2
+    answer = replanner.retarget(goal, at=at)
+    assert answer.accepted
+    assert answer.certificate.certified
+    check_splice(old, answer)
+    check_limits(answer.motion, 0.0)
+    end = answer.motion.vertices.at(answer.motion.duration)
+    np.testing.assert_allclose(end[:, :2], goal, atol=1e-9)
+    np.testing.assert_allclose(end[:, 2], 1.3, atol=1e-9)
+    assert replanner.motion is answer.motion
+
+
+def test_a_vertex_goes_elsewhere_and_the_others_to_the_present_goal() -> None:
+    replanner = steered(HEXAGON, 2.1)
+    at, old = moving(replanner), replanner.motion
+    goal = replanner.goal.polygon.vertices.copy()
+    goal[2] += [0.03, -0.02]
+    answer = replanner.retarget(vertex=2, to=goal[2], at=at)
+    assert answer.accepted
+    check_splice(old, answer)
+    check_limits(answer.motion, 0.0)
+    end = answer.motion.vertices.at(answer.motion.duration)
+    np.testing.assert_allclose(end[:, :2], goal, atol=1e-9)
+
+
+def test_a_pose_turns_the_present_goal() -> None:
+    replanner = steered()
+    at, old = moving(replanner), replanner.motion
+    before = replanner.goal.polygon
+    answer = replanner.retarget(to=[1.2, 1.8, 0.9], yaw=-0.7, at=at)
+    assert answer.accepted
+    check_splice(old, answer)
+    check_limits(answer.motion, 0.0)
+    turn = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
+    expected = (before.vertices - before.centroid) @ turn.T + [1.2, 1.8]
+    end = answer.motion.vertices.at(answer.motion.duration)
+    np.testing.assert_allclose(end[:, :2], expected, atol=1e-9)
+    np.testing.assert_allclose(end[:, 2], 0.9, atol=1e-9)
+
+
+def test_the_whole_plan_is_certified_and_comes_back_from_its_file(tmp_path: Path) -> None:
+    replanner = steered()
+    answer = replanner.retarget(TRIANGLE * 0.98, at=moving(replanner))
+    plan = answer.plan
+    assert plan.certificate.certified
+    assert replanner.plan.certificate.certified
+    again = ho.load(plan.save(tmp_path / "steered"))
+    certificate = ho.certify(again.motion)
+    assert certificate.certified
+    for check in certificate.checks:
+        assert check.bound == pytest.approx(plan.certificate[check.name].bound, abs=1e-9)
+    for check in answer.certificate.checks:  # of a part: the whole can only be worse
+        whole = plan.certificate[check.name]
+        slack = 2e-4 * max(1.0, abs(whole.bound))
+        if check.sense == "min":
+            assert whole.bound <= check.bound + slack
+        elif check.name != "stoppable":
+            assert whole.bound >= check.bound - slack
+
+
+def test_what_cannot_be_certified_is_refused_and_the_old_plan_stays() -> None:
+    replanner = steered()
+    at, old = moving(replanner), replanner.motion
+    goal = replanner.goal.polygon.vertices[0] - [0.0, 1.5]
+    answer = replanner.retarget(vertex=0, to=goal, at=at)
+    assert not answer.accepted
+    assert answer.motion is old is replanner.motion
+    assert answer.reason
+    assert "refused" in repr(answer)
+    assert replanner.retarget(to=[1.0, 2.0, 1.0], at=at).accepted
+
+
+def test_a_chain_of_goals_stays_certified() -> None:
+    replanner, rng, at = steered(), np.random.default_rng(4), 0.2
+    for _ in range(8):
+        at += float(rng.uniform(0.1, 0.9))
+        goal = TRIANGLE * rng.uniform(0.95, 1.1) + rng.uniform(-0.3, 0.3, 2)
+        old = replanner.motion
+        answer = replanner.retarget(goal, at=at)
+        assert answer.accepted
+        check_splice(old, answer)
+        at = max(at, answer.start)
+    assert replanner.plan.certificate.certified
+
+
+def test_after_its_end_a_plan_rests_until_it_is_given_a_new_goal() -> None:
+    replanner = steered()
+    late = replanner.motion.duration + 2.0
+    answer = replanner.retarget(to=[1.2, 2.0, 1.1], at=late)
+    assert answer.accepted
+    assert answer.start == pytest.approx(late)
+    np.testing.assert_allclose(answer.motion.drones.at(late - 0.5, 1), 0.0, atol=1e-9)
+    assert answer.plan.certificate.certified
+
+
+def test_a_plan_in_flight_is_taken_over_and_lasts_the_same_anywhere() -> None:
+    durations = []
+    for shift in ([0.0, 0.0], [3.0, -2.0]):
+        start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE + shift)
+        plan = ho.move_vertex(start, 0, by=[0.0, 0.4])
+        replanner = ho.Replanner(start.team, plan)
+        answer = replanner.retarget(TRIANGLE + shift + [0.2, 0.1], at=0.5 * plan.duration)
+        assert answer.accepted
+        check_splice(plan.motion, answer)
+        durations.append(answer.motion.duration)
+    assert durations[0] == pytest.approx(durations[1], rel=1e-6)
+
+
+def test_no_hitch_no_retarget() -> None:
+    outline = [[0.0, -0.9], [-0.72, 0.45], [0.72, 0.45]]
+    start = ho.Hitch.spread(ho.Team(3, 2.4), outline)
+    with pytest.raises(InputError, match="hitch"):
+        ho.Replanner(start.team, ho.release(start))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"polygon": TRIANGLE, "to": [0.0, 0.0, 1.0]},
+        {"polygon": TRIANGLE[::-1]},
+        {"vertex": 3, "to": [0.0, 0.0]},
+        {"vertex": 0, "to": [0.0, 0.0, 1.0]},
+        {"to": [0.0, 0.0]},
+        {"to": [0.0, 0.0, 1.0], "yaw": np.inf},
+        {"to": [0.0, 0.0, 1.0], "at": -1.0},
+    ],
+)
+def test_goals_are_checked(given: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        steered().retarget(**({"at": 0.5} | given))  # type: ignore[arg-type]
+
+
+def test_cables_with_weight_are_not_steered() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4, cable_density=0.005), TRIANGLE)
+    with pytest.raises(UnsupportedError, match="weight"):
+        ho.Replanner(start.team, start)
