@@ -35,7 +35,10 @@ DELAY = 0.05
 HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
 
-SHARES = (SHARE, 0.7, 0.45, 0.25, 0.12)
+STOPS = (1.0, 1.5, 2.2)
+"""Durations of the clock's stop that are tried, over that of the shortest one."""
+
+SHARES = (SHARE, 0.8, 0.65, 0.5, 0.35, 0.25, 0.12)
 """Shares of the limits that sinking is tried with while the clock slows down."""
 
 SUNK = (
@@ -144,16 +147,16 @@ class Reactions:
         if motion.poses is not None or motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
         begins = min(time + DELAY, motion.duration)
-        stopping = stopped(motion, self._aborts.stops, begins)
-        whole = stopping.motion
+        stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
+        first = stoppings[0]
+        tries = [(stopping, begins, share) for share in SHARES for stopping in stoppings]
+        tries.append((first, first.motion.duration, SHARE))
+        if motion.team.has_cables and not first.motion.phases[-1].formed:
+            tries = [(first, first.motion.duration, 0.0)]  # cables are not dragged over the ground
         refusal: Check | None = None
-        begin = begins
-        tries = [(begin, share) for share in SHARES] + [(whole.duration, SHARE)]
-        if motion.team.has_cables and not whole.phases[-1].formed:
-            tries = [(whole.duration, 0.0)]  # hanging cables are not dragged over the ground
-        held = followed(whole, resting(whole, HOLD))
-        for start, share in tries:
-            sinking = sunk(stopping, start, share) if share else held
+        for stopping, start, share in tries:
+            held = followed(stopping.motion, resting(stopping.motion, HOLD))
+            sinking = sunk(stopping, min(start, held.duration), share) if share else held
             checks = list(_checks(sinking, SUNK))
             landing = tuple(alone(sinking, landed(sinking)))
             checks += [check for part in landing for check in _checks(part, LANDED)]

@@ -44,12 +44,19 @@ class Stopping:
     rest: float
 
 
-def stopped(motion: Motion, stops: StopTable, time: float) -> Stopping:
-    """Return the plan that comes to rest as soon as the clock allows after a time [s]."""
+def stopped(motion: Motion, stops: StopTable, time: float, longer: float = 1.0) -> Stopping:
+    """Return the plan that comes to rest as soon as the clock allows after a time [s].
+
+    Parameters
+    ----------
+    longer: factor of the duration of its stop, as far as the plan reaches: a slow stop leaves
+        more acceleration for sinking.
+    """
     whole = motion.untimed
     if time >= motion.duration - JOINT:
         return Stopping(whole, motion.duration)
     start, duration = stops.after(time)
+    duration = min(longer * duration, 2.0 * (motion.duration - start))
     parts = [before(whole, start)] if start > JOINT else []
     rest = start
     if duration > 0.0:

@@ -60,7 +60,7 @@ RESTING_SAMPLE = 0.01
 REPORT_PERIOD = 50
 """Setpoints between two calls of ``progress``."""
 
-FALLING, FALLING_STEP = 1.5, 0.00034
+FALLING, FALLING_STEP = 2.5, 0.00034
 """[s] Time after the loss of a drone in which steps are at most so long: ropes slide fast over each
 other at its clasp, and coarser ones strain by more than 2 % there."""
 
