@@ -1,9 +1,9 @@
 """Where a lost drone falls and hangs, and what the survivors carry then.
 
-Cables run over clasps without friction and drones give way as soft position loops do: where the
-team comes to rest with the lost drone as a dead weight on its cable is the minimum of a convex
-energy (``hitchopt.settling``). The swing down to it is taken to be arcs about the lost drone's
-clasp. Neither is a bound for all of time: they are computed at samples.
+Cables run over clasps without friction: where the team comes to rest with the lost drone as a dead
+weight on its cable is the minimum of a convex energy (``hitchopt.settling``). The swing down to it
+is taken to be arcs about the lost drone's clasp. Neither is a bound for all of time: they are
+computed at samples.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from hitchopt.values import Array
 LOOSE = 1e-6
 """[N/m] Stiffness of a drone that is a mere weight."""
 
-GAIN = 36.0
-"""[1/s²] Stiffness over mass of position loops where a team's is not known: 4.75 N/m at 132 g."""
+GAIN, STIFFER = 36.0, 8.0
+"""[1/s²] Stiffness over mass of usual position loops, and the factor by which survivors are stiffer
+that feed forward what cables pull at rest: they come to within 3 cm/N of their setpoints."""
 
 STRETCH = 1e3
 """[N] EA of the cables here: 0.2 % at 2 N, and a softer one converges sooner from afar."""
@@ -55,12 +56,14 @@ class Rest:
     positions: (2n, 3) [m], of all drones, the lost one among them.
     vertices: (points, 3) [m]
     thrust: largest thrust with which a survivor hovers, over its largest one.
+    pulls: (2n, 3) [N], of the cables on the drones.
     lies: whether the lost drone lies on the ground; else it hangs.
     """
 
     positions: Array
     vertices: Array
     thrust: float
+    pulls: Array
     lies: bool
 
 
@@ -71,7 +74,8 @@ def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
 
     Parameters
     ----------
-    states: of one time, of a hitch; survivors feed its cable forces forward.
+    states: of one time, of a hitch; survivors stay close to its positions by feeding the cable
+        forces of the rest forward.
     lost: the drone.
     """
     floor = motion.requirements.floor
@@ -89,7 +93,7 @@ def _rest(motion: Motion, states: States, lost: int, held: Array | None) -> Rest
     None if it is not found, or if its cable lifts a drone that is held.
     """
     team = motion.team
-    stiffness = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
+    stiffness = STIFFER * GAIN * team.mass
     conditions = Conditions(stiffness=stiffness, integral=False, axial_stiffness=STRETCH)
     zero = np.zeros((1, team.drones, 3))
     energy, start = energy_of(
@@ -123,11 +127,13 @@ def _rest(motion: Motion, states: States, lost: int, held: Array | None) -> Rest
     here = x[0, : team.drones]
     if held is not None and -slopes[lost, 2] > 0.0:
         return None
-    upward = team.mass[:, None] * [0.0, 0.0, GRAVITY] - states.cable_forces
-    thrusts = np.linalg.norm(upward - stiffness[:, None] * (here - states.positions), axis=-1)
+    away = here - states.positions
+    pulls = states.cable_forces + stiffness[:, None] * away
+    pulls[lost] = 0.0
+    thrusts = np.linalg.norm(team.mass[:, None] * [0.0, 0.0, GRAVITY] - pulls, axis=-1)
     thrusts[lost] = 0.0
     share = float(np.max(thrusts / team.max_thrust))
-    return Rest(here, x[0, rigging.points], share, held is not None)
+    return Rest(here, x[0, rigging.points], share, pulls, held is not None)
 
 
 def swings(clasp: Array, start: Array, longest: float, floor: float) -> Array:

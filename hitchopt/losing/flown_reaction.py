@@ -16,6 +16,10 @@ from hitchopt.values import Array
 RATE = 100.0
 """[Hz] Of the setpoints of a reaction."""
 
+CAUGHT = (0.5, 1.0)
+"""[s] From the loss: while the lost drone swings down survivors pull as before, such that its cable
+may run; in this span they come to pull as it needs to hang."""
+
 FADING = 0.1
 """[s] In which survivors that let go late let their feed-forward fade."""
 
@@ -44,7 +48,11 @@ def reacting(task: Task, reaction: Reaction) -> Task:
             for field in fields(Setpoints)
         )
     )
-    after = replace(after, cable_forces=fed[:, None, None] * after.cable_forces)
+    forces = after.cable_forces
+    if reaction.pulls is not None:
+        held = _risen(times - reaction.course.time)[:, None, None]
+        forces = (1.0 - held) * forces + held * reaction.pulls
+    after = replace(after, cable_forces=fed[:, None, None] * forces)
     whole = {
         field.name: np.concatenate(
             [getattr(task.setpoints, field.name)[first], getattr(after, field.name)]
@@ -86,6 +94,12 @@ def _setpoints(states: States) -> Setpoints:
         np.zeros(states.positions.shape[:-1]),
         states.cable_forces,
     )
+
+
+def _risen(since: Array) -> Array:
+    """Return (k,) the share of what cables pull with the lost drone hanging, after its loss [s]."""
+    risen: Array = np.clip((since - CAUGHT[0]) / (CAUGHT[1] - CAUGHT[0]), 0.0, 1.0)
+    return risen
 
 
 def _fed(times: Array, reaction: Reaction) -> Array:

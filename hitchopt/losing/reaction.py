@@ -3,8 +3,8 @@
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
 on the ground; drones above others go aside and land by themselves. A hitch whose lost drone hangs
-keeps its tension until that lies on the ground; one whose lost drone falls to the ground lets all
-tension go at once, which lets its cable run. Where cables hang free the lost drone has to reach the
+keeps its tension until that lies on the ground; one whose lost drone is on the ground once it has
+swung down lets all tension go at once, which lets its cable run. Where cables hang free the lost drone has to reach the
 ground before its cable is taut, since no drone carries two.
 """
 
@@ -34,6 +34,9 @@ DELAY = 0.05
 
 HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
+
+SWING = 0.8
+"""[s] After its loss a drone has swung down: one that is on the ground by then is not to be held."""
 
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
@@ -99,7 +102,9 @@ class Reaction(OneLine):
     lets_go: time at which all survivors let tension go [s].
     thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
         its largest one.
-    nearest: smallest separation of a survivor and the lost drone, or what holds it, as a ratio.
+    nearest: smallest separation of a survivor and the lost drone, or another one, as a ratio.
+    pulls: (2n, 3) [N], of the cables while the lost drone hangs, which survivors feed forward once
+        it has swung down; None where it does not hang.
     """
 
     drone: str
@@ -107,6 +112,7 @@ class Reaction(OneLine):
     lets_go: float
     thrust: float
     nearest: float
+    pulls: Array | None = None
 
 
 class Reactions:
@@ -187,14 +193,14 @@ class Reactions:
         )
         if nearest < 1.0:
             raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
-        lets_go = course.begins
-        if not rest.lies:
-            heights, t = course.sinking.drones, np.linspace(course.begins, course.duration, 400)
-            t = t[t <= course.sinking.duration]
-            sunk_by = start[2] - heights.at(t)[:, lost, 2]
-            there = np.flatnonzero(sunk_by >= end[2] - floor)
-            lets_go = float(t[there[0]]) if len(there) else course.sinking.duration
-        return Reaction(drone, course, lets_go, rest.thrust, nearest)
+        lets_go, pulls = course.begins, None
+        t = np.linspace(course.begins, course.sinking.duration, 400)
+        sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
+        there = np.flatnonzero(sunk_by >= end[2] - floor)
+        lands = float(t[there[0]]) if len(there) else course.sinking.duration
+        if not rest.lies and lands > course.time + SWING:
+            lets_go, pulls = lands, rest.pulls
+        return Reaction(drone, course, lets_go, rest.thrust, nearest, pulls)
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""

@@ -11,7 +11,7 @@ import pytest
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place, swings
+from hitchopt.losing.falling import GAIN, STIFFER, Rest, free_fall, resting_place, swings
 from hitchopt.losing.flown_reaction import reacting
 from hitchopt.losing.reaction import DELAY, Reactions
 from hitchopt.losing.survivable import survivable
@@ -72,9 +72,10 @@ def balance(motion: Motion, time: float, lost: int) -> tuple[Rest, np.ndarray]:
     assert not rest.lies
     held = np.arange(team.drones) != lost
     away = (rest.positions - states.positions)[held]
-    stiffness = GAIN * team.mass[held, None]
-    commanded = team.mass[held, None] * [0, 0, GRAVITY] - states.cable_forces[held]
-    pull = np.sum(commanded - stiffness * away, axis=0)
+    stiffness = STIFFER * GAIN * team.mass[held, None]
+    pulls = states.cable_forces[held] + stiffness * away
+    np.testing.assert_allclose(rest.pulls[held], pulls)
+    pull = np.sum(team.mass[held, None] * [0, 0, GRAVITY] - pulls, axis=0)
     return rest, pull - [0, 0, GRAVITY * np.sum(team.mass)]
 
 
@@ -169,5 +170,9 @@ def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> N
     steps = np.linalg.norm(np.diff(flown.setpoints.positions, axis=0), axis=-1)
     assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
     forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
-    np.testing.assert_allclose(forces[flown.t < found.lets_go - 0.01], 0.5, atol=1e-3)
+    np.testing.assert_allclose(forces[flown.t < TIME + 0.49], 0.5, atol=1e-3)
+    assert found.pulls is not None
+    caught = (flown.t > TIME + 1.01) & (flown.t < found.lets_go)
+    for row in flown.setpoints.cable_forces[caught]:
+        np.testing.assert_allclose(row, found.pulls)
     assert np.max(forces[flown.t > found.lets_go + 0.11]) == 0.0
