@@ -17,7 +17,6 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States
 from hitchopt.settling.conditions import Conditions
 from hitchopt.settling.energy_minimum import settled_nodes
-from hitchopt.settling.rigging import Rigging
 from hitchopt.settling.settle import energy_of
 from hitchopt.values import Array
 
@@ -70,27 +69,13 @@ class Rest:
 def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
     """Return where a hitch comes to rest with a drone lost; None where no rest is found.
 
-    The lost drone lies on the ground below its clasp if its cable does not lift it from there.
+    Where the lost drone would hang below the ground it lies there, and weighs less on the others.
 
     Parameters
     ----------
     states: of one time, of a hitch; survivors stay close to its positions by feeding the cable
         forces of the rest forward.
     lost: the drone.
-    """
-    floor = motion.requirements.floor
-    hanging = _rest(motion, states, lost, None)
-    if hanging is not None and hanging.positions[lost, 2] > floor:
-        return hanging
-    below = states.vertices[motion.team.layout.pulled_to[lost]].copy()
-    below[2] = floor
-    return _rest(motion, states, lost, below)
-
-
-def _rest(motion: Motion, states: States, lost: int, held: Array | None) -> Rest | None:
-    """Return the rest with the lost drone held at a place, or as a mere weight.
-
-    None if it is not found, or if its cable lifts a drone that is held.
     """
     team = motion.team
     stiffness = STIFFER * GAIN * team.mass
@@ -113,27 +98,21 @@ def _rest(motion: Motion, states: States, lost: int, held: Array | None) -> Rest
     place = states.vertices[team.layout.pulled_to[lost]] - [0.0, 0.0, BELOW]
     forces[0, lost] = 0.0, 0.0, -weight
     stiffness[lost] = LOOSE
-    rigging = energy.rigging
-    if held is not None:
-        place = held
-        rigging = Rigging.of(team, np.arange(team.drones) == lost)
     start[0, lost] = place
-    energy = replace(energy, rigging=rigging, stiffness=stiffness, forces=forces)
+    energy = replace(energy, stiffness=stiffness, forces=forces)
     x = settled_nodes(energy, start)
     slopes = energy.slopes(x)[0]
-    free = rigging.free
-    if not np.max(np.abs(slopes[free])) <= BALANCED:
+    if not np.max(np.abs(slopes[energy.rigging.free])) <= BALANCED:
         return None
     here = x[0, : team.drones]
-    if held is not None and -slopes[lost, 2] > 0.0:
-        return None
     away = here - states.positions
     pulls = states.cable_forces + stiffness[:, None] * away
     pulls[lost] = 0.0
     thrusts = np.linalg.norm(team.mass[:, None] * [0.0, 0.0, GRAVITY] - pulls, axis=-1)
     thrusts[lost] = 0.0
     share = float(np.max(thrusts / team.max_thrust))
-    return Rest(here, x[0, rigging.points], share, pulls, held is not None)
+    lies = bool(here[lost, 2] <= motion.requirements.floor)
+    return Rest(here, x[0, energy.rigging.points], share, pulls, lies)
 
 
 def swings(clasp: Array, start: Array, longest: float, floor: float) -> Array:

@@ -4,8 +4,8 @@ Survivors notice the loss after DELAY. From then on the plan's clock stops as so
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
 on the ground; drones above others go aside and land by themselves. A hitch whose lost drone hangs
 keeps its tension until that lies on the ground; one whose lost drone is on the ground once it has
-swung down lets all tension go at once, which lets its cable run. Where cables hang free the lost drone has to reach the
-ground before its cable is taut, since no drone carries two.
+swung down lets all tension go at once, which lets its cable run. Where cables hang free the lost
+drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
 
 SWING = 0.8
-"""[s] After its loss a drone has swung down: one that is on the ground by then is not to be held."""
+"""[s] After its loss a drone has swung down: one that lies on the ground by then is not held."""
 
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
