@@ -21,6 +21,7 @@ from hitchopt.exports.export_options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate
+    from hitchopt.losing.survivable import Survivable
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
@@ -219,7 +220,14 @@ def _suggested(
     default=1.0,
     help="How many times farther than drones vertices may be off, for tracking_radius.",
 )
-def check(directory: Path, closest: bool, picture: Path | None, gamma: float) -> None:
+@click.option(
+    "--survivable",
+    is_flag=True,
+    help="Report for how many losses of a drone there is a certified reaction; this takes a while.",
+)
+def check(
+    directory: Path, closest: bool, picture: Path | None, gamma: float, survivable: bool
+) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
@@ -230,11 +238,25 @@ def check(directory: Path, closest: bool, picture: Path | None, gamma: float) ->
     motion = read_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
         certificate = certify(motion, progress, gamma)
+    losses = _losses(motion) if survivable else None
+    if losses is not None:
+        certificate = replace(certificate, checks=(*certificate.checks, losses.check))
     _show("", motion, certificate)
+    for lost in () if losses is None else losses.without:
+        say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
         _show_closest(Plan(motion, certificate), picture)
     certificate.raise_if_violated()
     say(f"certified; recomputed from {path}")
+
+
+def _losses(motion: Motion) -> Survivable:
+    """Return which losses of a drone have a certified reaction."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.losing.survivable import survivable
+
+    with LateProgress(sys.stderr, "planning reactions") as progress:
+        return survivable(motion, progress=progress)
 
 
 def _show(title: str, motion: Motion, certificate: Certificate) -> None:

@@ -77,7 +77,8 @@ PORT = {"json": 14600, "mavlink": 14580}
 @click.option(
     "--how",
     type=click.Choice([*HOWS[2:]]),
-    help="What key a does: by default release_and_land, land without cables.",
+    help="What key a does: by default what aborts.json in DIR does, else release_and_land, land "
+    "without cables.",
 )
 @click.option("--patience", metavar="SECONDS", default=5.0, help="From a lost link to landing.")
 @click.option(
@@ -90,7 +91,8 @@ def fly(directory: Path, how: str | None, patience: float, rate: float, **option
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
     a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
+    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
+    others are planned first. A lost operator or lost measurements end in a
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.flying.course import Course
@@ -103,7 +105,7 @@ def fly(directory: Path, how: str | None, patience: float, rate: float, **option
     plan.certificate.raise_if_violated()
     motion = plan.motion
     reach = _outlet_of(motion.team, **options)
-    tables = _tables(motion, how or ("release_and_land" if motion.team.has_cables else "land"))
+    tables = _tables(plan_path(directory).parent, motion, how)
     watched = motion.team.drone_names if options["measurements"] else ()
     with (
         ThreadPoolExecutor(2) as workers,
@@ -187,20 +189,30 @@ def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
     return found * count if len(found) == 1 else found
 
 
-def _tables(motion: Motion, how: str) -> dict[str, AbortTable]:
-    """Return the aborts for the commands ``abort`` and ``land``."""
+def _tables(directory: Path, motion: Motion, how: str | None) -> dict[str, AbortTable]:
+    """Return the aborts for the commands ``abort`` and ``land``: those of the directory, or new."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.errors import InfeasibleError
-    from hitchopt.stopping.abort_table import abort_table
+    from hitchopt.stopping.abort_table import abort_table, read_aborts
 
+    with LateProgress(sys.stderr, "reading aborts") as progress:
+        saved = read_aborts(directory, motion, progress)
+    usual = "release_and_land" if motion.team.has_cables else "land"
+    if how is None and saved is not None and saved.how in HOWS[2:]:
+        usual = saved.how
+    chosen = how or usual
     found = {}
     with LateProgress(sys.stderr, "planning aborts") as progress:
-        for each in dict.fromkeys(("land", how)):
-            found[each] = abort_table(motion, each, progress=progress)
+        for each in dict.fromkeys(("land", chosen)):
+            if saved is not None and saved.how == each:
+                say(f"{each}: {len(saved.entries)} entries of aborts.zip, certified anew")
+                found[each] = saved
+            else:
+                found[each] = abort_table(motion, each, progress=progress)
             if not found[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")
-    return {"land": found["land"], "abort": found[how]}
+    return {"land": found["land"], "abort": found[chosen]}
 
 
 @contextmanager

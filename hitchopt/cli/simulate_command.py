@@ -86,6 +86,16 @@ PATH = GivenPath()
 @click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
 @click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
+@click.option(
+    "--lose",
+    metavar="DRONE@SECONDS",
+    help="Stop a drone's motors then, such as q0@12.5; the others fly their certified reaction.",
+)
+@click.option(
+    "--reaction/--no-reaction",
+    default=True,
+    help="Whether they do; else they fly on as if nothing had happened.",
+)
 @click.option("--film", metavar="FILE", type=PATH, help="Film of a single flight, .gif or .mp4.")
 def simulate(
     directory: Path,
@@ -93,6 +103,8 @@ def simulate(
     runs: int | None,
     processes: int | None,
     film: Path | None,
+    lose: str | None,
+    reaction: bool,
     **options: float | str | bool | None,
 ) -> None:
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
@@ -104,7 +116,8 @@ def simulate(
     sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
     not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
     simulation leaves its valid range, which is reported as not simulated and says nothing about the
-    plan. The exit code of a campaign (--runs) is 0; it reports the rate of success.
+    plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
+    is judged then. The exit code of a campaign (--runs) is 0; it reports the rate of success.
     """
     from hitchopt.simulation.flight_task import read_task
     from hitchopt.view.film import check_film
@@ -117,11 +130,45 @@ def simulate(
             raise InputError("--film", str(film), "of a single flight", remedy)
     settings = _settings(options)
     task = read_task(directory)
+    if lose is not None:
+        if runs is not None:
+            raise InputError("--lose", lose, "of a single flight", "leave out --runs")
+        settings, task = _lost(directory, settings, task, lose, react=reaction)
     place = directory / RESULTS if output is None else output
     if runs is None:
         _simulate_one(task, settings, place, film, directory)
     else:
         _simulate_campaign(task, settings, place, runs, processes)
+
+
+def _lost(
+    directory: Path, settings: Settings, task: Task, text: str, *, react: bool
+) -> tuple[Settings, Task]:
+    """Return settings and task of a flight in which a drone is lost.
+
+    Raises
+    ------
+    InputError: no such drone, or a time after the flight.
+    InfeasibleError: there is no reaction to its loss.
+    """
+    from hitchopt.exports.directory import PLAN
+    from hitchopt.losing.flown_reaction import reacting
+    from hitchopt.losing.reaction import Reactions
+    from hitchopt.motion.plan_file import read_plan
+    from hitchopt.simulation.lost_drones import Loss
+
+    loss = Loss.parsed(text)
+    settings = replace(settings, lost=loss)
+    if not react:
+        return settings, task
+    found = Reactions(read_plan(directory / PLAN)).found(loss.drone, loss.time)
+    course = found.course
+    say(
+        f"reaction: from t = {course.begins:.3f} s, tension is let go at {found.lets_go:.3f} s, on "
+        f"the ground at {course.duration:.3f} s; hovering with {loss.drone} on its cable takes up "
+        f"to {found.thrust:.0%} of a thrust"
+    )
+    return settings, reacting(task, found)
 
 
 def _settings(options: dict[str, float | str | bool | None]) -> Settings:
@@ -183,6 +230,8 @@ def _save_film(path: Path, done: Simulation, directory: Path) -> None:
 
 def _verdict(done: Simulation) -> str:
     """Return the verdict on a flight's hitch in words."""
+    if done.loss is not None:
+        return "no two survivors touch" if done.loss.apart else "survivors TOUCH each other"
     if done.flight.linking is None:
         return "not simulated to its end: nothing is known of the hitch"
     if done.flight.task.formed[-1]:

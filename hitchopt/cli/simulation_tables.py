@@ -14,8 +14,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hitchopt.simulation.error_measures import Spread
+    from hitchopt.simulation.lost_drones import LossOutcome
     from hitchopt.simulation.simulate import Simulation
     from hitchopt.sweeps.campaign import Campaign
+
+LYING = 0.05
+"""[m] A lost drone that is so low lies on the ground, perhaps on its cable."""
 
 
 def flight_tables(simulation: Simulation) -> str:
@@ -54,9 +58,30 @@ def flight_tables(simulation: Simulation) -> str:
     ):
         figures.add_row(name, value)
     parts = [rendered(vertices)] if outcome.clasps else []
+    if simulation.loss is not None:
+        parts.append(rendered(_loss_table(simulation.loss)))
     if outcome.objects:
         parts.append(rendered(_object_table(simulation)))
     return "\n\n".join([*parts, rendered(figures), rendered(_conditions(simulation))]) + "\n"
+
+
+def _loss_table(loss: LossOutcome) -> Table:
+    """Return the table of what became of the others after the loss of a drone."""
+    table = new_table(f"{loss.drone} is lost at t = {loss.time:.3f} s", ["quantity"], ["value"])
+    pairs = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.among)
+    others = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.others)
+    where = f"{100 * loss.hangs:.0f} cm above the ground" if loss.hangs > LYING else "on the ground"
+    for name, value in (
+        ("survivors that touch each other", pairs or "none"),
+        ("survivors that touch a cable or the lost drone", others or "none"),
+        ("largest tension from then on", f"{loss.peak_tension:.3f} N"),
+        ("largest thrust of a survivor", f"{loss.peak_thrust:.3f} N"),
+        ("survivors from their setpoints", f"{100 * loss.moved:.0f} cm at most"),
+        ("the lost drone ends", f"{100 * loss.dropped:.0f} cm lower, {where}"),
+        ("clasps that are linked at the end", ", ".join(loss.linked) or "none"),
+    ):
+        table.add_row(name, value)
+    return table
 
 
 def _object_table(simulation: Simulation) -> Table:

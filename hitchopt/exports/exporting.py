@@ -173,6 +173,7 @@ class _Exporter:
             if lost := verdict.violations(self.certificate, kind.accuracy):
                 note = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {note}")
+            kind.certify(path.parent, task)
             write_strict_json(path, manifest_of(kind, task, candidate, verdict))
             verdicts.append(verdict)
 

@@ -37,10 +37,14 @@ class Motors:
     """
 
     def __init__(self, world: World, max_thrust: Array, lag: float) -> None:
-        self._world, self._max_thrust, self._lag = world, max_thrust, lag
+        self._world, self._max_thrust, self._lag = world, np.array(max_thrust), lag
         self._state: Array | None = None
         self.saturated = np.zeros(len(max_thrust), dtype=np.bool_)
         self.thrusts = np.zeros(len(max_thrust))
+
+    def stop(self, drone: int) -> None:
+        """Stop the motors of a drone, whose thrust fades with their lag."""
+        self._max_thrust[drone] = 0.0
 
     def apply(self, desired: Array, setpoints: Setpoints, seconds: float) -> None:
         """Apply forces to the world's drones for the next ``seconds``.
@@ -72,7 +76,7 @@ class Motors:
     def _point(self, desired: Array) -> Array:
         """Return the force (2n, 3) [N] of point masses: the desired one, within its limit."""
         size = np.linalg.norm(desired, axis=-1)
-        self.saturated = size > self._max_thrust
+        self.saturated = (size > self._max_thrust) & (self._max_thrust > 0.0)
         share = np.minimum(1.0, self._max_thrust / np.maximum(size, LEAST_FORCE))
         allowed: Array = desired * share[:, None]
         return allowed
@@ -84,7 +88,7 @@ class Motors:
         thrusts, moments = attitude_command(
             setpoints, desired, attitudes, rates, world.masses, world.inertia
         )
-        self.saturated = thrusts > self._max_thrust
+        self.saturated = (thrusts > self._max_thrust) & (self._max_thrust > 0.0)
         limit = ARM * BODY_RADIUS * self._max_thrust[:, None] * MOMENT_SHARES
         return np.column_stack(
             [np.clip(thrusts, 0.0, self._max_thrust), np.clip(moments, -limit, limit)]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.simulation.flight_records import Flight
+from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.object_outcome import (
     DROPPED,
     PLACED,
@@ -114,7 +115,10 @@ def judge(flight: Flight) -> Outcome:
 
     Where its plan ends with a hitch every vertex must hold, else the cables must be free of each
     other. Objects must be where the plan puts them, and free unless it ends holding them.
+    After the loss of a drone nothing is judged but contacts of survivors.
     """
+    if flight.lost is not None:
+        return _after_loss(flight, flight.lost)
     failures = [
         Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
         for e in flight.touches
@@ -130,6 +134,20 @@ def judge(flight: Flight) -> Outcome:
     failures += [failure for each in objects for failure in _mishandled(flight, each)]
     failures.sort(key=lambda failure: failure.time)
     return Outcome(clasps, tuple(failures), objects)
+
+
+def _after_loss(flight: Flight, lost: Loss) -> Outcome:
+    """Return the outcome of a flight in which a drone is lost."""
+    names = set(flight.task.team.drone_names) - {lost.drone}
+    failures = [
+        Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
+        for e in flight.touches
+        if e.time < lost.time or {e.first, e.second} & names
+    ]
+    if (error := flight.error) is not None:
+        failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
+    failures.sort(key=lambda failure: failure.time)
+    return Outcome((), tuple(failures))
 
 
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.validity import InvalidRunError
 from hitchopt.values import Array
 
@@ -99,6 +100,8 @@ class Flight:
     longer: largest length that a rope has more than its cable [m]; the bends of thick ropes use it
         up, so that the planned length is the effective one.
     error: what ended the flight early, or None.
+    ground: height of the ground [m].
+    lost: the drone whose motors stopped, or None.
     """
 
     task: Task
@@ -113,3 +116,5 @@ class Flight:
     gains: PositionGains
     longer: float
     error: InvalidRunError | None
+    ground: float = 0.0
+    lost: Loss | None = None

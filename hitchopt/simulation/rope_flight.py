@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.air_forces import downwash, drag
 from hitchopt.simulation.cable_shapes import clasped, hanging
@@ -20,6 +22,7 @@ from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.hung_loads import HungLoads
 from hitchopt.simulation.linking_numbers import linking_matrix
+from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
 from hitchopt.simulation.rope_thickness import thickness_allowance
@@ -57,6 +60,10 @@ RESTING_SAMPLE = 0.01
 
 REPORT_PERIOD = 50
 """Setpoints between two calls of ``progress``."""
+
+FALLING, FALLING_STEP = 2.5, 0.00034
+"""[s] Time after the loss of a drone in which steps are at most so long: ropes slide fast over each
+other at its clasp, and coarser ones strain by more than 2 % there."""
 
 REST_HEIGHT = BODY_HALF_HEIGHT + 0.005
 """Height of the centre of a drone on the ground [m]."""
@@ -134,6 +141,8 @@ class _Run:
         self._substeps = max(1, round(CONTROL / ropes.preset.time_step))
         self._period = self._substeps * ropes.preset.time_step
         self._damping = 0.0
+        self._lost = _place_of(settings.lost, task)
+        self._fine = ceil(ropes.preset.time_step / FALLING_STEP - 1e-9)
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
 
@@ -171,7 +180,7 @@ class _Run:
         self._rest(end, end + REST, 1.0)
         self._rested = end + REST
         self._linking = linking_matrix(world.cables)
-        if self._settings.pull_test:
+        if self._settings.pull_test and self._settings.lost is None:
             self._rest(self._rested, self._rested + PULLED, PULL)
             self._pulled = self._rested + PULLED
 
@@ -203,6 +212,11 @@ class _Run:
         offset: from the setpoint's positions (2n, 3) [m].
         """
         world, disturbances = self._world, self._disturbances
+        fine = 1
+        if self._lost is not None and time >= self._lost[1]:
+            self._motors.stop(self._lost[0])
+            fine = self._fine if time < self._lost[1] + FALLING else 1
+        world.refine(fine)
         setpoints, gains = self._setpoints[index], self._gains
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
         measured = world.drones + disturbances.noise.advance(self._period)
@@ -226,7 +240,7 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        world.step(self._substeps)
+        world.step(fine * self._substeps)
         check_valid(world, time)
         if self._feedback is not None and time >= 0.0:
             self._feedback.observe(time + self._period, self._least_bearing[index])
@@ -262,4 +276,24 @@ class _Run:
             self._gains,
             self._longer,
             error,
+            self._world.ground,
+            self._settings.lost,
         )
+
+
+def _place_of(lost: Loss | None, task: Task) -> tuple[int, float] | None:
+    """Return the index of a lost drone and the time of its loss [s].
+
+    Raises
+    ------
+    InputError: the team has no such drone, or the flight has ended by then.
+    """
+    if lost is None:
+        return None
+    names = task.team.drone_names
+    if lost.drone not in names:
+        raise InputError("--lose", lost.drone, f"one of {', '.join(names)}", "name a drone")
+    if lost.time >= task.duration:
+        bound = f"before the flight ends at {task.duration:g} s"
+        raise InputError("--lose", lost.time, bound, "lose it in flight")
+    return names.index(lost.drone), lost.time

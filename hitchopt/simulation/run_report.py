@@ -120,6 +120,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "largest_thrust": run.peak_thrust,
         "saturated_share": run.saturated,
         "duration": flight.task.duration,
+        **({} if simulation.loss is None else {"loss": asdict(simulation.loss)}),
         "processor_seconds": simulation.processor,
         "pace": run.pace,
     }

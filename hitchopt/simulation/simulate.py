@@ -12,6 +12,7 @@ from hitchopt.simulation.error_measures import Spread, VertexErrors, tracking_er
 from hitchopt.simulation.flight_outcome import SUCCEEDED, Failure, Outcome, judge
 from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.lost_drones import LossOutcome, loss_outcome
 from hitchopt.simulation.rope_flight import Progress, fly
 from hitchopt.simulation.simulation_settings import Settings
 
@@ -80,6 +81,12 @@ class Simulation(OneLine):
     outcome: Outcome
     errors: VertexErrors
     processor: float
+
+    @property
+    def loss(self) -> LossOutcome | None:
+        """What became of the others after the loss of a drone; None where none was lost."""
+        lost = self.flight.lost
+        return None if lost is None else loss_outcome(self.flight, lost)
 
     @property
     def run(self) -> Run:

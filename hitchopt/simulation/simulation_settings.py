@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
+from hitchopt.simulation.lost_drones import Loss
 from hitchopt.values import finite, not_negative, positive
 
 BODIES = ("rigid", "point")
@@ -159,7 +160,8 @@ class Settings(OneLine):
     feed_forward: whether controllers add the cable force of the setpoints; None: as the team's.
     ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
         stand on it.
-    pull_test: whether the flight ends with a pull test of the hitch.
+    pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
+    lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
     """
 
@@ -174,6 +176,7 @@ class Settings(OneLine):
     feed_forward: bool | None = None
     ground: float | None = None
     pull_test: bool = True
+    lost: Loss | None = None
     feedback: bool = False
 
     def __post_init__(self) -> None:

@@ -65,10 +65,11 @@ def check_valid(world: World, time: float) -> None:
     data, model, ropes = world.data, world.model, world.ropes
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
         raise InvalidRunError("state", float("nan"), 0.0, "", time, "all")
+    finer = ropes.preset.time_step / model.opt.timestep
     strain = np.abs(data.flexedge_length / model.flexedge_length0 - 1.0)
     for quantity, values, limit, unit in (
         ("strain", strain, MOST_STRAIN, "m/m"),
-        ("tension", tensions(world), ropes.largest_tension, "N"),
+        ("tension", tensions(world), finer**2 * ropes.largest_tension, "N"),
     ):
         worst = int(np.argmax(values))
         if values[worst] > limit:

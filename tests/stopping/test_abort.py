@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
+from hitchopt.cli.fly_command import _tables
 from hitchopt.motion.phases import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.stopping.abort import Abort, Aborts
+from hitchopt.stopping.abort_table import abort_table, read_aborts, save_aborts
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -109,3 +112,35 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
         motion = read_plan(tmp_path / "plans" / entry["plan"])
         assert certify(motion, part=True).certified
         assert motion.duration == pytest.approx(entry["ends"])
+
+
+def test_a_table_is_read_back_certified(tmp_path: Path) -> None:
+    plan = ho.solve(PROBLEMS / "swarms/head_on.yaml")
+    plan.save(tmp_path)
+    assert read_aborts(tmp_path, plan.motion) is None
+    table = abort_table(plan.motion, "land", 1.5)
+    save_aborts(tmp_path, table)
+    found = read_aborts(tmp_path, plan.motion)
+    assert found is not None
+    assert (found.how, found.missing) == (table.how, table.missing)
+    for read, made in zip(found.entries, table.entries, strict=True):
+        assert (read.start, read.seconds, read.rest) == (made.start, made.seconds, made.rest)
+        mine, theirs = read.certified.motion.drones, made.certified.motion.drones
+        np.testing.assert_array_equal(mine.coefficients, theirs.coefficients)
+    other = plan.motion.slowed(1.1)
+    with pytest.raises(ho.FileError, match="does not fly this plan"):
+        read_aborts(tmp_path, other)
+    (tmp_path / "aborts.zip").write_bytes(b"nothing")
+    with pytest.raises(ho.FileError):
+        read_aborts(tmp_path, plan.motion)
+
+
+def test_the_abort_key_flies_the_saved_table(tmp_path: Path) -> None:
+    """A table with one entry, which none would plan by itself, is the one that is taken."""
+    plan = ho.solve(PROBLEMS / "swarms/head_on.yaml")
+    plan.save(tmp_path)
+    table = abort_table(plan.motion, "land", 1.5)
+    save_aborts(tmp_path, replace(table, entries=table.entries[1:2]))
+    tables = _tables(tmp_path, plan.motion, None)
+    assert [each.start for each in tables["abort"].entries] == [table.entries[1].start]
+    assert tables["land"] is tables["abort"]

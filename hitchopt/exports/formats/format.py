@@ -171,6 +171,16 @@ class Format(Protocol):
         """
         ...
 
+    def certify(self, folder: Path, task: Task) -> None:  # noqa: ARG002
+        """Certify what the files hold besides the flight that is read; most hold nothing else.
+
+        Raises
+        ------
+        FileError: they are damaged.
+        InfeasibleError: it breaks a limit.
+        """
+        return
+
 
 def writer_of(content: str | bytes) -> Writer:
     """Return what writes the content, text in UTF-8."""

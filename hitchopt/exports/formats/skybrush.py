@@ -6,6 +6,8 @@ Skybrush's server stores whole milliseconds and whole millimetres (multiples of 
 32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
 back and certified are the curves that the server stores.
 
+Drones without cables have coordinated returns as well (``skybrush_returns``).
+
 Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
 their own; the format has no place for accelerations, so the cable's pull is not in it.
 """
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,10 +25,12 @@ import numpy as np
 
 from hitchopt.exports.formats.compressed import keeping_of
 from hitchopt.exports.formats.format import Candidate, Format, Task
+from hitchopt.exports.formats.skybrush_returns import certify_returns, return_plans
 from hitchopt.exports.formats.skybrush_show import MILLI, read_show, storage_scale, stored
 from hitchopt.exports.recording import Recording, recording_of_curves
 from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, fitted
 from hitchopt.exports.refit.point_rounding import rounded, settled
+from hitchopt.exports.returns import Return, landing_speed, planned_returns, stated
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -70,6 +74,7 @@ class SkybrushShow(Format):
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give refits, each with more points than the one before."""
+        returns = None if task.motion.team.has_cables else planned_returns(task.motion)
         for bound in BOUNDS:
             breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
             if breaks is None:
@@ -85,8 +90,10 @@ class SkybrushShow(Format):
                     f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
                     f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
                     "join",
+                    *(() if returns is None else (stated(returns),)),
                 )
-                write = partial(write_show, task=task, breaks=breaks, points=whole.coefficients)
+                shown = partial(write_show, task=task, breaks=breaks)
+                write = partial(shown, points=whole.coefficients, returns=returns)
                 yield Candidate({FILE: write}, notes)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
@@ -94,6 +101,12 @@ class SkybrushShow(Format):
         drones = read_show(folder / FILE).curves
         curves = [stored(curve) for curve in drones.values()]
         return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
+
+    def certify(self, folder: Path, task: Task) -> None:
+        """Certify the coordinated returns of drones without cables."""
+        if not task.motion.team.has_cables:
+            path = folder / FILE
+            certify_returns(str(path), read_show(path), task)
 
 
 def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
@@ -112,7 +125,9 @@ def _jump(curves: PiecewisePolynomial) -> float:
     return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
 
 
-def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
+def write_show(
+    path: Path, task: Task, breaks: Array, points: Array, returns: Sequence[Return] | None = None
+) -> None:
     """Write the show.
 
     Parameters
@@ -121,6 +136,7 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
     task: the plan, for title, names and limits.
     breaks: (pieces + 1,) [s]
     points: (pieces, D, 3, 4) Bézier control points [m], north-west-up, of whole millimetres.
+    returns: coordinated returns of drones without cables; None for no plan of returns at all.
 
     Raises
     ------
@@ -129,8 +145,12 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
     times = [round(t, 3) for t in breaks.tolist()]
     points = np.round(points + np.copysign(NUDGE, points) * (points != 0.0), 6) + 0.0
     drones = []
+    landing, count = landing_speed(task.motion), len(task.names)
+    plans: list[Any] = [None] * count
+    if returns is not None:
+        plans = return_plans(returns, landing, task.frame, task.motion)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, here in zip(task.names, np.moveaxis(points, 1, 0), strict=True):
+        for name, here, plan in zip(task.names, np.moveaxis(points, 1, 0), plans, strict=True):
             first, last = here[0, :, 0].tolist(), here[-1, :, 3].tolist()
             rows: list[Any] = [[times[0], first, []]]
             rows += [
@@ -141,6 +161,7 @@ def write_show(path: Path, task: Task, breaks: Array, points: Array) -> None:
             file = f"drones/{name}/trajectory.json"
             archive.writestr(file, json.dumps({**head, "points": rows}, allow_nan=False))
             settings = {"name": name, "home": first, "landAt": last}
+            settings |= {} if plan is None else {"rthPlan": plan}
             trajectory = {"trajectory": {"$ref": f"./{file}#"}}
             drones.append({"type": "generic", "settings": {**settings, **trajectory}})
         archive.writestr("show.json", json.dumps(_show(task, drones), allow_nan=False))

@@ -39,11 +39,13 @@ class Show:
     curves: positions (3,) [m] over the show's time, by drone.
     homes: what stands as the home of a drone, unchecked; None where nothing does.
     validation: the limits that the show sets itself, unchecked.
+    returns: what stands as the returns of a drone, unchecked; None where nothing does.
     """
 
     curves: dict[str, PiecewisePolynomial]
     homes: dict[str, Any]
     validation: Mapping[str, Any]
+    returns: dict[str, Any]
 
 
 def read_show(path: Path) -> Show:
@@ -71,9 +73,10 @@ def read_show(path: Path) -> Show:
             for name, file in files.items()
         }
         homes = {name: each.get("home") for name, each in settings.items()}
+        returns = {name: each.get("rthPlan") for name, each in settings.items()}
         own = show.get("settings")
     validation = own.get("validation") if isinstance(own, dict) else None
-    return Show(curves, homes, validation if isinstance(validation, dict) else {})
+    return Show(curves, homes, validation if isinstance(validation, dict) else {}, returns)
 
 
 def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:

@@ -1,0 +1,278 @@
+"""Reactions to the loss of a drone: who lets tension go and when, who moves where, how they land.
+
+Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
+certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
+on the ground; drones above others go aside and land by themselves. A hitch whose lost drone hangs
+keeps its tension until that lies on the ground; one whose lost drone is on the ground once it has
+swung down lets all tension go at once, which lets its cable run. Where cables hang free the lost
+drone has to reach the ground before its cable is taut, since no drone carries two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from hitchopt.checks.bounds.static_thrust import largest_static_thrust
+from hitchopt.checks.certificate import Check
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.losing.falling import free_fall, resting_place, swings
+from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import followed, resting
+from hitchopt.motion.states import States, states_at
+from hitchopt.one_line import OneLine
+from hitchopt.stopping.abort import Aborts
+from hitchopt.values import Array, not_negative
+
+DELAY = 0.05
+"""[s] From the loss until the survivors react."""
+
+HOLD = 0.1
+"""[s] Rest of drones whose cables hang free before they land."""
+
+SWING = 0.8
+"""[s] After its loss a drone has swung down: one that lies on the ground by then is not held."""
+
+STOPS = (1.0, 1.5, 2.2)
+"""Durations of the clock's stop that are tried, over that of the shortest one."""
+
+SHARES = (SHARE, 0.8, 0.65, 0.5, 0.35, 0.25, 0.12)
+"""Shares of the limits that sinking is tried with while the clock slows down."""
+
+SUNK = (
+    "separation",
+    "cable_clearance",
+    "crossing",
+    "speed",
+    "acceleration",
+    "jerk",
+    "thrust",
+    "tilt",
+    "legs",
+    "arena",
+    "keep_out",
+    "continuity",
+)
+"""Checks of the team while it sinks, the lost drone's place included; for all of the time."""
+
+LANDED = ("separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out")
+"""Checks of drones that land by themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course(OneLine):
+    """What the survivors fly after a loss at a time, whichever drone it is.
+
+    Attributes
+    ----------
+    time: of the loss [s].
+    begins: when they react [s].
+    sinking: the plan until ``begins``, and what follows until the lowest drone is on the ground.
+    landing: the flights after that, of drones by themselves.
+    share: of the limits with which they sink.
+    checks: of all of it.
+    """
+
+    time: float
+    begins: float
+    sinking: Motion
+    landing: tuple[Motion, ...]
+    share: float
+    checks: tuple[Check, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time at which all are on the ground [s]."""
+        return self.sinking.duration + sum(each.duration for each in self.landing)
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction(OneLine):
+    """A certified reaction to the loss of a drone.
+
+    Attributes
+    ----------
+    drone: that is lost.
+    course: what survivors fly.
+    lets_go: time at which all survivors let tension go [s].
+    thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
+        its largest one.
+    nearest: smallest separation of a survivor and the lost drone, or another one, as a ratio.
+    pulls: (2n, 3) [N], of the cables while the lost drone hangs, which survivors feed forward once
+        it has swung down; None where it does not hang.
+    """
+
+    drone: str
+    course: Course
+    lets_go: float
+    thrust: float
+    nearest: float
+    pulls: Array | None = None
+
+
+class Reactions:
+    """The reactions of one plan: what they have in common is computed once.
+
+    Parameters
+    ----------
+    motion: the plan.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self.course = lru_cache(maxsize=256)(self._course)
+        self._aborts = Aborts(motion)
+
+    def found(self, drone: str, time: float) -> Reaction:
+        """Return the reaction to the loss of a drone at a time [s].
+
+        Raises
+        ------
+        InputError: no such drone, or a time outside the plan.
+        InfeasibleError: none was found; says what binds.
+        """
+        names = self.motion.team.drone_names
+        if drone not in names:
+            raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
+        if not_negative("t", time) > self.motion.duration:
+            raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
+        course = self.course(float(time))
+        lost = names.index(drone)
+        states = states_at(self.motion, time)
+        if bool(states.formed):
+            return self._hitched(course, drone, lost)
+        return self._falling(course, drone, lost, states)
+
+    def _course(self, time: float) -> Course:
+        motion = self.motion
+        if motion.poses is not None or motion.requirements.objects:
+            raise _none(time, "the team carries objects, or stands among them")
+        begins = min(time + DELAY, motion.duration)
+        stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
+        first = stoppings[0]
+        tries = [(stopping, begins, share) for share in SHARES for stopping in stoppings]
+        tries.append((first, first.motion.duration, SHARE))
+        if motion.team.has_cables and not first.motion.phases[-1].formed:
+            tries = [(first, first.motion.duration, 0.0)]  # cables are not dragged over the ground
+        refusal: Check | None = None
+        for stopping, start, share in tries:
+            held = followed(stopping.motion, resting(stopping.motion, HOLD))
+            sinking = sunk(stopping, min(start, held.duration), share) if share else held
+            checks = list(_checks(sinking, SUNK))
+            landing = tuple(alone(sinking, landed(sinking)))
+            checks += [check for part in landing for check in _checks(part, LANDED)]
+            broken = next((check for check in checks if not check.holds), None)
+            if broken is None:
+                return Course(time, begins, sinking, landing, share, tuple(checks))
+            refusal = refusal or broken
+        raise _none(time, _words(refusal))
+
+    def _hitched(self, course: Course, drone: str, lost: int) -> Reaction:
+        """Return the reaction of a hitch, whose clasps hold the lost drone's cable."""
+        motion, team = self.motion, self.motion.team
+        states = states_at(motion, course.time)
+        floor = motion.requirements.floor
+        rest = resting_place(motion, states, lost)
+        if rest is None:
+            raise _none(course.time, f"no rest was found with {drone} on its cable")
+        if rest.thrust > 1.0:
+            raise _none(course.time, f"{drone} on its cable takes {rest.thrust:.0%} of a thrust")
+        others, point = np.arange(team.drones) != lost, team.layout.pulled_to[lost]
+        start, end = states.positions[lost], rest.positions[lost]
+        longest = float(np.linalg.norm(end - rest.vertices[point]))
+        arcs = swings(states.vertices[point], start, longest, floor)
+        nearest = min(
+            _ratio(motion, states.positions[others], arcs),
+            _ratio(motion, rest.positions[others], end[None]),
+            _apart(motion, rest.positions[others]),
+        )
+        if nearest < 1.0:
+            raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
+        lets_go, pulls = course.begins, None
+        t = np.linspace(course.begins, course.sinking.duration, 400)
+        sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
+        there = np.flatnonzero(sunk_by >= end[2] - floor)
+        lands = float(t[there[0]]) if len(there) else course.sinking.duration
+        if not rest.lies and lands > course.time + SWING:
+            lets_go, pulls = lands, rest.pulls
+        return Reaction(drone, course, lets_go, rest.thrust, nearest, pulls)
+
+    def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
+        """Return the reaction of drones whose cables hang free, or that have none."""
+        motion, team = self.motion, self.motion.team
+        times, places = free_fall(
+            states.positions[lost], states.velocities[lost], motion.requirements.floor
+        )
+        whole = course.sinking.drones
+        there = whole.at(np.minimum(course.time + times, whole.breaks[-1]))
+        others = np.arange(len(team.drone_names)) != lost
+        scale = motion.requirements.separation.scale
+        ratios = np.linalg.norm((there[:, others] - places[:, None]) * scale, axis=-1)
+        nearest = float(np.min(ratios, initial=np.inf))
+        if nearest < 1.0:
+            raise _none(course.time, f"{drone} falls past a survivor at {nearest:.3g}")
+        nearest = min(nearest, self._lying(course, others, places[-1], drone))
+        thrust = largest_static_thrust(motion)
+        if team.has_cables:
+            chords = np.linalg.norm(there[:, lost ^ 1] - places, axis=-1)
+            taut = chords > team.cable_length[lost // 2]
+            if np.any(taut):
+                height = places[np.argmax(taut), 2] - motion.requirements.floor
+                words = f"{drone} hangs on its partner {height:.2g} m above the ground"
+                raise _none(course.time, words)
+        return Reaction(drone, course, course.begins, thrust, nearest)
+
+    def _lying(self, course: Course, others: Array, place: Array, drone: str) -> float:
+        """Return the smallest separation of survivors and a drone that lies on the ground."""
+        parts = [course.sinking, *course.landing]
+        least = np.inf
+        for part in parts:
+            t = np.linspace(course.begins if part is parts[0] else 0.0, part.duration, 200)
+            least = min(
+                least, _ratio(part, part.drones.at(t)[:, others].reshape(-1, 3), place[None])
+            )
+        if least < 1.0:
+            raise _none(course.time, f"a survivor lands on {drone}, at {least:.3g}")
+        return float(least)
+
+
+def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:
+    """Yield the checks of a motion, up to the first that does not hold."""
+    for name in names:
+        found = RULE_OF[name].check(motion)
+        if found is not None:
+            yield found
+            if not found.holds:
+                return
+
+
+def _ratio(motion: Motion, survivors: Array, places: Array) -> float:
+    """Return the smallest separation of survivors (k, 3) and places (m, 3) [m]."""
+    scale = motion.requirements.separation.scale
+    apart = np.linalg.norm((survivors[:, None] - places) * scale, axis=-1)
+    return float(np.min(apart, initial=np.inf))
+
+
+def _apart(motion: Motion, survivors: Array) -> float:
+    """Return the smallest separation of two survivors (k, 3) [m]."""
+    scale = motion.requirements.separation.scale
+    i, j = np.triu_indices(len(survivors), 1)
+    apart = np.linalg.norm((survivors[i] - survivors[j]) * scale, axis=-1)
+    return float(np.min(apart, initial=np.inf))
+
+
+def _words(refusal: Check | None) -> str:
+    if refusal is None:
+        return "nothing was tried"
+    return (
+        f"sinking breaks {refusal.name}: {refusal.worst:.4g} {refusal.unit} ({refusal.number:.4g})"
+    )
+
+
+def _none(time: float, words: str) -> InfeasibleError:
+    return InfeasibleError([], f"no reaction to a loss at t = {time:.4g} s: {words}")

@@ -1,0 +1,168 @@
+"""What survivors fly: the plan's clock stops, and all of the team sinks to the ground together.
+
+A team that sinks as a whole keeps all its distances. While it gathers speed, what falls is lighter
+for it: at 2 m/s² a lost drone pulls at its cable with four fifths of its weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.errors import InfeasibleError
+from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.retiming import before, followed, resting, retimed
+from hitchopt.planners.forming.straight import straight
+from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splitting import merged_breaks, on_breaks
+from hitchopt.values import Array
+
+SHARE = 0.97
+"""Share of the limits that sinking takes at most."""
+
+REST = 0.2
+"""[s] Time at rest after everything."""
+
+LEAST = 1e-3
+"""[m] Drones that are so low are on the ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stopping:
+    """A plan whose clock stops, as soon as it can after a time.
+
+    Attributes
+    ----------
+    motion: until rest.
+    rest: plan time at rest [s].
+    """
+
+    motion: Motion
+    rest: float
+
+
+def stopped(motion: Motion, stops: StopTable, time: float, longer: float = 1.0) -> Stopping:
+    """Return the plan that comes to rest as soon as the clock allows after a time [s].
+
+    Parameters
+    ----------
+    longer: factor of the duration of its stop, as far as the plan reaches: a slow stop leaves
+        more acceleration for sinking.
+    """
+    whole = motion.untimed
+    if time >= motion.duration - JOINT:
+        return Stopping(whole, motion.duration)
+    start, duration = stops.after(time)
+    duration = min(longer * duration, 2.0 * (motion.duration - start))
+    parts = [before(whole, start)] if start > JOINT else []
+    rest = start
+    if duration > 0.0:
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        parts.append(retimed(whole, clock))
+        rest = float(clock.ends[-1, 0])
+    if not parts:
+        parts = [resting(whole, REST, first=True)]
+    return Stopping(parts[0] if len(parts) == 1 else followed(*parts), rest)
+
+
+def sunk(stopping: Stopping, begin: float, share: float) -> Motion:
+    """Return a plan that stops and sinks from a time on until its lowest drone is on the ground.
+
+    Parameters
+    ----------
+    begin: [s]
+    share: of the limits of speed, acceleration and jerk that sinking takes.
+    """
+    motion, limits = stopping.motion, stopping.motion.requirements.limits
+    heights = motion.drones.coefficients[-1, :, 2, -1]
+    depth = float(np.min(heights)) - motion.requirements.floor
+    if depth <= LEAST:
+        return followed(motion, resting(motion, REST))
+    clock = fastest_clock(
+        depth, share * limits.speed, share * limits.acceleration, share * limits.jerk
+    )
+    end = begin + clock.duration + REST
+    if end > motion.duration + JOINT:
+        motion = followed(motion, resting(motion, end - motion.duration))
+    last = motion.duration
+    times = [np.array([0.0, begin]) if begin > JOINT else np.array([0.0]), begin + clock.breaks]
+    edges = np.concatenate([times[0][:1], times[0][1:], times[1][1:], [last]])
+    c = clock.coefficients
+    flat = np.ones(c.shape[-1])
+    rows = [0.0 * flat[None]] * (begin > JOINT) + [c, depth * flat[None]]
+    profile = PiecewisePolynomial(edges, np.concatenate(rows))
+    breaks = merged_breaks([motion.drones.breaks, edges])
+    lower = on_breaks(profile, breaks)
+    finer = motion.changed(lambda part: on_breaks(part, breaks), motion.phases)
+
+    def lowered(part: PiecewisePolynomial) -> PiecewisePolynomial:
+        degree = max(part.degree, lower.degree)
+        down = lower.elevated(degree).coefficients
+        coefficients = part.elevated(degree).coefficients.copy()
+        coefficients[:, :, 2] -= down[:, None]
+        return PiecewisePolynomial(breaks, coefficients)
+
+    return replace(finer, drones=lowered(finer.drones), vertices=lowered(finer.vertices))
+
+
+def landed(motion: Motion) -> list[PiecewisePolynomial]:
+    """Return the flights of all drones from where a motion ends to the ground.
+
+    Those above another one go aside first.
+
+    Raises
+    ------
+    InfeasibleError: there are no places to land on.
+    """
+    team, requirements = motion.team, motion.requirements
+    start = motion.drones.coefficients[-1, ..., -1]
+    down = start.copy()
+    down[:, 2] = requirements.floor
+    if np.max(start[:, 2] - down[:, 2]) <= LEAST:
+        return []
+    level = _aside(start, 2.2 * requirements.separation.radius)
+    limits = requirements.limits.planned
+    aside, ground = start.copy(), down.copy()
+    aside[:, :2] = ground[:, :2] = level
+    flights = []
+    if not np.allclose(aside, start, atol=LEAST):
+        flights.append(straight(team, limits, start, aside))
+    flights.append(straight(team, limits, aside, ground))
+    return flights
+
+
+def _aside(start: Array, apart: float) -> Array:
+    """Return (D, 2) [m] places that are apart: the higher drones are moved outward, if need be.
+
+    Raises
+    ------
+    InfeasibleError: some have none.
+    """
+    level = start[:, :2].copy()
+    middle = np.mean(level, axis=0)
+    order = np.argsort(start[:, 2], kind="stable")
+    for rank, drone in enumerate(order.tolist()):
+        below = level[order[:rank]]
+        away = level[drone] - middle
+        size = float(np.linalg.norm(away))
+        out = away / size if size > LEAST else np.array([1.0, 0.0])
+        for _ in range(20):
+            if not len(below) or np.min(np.linalg.norm(below - level[drone], axis=1)) >= apart:
+                break
+            level[drone] += 0.25 * apart * out
+        else:
+            raise InfeasibleError([], "no place is free to land on")
+    return level
+
+
+def alone(motion: Motion, flights: list[PiecewisePolynomial]) -> list[Motion]:
+    """Return the flights as motions of drones by themselves."""
+    found = []
+    for flight in flights:
+        step, state = motion.phases[-1].step, CableState.GROUND
+        phase = Phase("land", step, 0.0, flight.duration, state=state)
+        found.append(Motion.single(motion.team, motion.requirements, flight, [phase]))
+    return found

@@ -1,0 +1,178 @@
+"""Reactions to the loss of a drone: what survivors fly, where the lost one falls, what is said."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import GRAVITY
+from hitchopt.losing.falling import GAIN, STIFFER, Rest, free_fall, resting_place, swings
+from hitchopt.losing.flown_reaction import reacting
+from hitchopt.losing.reaction import DELAY, Reactions
+from hitchopt.losing.survivable import survivable
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.phases import CableState
+from hitchopt.motion.states import states_at
+from hitchopt.requirements import Requirements
+from hitchopt.simulation.flight_task import read_task
+from hitchopt.trajectory import PiecewisePolynomial
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+TIME = 0.8
+
+
+@cache
+def plan_of(altitude: float) -> ho.Plan:
+    team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
+    start = ho.Hitch.spread(team, regular_polygon(4, 1.0).vertices, altitude=altitude)
+    return ho.transport(start, to=[0.7, 0.3, altitude])
+
+
+@cache
+def reactions_of(altitude: float) -> Reactions:
+    return Reactions(plan_of(altitude).motion)
+
+
+@pytest.mark.parametrize("altitude", [1.0, 2.4])
+def test_survivors_sink_as_a_whole_and_keep_all_limits(altitude: float) -> None:
+    plan = plan_of(altitude)
+    found = reactions_of(altitude).found("q1", TIME)
+    course, limits = found.course, plan.motion.requirements.limits
+    flown = course.sinking.drones
+    t = np.linspace(0.0, course.sinking.duration, 2001)
+    places = flown.at(t)
+    before = t <= course.begins
+    np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
+    shape = places - places[:, :1]
+    np.testing.assert_allclose(shape, np.broadcast_to(shape[0], shape.shape), atol=1e-6)
+    for order, limit in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+        assert np.max(np.linalg.norm(flown.at(t, order), axis=-1)) <= limit + 1e-6
+    assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert np.max(np.abs(flown.at(t[-1], 1))) <= 1e-9
+    assert course.begins == pytest.approx(TIME + DELAY)
+    assert all(check.holds for check in course.checks)
+
+
+def test_tension_is_let_go_at_once_where_the_lost_drone_reaches_the_ground() -> None:
+    low, high = (reactions_of(altitude).found("q1", TIME) for altitude in (1.0, 2.4))
+    assert low.lets_go == low.course.begins
+    assert high.course.begins < high.lets_go <= high.course.duration
+
+
+def balance(motion: Motion, time: float, lost: int) -> tuple[Rest, np.ndarray]:
+    """The rest, and the sum of forces on all drones and cables, from the positions alone."""
+    states, team = states_at(motion, time), motion.team
+    rest = resting_place(motion, states, lost)
+    assert rest is not None
+    assert not rest.lies
+    held = np.arange(team.drones) != lost
+    away = (rest.positions - states.positions)[held]
+    stiffness = STIFFER * GAIN * team.mass[held, None]
+    pulls = states.cable_forces[held] + stiffness * away
+    np.testing.assert_allclose(rest.pulls[held], pulls)
+    pull = np.sum(team.mass[held, None] * [0, 0, GRAVITY] - pulls, axis=0)
+    return rest, pull - [0, 0, GRAVITY * np.sum(team.mass)]
+
+
+@pytest.mark.parametrize("lost", range(8))
+def test_a_team_at_rest_carries_all_of_its_weight(lost: int) -> None:
+    """Cables are weightless here, so the survivors' thrusts sum to the team's weight."""
+    motion = plan_of(2.4).motion
+    rest, left = balance(motion, TIME, lost)
+    assert np.max(np.abs(left)) < 5e-3
+    clasp = rest.vertices[motion.team.layout.pulled_to[lost]]
+    leg = rest.positions[lost] - clasp
+    assert leg[2] < 0.0
+    assert np.hypot(*leg[:2]) < 1e-2  # a weight hangs straight down from its clasp
+    assert rest.thrust <= 1.0
+
+
+def test_lost_drones_of_a_regular_hitch_hang_alike() -> None:
+    motion = plan_of(2.4).motion
+    depths = [balance(motion, 0.0, lost)[0].positions[lost, 2] for lost in range(8)]
+    np.testing.assert_allclose(depths, depths[0], atol=2e-3)
+
+
+def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
+    position, velocity = np.array([0.3, -0.2, 1.7]), np.array([0.4, 0.1, 0.6])
+    t, places = free_fall(position, velocity, 0.2)
+    assert places[-1, 2] == pytest.approx(0.2)
+    np.testing.assert_allclose(places[-1, :2], position[:2] + t[-1] * velocity[:2])
+    speeds = velocity - t[:, None] * [0.0, 0.0, GRAVITY]
+    energy = 0.5 * np.sum(speeds**2, axis=-1) + GRAVITY * places[:, 2]
+    np.testing.assert_allclose(energy, energy[0])
+
+
+def test_swings_are_arcs_about_the_clasp() -> None:
+    clasp, start = np.array([0.1, 0.2, 2.0]), np.array([0.5, 0.2, 2.0])
+    arcs = swings(clasp, start, 0.9, 0.0)
+    radii = np.linalg.norm(arcs - clasp, axis=-1)
+    assert np.min(np.linalg.norm(arcs - start, axis=-1)) < 1e-12
+    assert (np.min(radii), np.max(radii)) == (pytest.approx(0.4), pytest.approx(0.9))
+    assert np.min(swings(clasp, start, 3.0, 0.0)[:, 2]) == 0.0
+
+
+def hovering(altitude: float) -> Motion:
+    """Two cables that hang free, at rest."""
+    places = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 2, 0]]) + [0, 0, altitude]
+    drones = PiecewisePolynomial.constant([0.0, 2.0], places, 7)
+    team = ho.Team(robots=2, topology="open", cable_length=2.0)
+    phase = Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
+    return Motion.single(team, Requirements(), drones, [phase])
+
+
+def test_no_drone_carries_two() -> None:
+    """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
+    low = survivable(hovering(1.6))
+    assert low.share == 1.0
+    assert low.without == ()
+    high = survivable(hovering(2.2))
+    assert high.share == 0.0
+    assert high.check.where == ("q0", "r0", "q1", "r1")
+    assert (high.without[0].start, high.without[0].end) == (0.0, 2.0)
+    with pytest.raises(ho.InfeasibleError, match=r"q0 hangs on its partner 0\.4"):
+        Reactions(hovering(2.2)).found("q0", 1.0)
+
+
+def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
+    motion = ho.solve(PROBLEMS / "swarms/head_on.yaml").motion
+    found = survivable(motion)
+    assert found.share == 1.0
+    assert found.check.method == "sampled"
+    course = Reactions(motion).found("d0", 1.0).course
+    last = (course.landing or (course.sinking,))[-1].drones
+    assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3
+
+
+def test_a_wrong_drone_and_a_wrong_time_are_named() -> None:
+    with pytest.raises(ho.InputError, match="one of q0, r0"):
+        reactions_of(1.0).found("d7", 0.5)
+    with pytest.raises(ho.InputError, match="ask within the plan"):
+        reactions_of(1.0).found("q0", 1e3)
+
+
+def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> None:
+    plan, found = plan_of(2.4), reactions_of(2.4).found("r2", TIME)
+    task = read_task(plan.save(tmp_path))
+    flown = reacting(task, found)
+    assert np.all(np.diff(flown.t) > 0.0)
+    assert np.max(np.diff(flown.t)) <= 0.011
+    assert flown.duration == pytest.approx(found.course.duration)
+    early = flown.t < found.course.begins
+    np.testing.assert_array_equal(
+        flown.setpoints.positions[early], task.setpoints.positions[: np.sum(early)]
+    )
+    steps = np.linalg.norm(np.diff(flown.setpoints.positions, axis=0), axis=-1)
+    assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
+    forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
+    np.testing.assert_allclose(forces[flown.t < TIME + 0.49], 0.5, atol=1e-3)
+    assert found.pulls is not None
+    caught = (flown.t > TIME + 1.01) & (flown.t < found.lets_go)
+    for row in flown.setpoints.cable_forces[caught]:
+        np.testing.assert_allclose(row, found.pulls)
+    assert np.max(forces[flown.t > found.lets_go + 0.11]) == 0.0
