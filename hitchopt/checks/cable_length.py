@@ -13,6 +13,7 @@ import numpy as np
 from hitchopt.checks.bounds.bodies import edge_vectors, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
@@ -82,7 +83,7 @@ def _bound(blocks: tuple[Array, ...]) -> Estimate:
     reach[:, 1:] += lengths.radius[:, : reach.shape[1] - 1, None]
     x = np.argmax(np.max(reach, axis=1), axis=-1) / max(1, order)
     spans = bernstein.evaluate(vectors, x[:, None, None])
-    there = np.linalg.norm(spans, axis=-1)
+    there = length(spans)
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
     longer = []
     for sag in sags:

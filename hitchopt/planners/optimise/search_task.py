@@ -31,8 +31,8 @@ SMALL = 3000
 """Number of rows up to which programs do not count towards a search's work: n = 20 or so."""
 
 WORK = 2.5e5
-"""Rows times iterations of IPOPT, for all large programs of a search: some 4 s. A regular 100-gon is
-turned with 1.8e5."""
+"""Rows times iterations of IPOPT, for all large programs of a search: some 4 s. To turn a regular
+100-gon takes 1.8e5."""
 
 ASKED_WORK = 5.0 * WORK
 """The same where the problem asks for an optimised route."""

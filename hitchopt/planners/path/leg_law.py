@@ -40,14 +40,14 @@ ROUGHNESS = 1.0
 def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
     """Return the path with legs such that distances hold on all of it.
 
-    The path's own law is used where its distances hold. Else leg lengths are chosen at knots, all
-    at once, nearest to that law's; else legs that are rolled at an end are rolled more half way.
+    The path's own law is used where its distances hold. Else legs that are rolled at an end are
+    rolled more half way; else leg lengths are chosen at knots, all at once, nearest to that law's.
     Where none is found the path is returned as it is, for the certificate to report what it breaks.
     """
     if legs_clear(path, requirements):
         return path
     laws = laws_nearby(path, requirements, ROUNDS, requirements.limits.leg, CLEAR)
-    tried = chain(laws, rolled_more(path))
+    tried = chain(rolled_more(path), laws)
     return next((found for found in tried if legs_clear(found, requirements)), path)
 
 
