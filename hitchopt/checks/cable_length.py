@@ -16,6 +16,7 @@ from hitchopt.checks.bounds.bodies import bent_edges, concatenated, leg_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.wrapped_arcs import arc_at, arc_enclosure, wrapped_arcs
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
@@ -99,7 +100,7 @@ def _bound(blocks: tuple[Array, ...], wrapped: int = 0) -> Estimate:
     reach[:, 1:] += lengths.radius[:, : reach.shape[1] - 1, None]
     x = np.argmax(np.max(reach, axis=1), axis=-1) / max(1, order)
     spans = bernstein.evaluate(vectors, x[:, None, None])
-    there = np.linalg.norm(spans, axis=-1)
+    there = length(spans)
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
     longer = [arc_at(bend, x)[:, None, None] for bend in bends]
     for sag in sags:

@@ -39,7 +39,7 @@ def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
     fallback: what stands for the direction of vectors no longer than ``least``.
     least: length up to which a vector has no direction, one or (…, 1).
     """
-    size = np.linalg.norm(a, axis=-1, keepdims=True)
+    size = length(a)[..., None]
     long = size > least
     directions: Array = np.where(long, a / np.where(long, size, 1.0), fallback)
     return directions

@@ -14,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegLengths, LegTask
+from hitchopt.hitch.statics import leg_directions
 from hitchopt.values import Array
 
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
@@ -43,8 +45,8 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     task: of one polygon; its own roll is what legs have without need.
     """
     own = np.zeros(len(task.team.layout.clasps)) if task.roll is None else task.roll[0]
-    without = split_slack(task)
-    if without.margin >= 1.0:
+    without = None if level_margin_bound(task) < 1.0 else split_slack(task)
+    if without is not None and without.margin >= 1.0:
         return without, own
     margins: dict[float, float] = {}  # of chosen lengths, at the rolls that were tried
     for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
@@ -52,7 +54,29 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
         roll = _least(aim, margins)
         if roll is not None:
             return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
-    return without, own
+    return without or split_slack(task), own
+
+
+def level_margin_bound(task: LegTask) -> float:
+    """Return a bound of the margin that any leg lengths have without roll, infinite if unknown.
+
+    A leg of length d at an angle to its own edge ends at most ``d sin`` from it, and d is at most
+    the slack of its cable. Legs that may end beyond the edge do not count.
+    """
+    team, cable = task.team, task.requirements.separation.cable
+    if not task.level or cable == 0.0:
+        return math.inf
+    edges = team.layout.edges(task.polygons)
+    lengths, u = length(edges), unit(edges)
+    q, r = leg_directions(u, team.tension, team.topology)
+    reach = task.slack
+    bound = math.inf
+    for out, along in ((q, u), (r, -u)):
+        ahead = dot(out, along)
+        beside = (ahead > 0.0) & (reach * ahead <= lengths) & (reach > 0.0)
+        away = reach * np.sqrt(np.maximum(1.0 - ahead**2, 0.0))
+        bound = min(bound, float(np.min(away, where=beside, initial=math.inf)) / cable)
+    return bound
 
 
 def least_roll_of_reference(task: LegTask) -> Array:

@@ -109,7 +109,8 @@ class OptimisedRoute:
 
     def _planner(self, judge: Judge) -> OptimisedMorph:
         ends = (self.start, self.end)
-        return OptimisedMorph(*ends, self.requirements, judge, self.phase.tension)
+        asked = self.lead or self.phase.tension is not None
+        return OptimisedMorph(*ends, self.requirements, judge, self.phase.tension, asked)
 
     def _motion(self, flight: Flight, remark: str = "") -> Motion:
         phase = replace(self.phase, end=flight.duration, remark=remark)

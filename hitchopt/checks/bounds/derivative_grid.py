@@ -121,11 +121,17 @@ class DerivativeGrid:
 
 
 def _at(coefficients: Array, pieces: Indices, x: Array) -> Array:
-    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces."""
+    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces.
+
+    Pieces are in order.
+    """
     weights = bernstein.basis(x, bernstein.degree(coefficients))
-    found = np.zeros((len(x), *coefficients.shape[1:3]))
-    for k in range(weights.shape[-1]):  # one coefficient at a time: little memory
-        found += weights[:, k, None, None] * coefficients[pieces, :, :, k]
+    _, drones, axes, order = coefficients.shape
+    found = np.empty((len(x), drones, axes))
+    starts = np.flatnonzero(np.diff(pieces, prepend=-1))
+    for first, last in zip(starts, [*starts[1:], len(x)], strict=True):  # one product a piece
+        c = coefficients[pieces[first]].reshape(-1, order)
+        found[first:last] = (weights[first:last] @ c.T).reshape(-1, drones, axes)
     return found
 
 

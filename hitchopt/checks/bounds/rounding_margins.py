@@ -8,6 +8,7 @@ times; ``ROUNDING`` leaves a factor of a thousand, also for whoever samples the 
 from __future__ import annotations
 
 from math import perm
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from hitchopt.values import Array
 
 ROUNDING = 2.0**-40
 """Relative to the magnitude of the numbers that enter a quantity."""
+
+_KNOWN: WeakKeyDictionary[PiecewisePolynomial, dict[int, Array]] = WeakKeyDictionary()
+"""Margins of derivatives, by their order, as long as the polynomials are in use."""
 
 LAST_PLACE = 2.0**-50
 """What a difference of two numbers errs by at most, relative to it, with room to spare."""
@@ -46,8 +50,16 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
 
     Returns
     -------
-    (pieces, items)
+    (pieces, items), read-only: several checks ask for the same ones.
     """
+    known = _KNOWN.setdefault(part, {})
+    if order not in known:
+        known[order] = _derivative_margin(part, order)
+        known[order].setflags(write=False)
+    return known[order]
+
+
+def _derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     c = part.coefficients
     if part.degree == 0:
         return np.zeros(c.shape[:2])

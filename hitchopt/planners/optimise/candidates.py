@@ -20,11 +20,19 @@ from hitchopt.planners.optimise.screening import (
     end_margin,
     estimate,
     judged,
+    level_enough,
     loose,
     same,
     sound,
 )
-from hitchopt.planners.optimise.search_task import Judge, Search, SolverStep
+from hitchopt.planners.optimise.search_task import (
+    ASKED_WORK,
+    WORK,
+    Effort,
+    Judge,
+    Search,
+    SolverStep,
+)
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
@@ -104,6 +112,7 @@ class OptimisedMorph:
     requirements: limits, separation and arena.
     judge: decides about every path; those that it rejects are refined.
     tension: smallest and largest [N] where tensions may change on the path.
+    asked: whether the problem asks for such a path; else large teams are searched less long.
     """
 
     start: Hitch
@@ -111,6 +120,7 @@ class OptimisedMorph:
     requirements: Requirements
     judge: Judge
     tension: tuple[float, float] | None = None
+    asked: bool = False
 
     @cached_property
     def guesses(self) -> list[Guess]:
@@ -128,13 +138,16 @@ class OptimisedMorph:
 
     def solve(self) -> list[Candidate]:
         """Return the paths found, the fastest first."""
-        if not self.guesses:
+        if not self.guesses or not all(
+            level_enough(hitch, self.requirements) for hitch in (self.start, self.end)
+        ):
             return []
         margins = (
             end_margin(self.start, self.requirements),
             end_margin(self.end, self.requirements),
         )
-        search = Search(self.requirements, self.judge, self.tension, margins)
+        effort = Effort(ASKED_WORK if self.asked else WORK)
+        search = Search(self.requirements, self.judge, self.tension, margins, effort=effort)
         # With wider polygons half way, legs have more room to pass one another.
         wide = ((guess.name, widened(guess.polygons, WIDER)) for guess in self.guesses[1:])
         return searched(self.problem, search) or searched(self._paths(wide), search)

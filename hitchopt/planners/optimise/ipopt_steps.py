@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
-from hitchopt.planners.optimise.search_task import Search, SolverStep
+from hitchopt.planners.optimise.search_task import Effort, Search, SolverStep
 from hitchopt.time_limit import check_time, time_left
 
 TOLERANCE = 1e-3
@@ -47,7 +47,9 @@ def iterates(
     ends where a step fails, or after one that moves no vertex by ``settled`` times its stride.
     """
     for _ in range(most):
-        moved = solve_program(build_program(path, search, step))
+        if search.effort.over:
+            return
+        moved = solve_program(build_program(path, search, step), search.effort)
         if moved is None:
             return
         far = float(np.max(np.abs(moved.polygons - path.polygons)))
@@ -57,16 +59,26 @@ def iterates(
             return
 
 
-def solve_program(program: MorphProgram) -> KnotPath | None:
+def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPath | None:
     """Return the path that IPOPT finds, or None where it does not converge.
 
     The solver's status proves no more than that: distances are measured on the path.
+
+    Parameters
+    ----------
+    program: what is solved.
+    effort: what may be spent on it, and is taken off; None for whatever it needs.
     """
+    rows = len(program.numbers["lbg"])
+    effort = effort or Effort(math.inf)
+    iterations = effort.iterations(rows, program.iterations)
+    if iterations == 0:
+        return None
     left = time_left()
     options: dict[str, int | float | str] = {
         "print_level": 0,
         "sb": "yes",
-        "max_iter": program.iterations,
+        "max_iter": iterations,
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
         **LINEAR_SOLVER,
@@ -79,6 +91,7 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
     with answered_later():
         solution = solver(**program.numbers)
     check_time()  # what has been cut short is no solution
+    effort.spend(rows, solver.stats()["iter_count"])
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not solver.stats()["success"] or not np.all(np.isfinite(x)):
         return None

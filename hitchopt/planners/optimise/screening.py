@@ -32,6 +32,10 @@ SHARPEST_LOSS = 0.1
 WIDEST = 1.05
 """Largest margin of any round; larger ones need not be told apart."""
 
+LEVEL_ENOUGH = 0.95
+"""Share of its limits that a rolled hitch's distances must exceed without roll: the rows nearest to
+the ends leave knots no room to be off by more."""
+
 BELOW = 1.0 - 1e-4
 """Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
 
@@ -73,6 +77,17 @@ def end_margin(hitch: Hitch, requirements: Requirements) -> float:
     """Return how many times their limits a hitch's distances are."""
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
     return _margin(hitch.team, requirements, polygon, q_legs, hitch.roll[None]) * BELOW
+
+
+def level_enough(hitch: Hitch, requirements: Requirements) -> bool:
+    """Return whether a hitch keeps distances, or nearly so, without its roll.
+
+    The optimiser's program has legs in the plane, so that no path of it ends at one that does not.
+    """
+    if not np.any(hitch.roll):
+        return True
+    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
+    return _margin(hitch.team, requirements, polygon, q_legs, None) > LEVEL_ENOUGH
 
 
 def _margin(

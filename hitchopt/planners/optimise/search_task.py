@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,19 @@ STATIC_SHARE = 0.97
 
 RAMP = 2.0
 """Number of knots in which the margin rises from that of an end: a jump would bend the path."""
+
+SMALL = 3000
+"""Number of rows up to which programs do not count towards a search's work: n = 20 or so."""
+
+WORK = 2.5e5
+"""Rows times iterations of IPOPT, for all large programs of a search: some 4 s. To turn a regular
+100-gon takes 1.8e5."""
+
+ASKED_WORK = 5.0 * WORK
+"""The same where the problem asks for an optimised route."""
+
+FEWEST_ITERATIONS = 3
+"""Least number of iterations that is worth building a program for."""
 
 Judge = Callable[[ShapePath], Flight | None]
 """Flies a path and verifies all of the time: the flight if it satisfies every limit, else None."""
@@ -53,6 +66,38 @@ class SolverStep:
         return 2.0 * math.sqrt(2.0) * self.stride + 0.02
 
 
+@dataclass
+class Effort:
+    """How much work a search may still do, so that large teams without a route say so soon.
+
+    Attributes
+    ----------
+    left: rows times iterations of programs that are not SMALL.
+    """
+
+    left: float = WORK
+
+    @property
+    def over(self) -> bool:
+        """Whether no large program can be begun any more."""
+        return self.left < FEWEST_ITERATIONS * SMALL
+
+    def iterations(self, rows: int, most: int) -> int:
+        """Return after how many iterations, at most ``most``, a program is given up; 0: at once."""
+        if rows <= SMALL:
+            return most
+        allowed = int(self.left // rows)
+        if allowed < FEWEST_ITERATIONS:
+            self.left = 0.0  # others of the search are as large
+            return 0
+        return min(most, allowed)
+
+    def spend(self, rows: int, iterations: int) -> None:
+        """Take what a program has done off what is left."""
+        if rows > SMALL:
+            self.left -= float(rows * iterations)
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
     """What every path of one search must satisfy.
@@ -64,6 +109,7 @@ class Search:
     tension: smallest and largest [N] where tensions may change on the path, or None.
     end_margins: how many times their limits the first and last hitch exceed their distances.
     margin: how many times their limits distances are enforced at the knots.
+    effort: of all its programs together.
     """
 
     requirements: Requirements
@@ -71,6 +117,7 @@ class Search:
     tension: tuple[float, float] | None
     end_margins: tuple[float, float]
     margin: float = 1.02
+    effort: Effort = field(default_factory=Effort)
 
     def margins(self, steps: int, places: Array) -> Array:
         """Return (K,): the margin at places (K,) of a path, in steps from its start.

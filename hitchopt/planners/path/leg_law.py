@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
+from hitchopt.planners.path.rolled_more import rolled_more
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
@@ -36,16 +38,17 @@ ROUGHNESS = 1.0
 
 
 def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
-    """Return the path with leg lengths such that distances hold on all of it.
+    """Return the path with legs such that distances hold on all of it.
 
-    The path's own law is used where its distances hold. Else legs are chosen at knots, all at once,
-    nearest to that law's; where none is found the path is returned as it is, for the certificate
-    to report what it breaks.
+    The path's own law is used where its distances hold. Else legs that are rolled at an end are
+    rolled more half way; else leg lengths are chosen at knots, all at once, nearest to that law's.
+    Where none is found the path is returned as it is, for the certificate to report what it breaks.
     """
     if legs_clear(path, requirements):
         return path
     laws = laws_nearby(path, requirements, ROUNDS, requirements.limits.leg, CLEAR)
-    return next((found for found in laws if legs_clear(found, requirements)), path)
+    tried = chain(rolled_more(path), laws)
+    return next((found for found in tried if legs_clear(found, requirements)), path)
 
 
 def laws_nearby(

@@ -48,8 +48,8 @@ def needed_stretch(
     factors = []
     for first in range(0, len(h), size):  # a thousand robots fill the memory
         span = slice(first, first + size)
-        t = (breaks[:-1][span, None] + h[span, None] * inner).ravel()
-        forces = cable_forces(team, drones.at(t), vertices.at(t), pulls.at(t), np.ones(team.robots))
+        sampled = (_sampled(part, span, inner) for part in (drones, vertices, pulls))
+        forces = cable_forces(team, *sampled, np.ones(team.robots))
         demands = Demands(
             np.stack([_rates(drones, span, order) for order in range(4)], axis=-1),
             np.max(length(_rates(vertices, span, 1)), axis=1),
@@ -62,6 +62,12 @@ def needed_stretch(
         factors.append(demands.stretch())
     taut = PiecewisePolynomial.constant(breaks, np.ones(team.robots))
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), max(factors))
+
+
+def _sampled(part: PiecewisePolynomial, pieces: slice, inner: Array) -> Array:
+    """Return values (pieces · J, *shape) at the places ``inner`` (J,) of each of the pieces."""
+    values = part.coefficients[pieces] @ bernstein.basis(inner, part.degree).T
+    return np.moveaxis(values, -1, 1).reshape(-1, *part.shape)
 
 
 def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
