@@ -32,7 +32,7 @@ PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
 DIGESTED = ("plan.npz", "setpoints.csv")
 """Files of a plan whose digests a report states."""
 
-SCRIPTS = ("samples.js", "stage.js", "plots.js", "report.js")
+SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
 """Parts of the page's script."""
 
 HEADROOM = 1.2

@@ -119,9 +119,13 @@ class LiveView:
             self.seek(self.time)
 
     def note(self, words: str) -> None:
-        """Say above the certificate what the plan shown is; nothing where it is the plan."""
+        """Say above the certificate what the plan shown is, which is drawn pale then.
+
+        Nothing is said where it is the plan of the problem.
+        """
         with self._lock:
             self._note = words
+            self.live.fade(on=bool(words))
             self.head.content = self._words()
 
     def seek(self, time: float) -> None:
@@ -194,7 +198,9 @@ class LiveView:
         """Return the head of the panel."""
         said = "being certified …" if self.certificate is None else verdict(self.certificate)
         said = (
-            f"**{plain_words(self._note)}**  \nthe old one: {said}" if self._note else f"**{said}**"
+            f"**{plain_words(self._note)}**  \nwhat is shown: {said}"
+            if self._note
+            else f"**{said}**"
         )
         return f"### {plain_words(self._title or 'Plan')}\n{facts(self.motion)}  \n{said}"
 

@@ -1,5 +1,4 @@
 // The scene in three dimensions; `show()` draws what `arrays` hold now.
-const MARK = "#e8590c", INK = "#1a1a1a", SIDES = 6;
 
 class Stage {
   constructor(data, arrays, place) {
@@ -21,7 +20,7 @@ class Stage {
     this.addBounds();
     this.addDrones();
     this.addObjects();
-    this.addCables();
+    this.tubes = new CableTubes(data, this.scene);
     this.addPaths();
     this.addArrows();
     this.addMarks();
@@ -115,62 +114,6 @@ class Stage {
     });
   }
 
-  addCables() {
-    const { cables, points } = this.data;
-    const geometry = new THREE.BufferGeometry(), rings = cables * points;
-    for (const [name, size] of [["position", 3], ["normal", 3], ["color", 3]]) {
-      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(rings * SIDES * size), size).setUsage(THREE.DynamicDrawUsage));
-    }
-    const index = [];
-    for (let c = 0; c < cables; c++) for (let i = 0; i + 1 < points; i++) for (let s = 0; s < SIDES; s++) {
-      const a = (c * points + i) * SIDES + s, b = (c * points + i) * SIDES + (s + 1) % SIDES;
-      index.push(a, b, a + SIDES, b, b + SIDES, a + SIDES);
-    }
-    geometry.setIndex(index);
-    this.tubes = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: true }));
-    this.tubes.frustumCulled = false;
-    this.scene.add(this.tubes);
-    this.colourCables();
-  }
-
-  colourCables() {
-    const { cables, points, colours } = this.data, colour = this.tubes.geometry.attributes.color;
-    for (let c = 0; c < cables; c++) {
-      const { r, g, b } = new THREE.Color(this.marked.cables.includes(c) ? MARK : colours[2 * c]);
-      for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) colour.setXYZ(i, r, g, b);
-    }
-    colour.needsUpdate = true;
-  }
-
-  updateCables() {
-    const { cables, points } = this.data, p = this.arrays.cables.now;
-    const radius = Math.max(this.data.radius, 0.0011 * this.distance());
-    const { position, normal } = this.tubes.geometry.attributes;
-    for (let c = 0; c < cables; c++) {
-      let nx = 0.13, ny = 0.29, nz = 0.95;
-      for (let i = 0; i < points; i++) {
-        const at = 3 * (c * points + i), a = 3 * (c * points + Math.max(i - 1, 0)), b = 3 * (c * points + Math.min(i + 1, points - 1));
-        let tx = p[b] - p[a], ty = p[b + 1] - p[a + 1], tz = p[b + 2] - p[a + 2];
-        const length = Math.hypot(tx, ty, tz) || 1;
-        tx /= length; ty /= length; tz /= length;
-        // The last ring's normal, made upright on this tangent: no twist along the cable.
-        const dot = nx * tx + ny * ty + nz * tz;
-        nx -= dot * tx; ny -= dot * ty; nz -= dot * tz;
-        let size = Math.hypot(nx, ny, nz);
-        if (size < 1e-6) { nx = -ty; ny = tx; nz = 0.01; size = Math.hypot(nx, ny, nz); }
-        nx /= size; ny /= size; nz /= size;
-        const bx = ty * nz - tz * ny, by = tz * nx - tx * nz, bz = tx * ny - ty * nx;
-        for (let s = 0; s < SIDES; s++) {
-          const angle = 2 * Math.PI * s / SIDES, u = Math.cos(angle), v = Math.sin(angle), k = (c * points + i) * SIDES + s;
-          const x = u * nx + v * bx, y = u * ny + v * by, z = u * nz + v * bz;
-          position.setXYZ(k, p[at] + radius * x, p[at + 1] + radius * y, p[at + 2] + radius * z);
-          normal.setXYZ(k, x, y, z);
-        }
-      }
-    }
-    position.needsUpdate = normal.needsUpdate = true;
-  }
-
   addPaths() {
     const { names, colours, t } = this.data, p = this.arrays.drones, corners = [], shades = [];
     const stride = Math.max(1, Math.ceil(names.length * t.length / 200000));
@@ -224,7 +167,7 @@ class Stage {
   // Marks what a check names: indices of drones, cables and vertices.
   mark(marked) {
     this.marked = marked;
-    this.colourCables();
+    this.tubes.colour(marked.cables);
     this.show();
   }
 
@@ -302,7 +245,7 @@ class Stage {
     this.shells.visible = !!this.on.ellipsoids;
     this.paths.visible = !!this.on.paths;
     this.updateObjects();
-    this.updateCables();
+    this.tubes.update(this.arrays.cables.now, Math.max(this.data.radius, 0.0011 * this.distance()));
     this.updateMarks();
     this.updateLabels();
     this.renderer.render(this.scene, this.camera);
