@@ -81,7 +81,7 @@ class LiveScene:
             "cables", segments(self._moment.cables), thickness=2.0 * scene.radius
         )
         self._objects = self._add_objects()
-        self._bright = [(batch, batch.batched_colors) for batch in self._drones]
+        self._bright = [(batch, np.array(batch.batched_colors)) for batch in self._drones]
         self._pale = False
         if ghost:
             self.show(0.0)
@@ -145,7 +145,7 @@ class LiveScene:
             return
         self._pale = on
         for batch, colours in self._bright:
-            batch.batched_colors = faded(np.asarray(colours)) if on else colours
+            batch.batched_colors = faded(colours) if on else colours.copy()
         for solid in self._objects:
             solid.opacity = GHOSTLY if on else None
         self.mark(self._marked)
@@ -235,7 +235,7 @@ class LiveScene:
     def _lines(self, name: str, points: Any, colours: Any = None, thickness: float = 0.01) -> Any:
         if colours is None:
             colours = per_segment(self._cable_colours, self._moment.cables)
-        return self._api.add_linesegments(
+        return self._api.add_line_segments(
             f"{self._name}{name}", single(points), in_linear_light(colours), thickness=thickness
         )
 

@@ -35,6 +35,12 @@ FROM = np.array([-0.35, -0.8, 0.5])
 FIELD = 0.6
 """Vertical field of view [rad]."""
 
+FILLED, ASPECT = 0.85, 1.1
+"""Part of the picture that the paths fill, and its width over its height in usual windows."""
+
+NEAREST = 1.5
+"""Shortest distance from which the scene is seen at first [m]."""
+
 
 class LiveView:
     """A plan in the browser, served until it is closed.
@@ -187,11 +193,15 @@ class LiveView:
 
     def _look(self) -> None:
         """Place the camera so that it sees all paths."""
-        drones = self.live.scene.drones
-        lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
-        centre, extent = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
-        away = FROM / np.linalg.norm(FROM) * (0.55 * extent + 0.3) / np.sin(0.5 * FIELD)
-        self.server.initial_camera.position = tuple(centre + away)
+        drones = self.live.scene.drones.reshape(-1, 3)
+        centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
+        back = FROM / np.linalg.norm(FROM)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
+        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([ASPECT, 1.0])
+        away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
+        self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
         self.server.initial_camera.look_at = tuple(centre)
 
     def _words(self) -> str:

@@ -110,5 +110,11 @@ def waited(page: Any, holds: Callable[[], bool]) -> None:
     raise AssertionError("the page has not answered")
 
 
+def vividness(png: bytes) -> float:
+    """Return the sum of all pixels' distances from grey."""
+    levels = _levels(png)
+    return float(np.sum(np.max(levels, axis=-1) - np.min(levels, axis=-1)))
+
+
 def _levels(png: bytes) -> Array:
     return np.asarray(imread(io.BytesIO(png), format="png")[..., :3], dtype=np.float64)
