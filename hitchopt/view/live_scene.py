@@ -47,6 +47,9 @@ GHOSTLY = 0.4
 PATH_POINTS = 60_000
 """Largest number of points of all paths."""
 
+PATH_WIDTH = 1.2
+"""Width of a path [pixels]: thinner ones are drawn with gaps."""
+
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 """Attitude of what is not turned."""
 
@@ -97,7 +100,7 @@ class LiveScene:
             "forces": self._arrow("forces", (200, 65, 79)),
             "thrusts": self._arrow("thrusts", (11, 60, 93)),
         }
-        self._paths = self._lines("paths", *_paths(scene), thickness=0.15 * scene.radius)
+        self._paths = self._lines("paths", *_paths(scene), thickness=PATH_WIDTH, units="screen")
         self._labels = [
             self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
             for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
@@ -232,12 +235,16 @@ class LiveScene:
             receive_shadow=False,
         )
 
-    def _lines(self, name: str, points: Any, colours: Any = None, thickness: float = 0.01) -> Any:
+    def _lines(
+        self, name: str, points: Any, colours: Any = None, thickness: float = 0.01,
+        units: str = "world",
+    ) -> Any:  # fmt: skip
         if colours is None:
             colours = per_segment(self._cable_colours, self._moment.cables)
         return self._api.add_line_segments(
-            f"{self._name}{name}", single(points), in_linear_light(colours), thickness=thickness
-        )
+            f"{self._name}{name}", single(points), in_linear_light(colours), thickness=thickness,
+            thickness_units=units,
+        )  # fmt: skip
 
     def _arrow(self, name: str, colour: tuple[int, int, int]) -> Any:
         points = np.repeat(self._moment.drones[:, None], 2, axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import UnsupportedError
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.house_colours import facts, verdict
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
@@ -154,9 +154,9 @@ class LiveView:
                 self.phases[self.phase].color = QUIET
             self.phases[i].color = None  # the theme's
             self.phase = i
-        words = (
-            f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}** ({phases[i].state})"
-        )
+        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}**"
+        if phases[i].state is not CableState.NONE:
+            words += f" ({phases[i].state})"
         remark = plain_words(phases[i].remark)
         self.now.content = f"{words}  \n{remark}" if remark else words
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import NEAR, changed_place, opened_page, projected, tied_plan, vividness, waited
+from browsing import NEAR, changed_place, projected, tied_plan, vividness, waited
+from generators.headless_page import opened_page
 
 from hitchopt.view.live_view import LiveView
 from hitchopt.view.scene import Concerned

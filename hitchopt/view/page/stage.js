@@ -181,16 +181,28 @@ class Stage {
     this.looking = kind;
     const to = { above: [0, -0.001, 1], front: [-0.35, -0.8, 0.5] }[kind] ?? [0, -1, 0.3];
     const back = new THREE.Vector3(...to).normalize(), right = new THREE.Vector3(-back.y, back.x, 0).normalize();
-    const up = back.clone().cross(right), tall = 0.9 * Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
-    const p = this.arrays.drones.values, point = new THREE.Vector3();
+    const up = back.clone().cross(right), all = Math.tan(this.camera.fov * Math.PI / 360), tall = 0.82 * all, wide = 0.9 * all * this.camera.aspect;
+    const p = this.arrays.drones.values, point = new THREE.Vector3(), target = this.centre.clone();
     let far = 0.5;
-    for (let i = 0; i < p.length; i += 3) {
-      point.set(p[i], p[i + 1], p[i + 2]).sub(this.centre);
-      far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+    for (let round = 0; round < 4; round++) {
+      far = 0.5;
+      for (let i = 0; i < p.length; i += 3) {
+        point.set(p[i], p[i + 1], p[i + 2]).sub(target);
+        far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+      }
+      far += 2 * this.size;
+      // What is seen is brought to the middle: what is near takes more space than what is far.
+      const ends = [Infinity, -Infinity, Infinity, -Infinity];
+      for (let i = 0; i < p.length; i += 3) {
+        point.set(p[i], p[i + 1], p[i + 2]).sub(target);
+        const depth = far - point.dot(back), u = point.dot(right) / depth, v = point.dot(up) / depth;
+        ends[0] = Math.min(ends[0], u); ends[1] = Math.max(ends[1], u); ends[2] = Math.min(ends[2], v); ends[3] = Math.max(ends[3], v);
+      }
+      target.addScaledVector(right, far * (ends[0] + ends[1]) / 2).addScaledVector(up, far * (ends[2] + ends[3]) / 2);
     }
-    far += 2 * this.size;
-    this.controls.target.copy(this.centre);
-    this.camera.position.copy(this.centre).addScaledVector(back, far);
+    target.addScaledVector(up, 0.08 * all * far);  // the switches are above
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).addScaledVector(back, far);
     this.camera.near = far / 500; this.camera.far = far * 50;
     this.camera.updateProjectionMatrix();
     this.controls.update();
@@ -266,14 +278,17 @@ class Stage {
     this.marks.instanceMatrix.needsUpdate = true;
   }
 
+  // Names what is switched on or marked; of names that would lie on each other, the first.
   updateLabels() {
-    const few = this.labels.length <= 120;
-    for (const { node, array, at, drone } of this.labels) {
-      const shown = drone < 0 ? this.on.names && few && this.hooked : (this.on.names && few) || this.marked.drones.includes(drone);
-      node.hidden = !shown;
-      if (!shown) continue;
+    const few = this.labels.length <= 120, placed = [];
+    const marked = ({ drone }) => this.marked.drones.includes(drone);
+    for (const label of [...this.labels.filter(marked), ...this.labels.filter((other) => !marked(other))]) {
+      const { node, array, at, drone } = label;
+      node.hidden = !(marked(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
+      if (node.hidden) continue;
       const { x, y, behind } = this.project(array, at);
-      node.hidden = behind;
+      node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 22 && Math.abs(v - y) < 12);
+      if (!node.hidden) placed.push([x, y]);
       node.style.transform = `translate(${x + 8}px, ${y - 18}px)`;
     }
   }
