@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo film test browser lint docs gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film test browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -31,6 +31,10 @@ lint: $(VENV)/.tested
 docs: $(VENV)/.documented
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
 	@echo "Open docs/_build/html/index.html."
+
+# Looks for broken links and errors in the documentation's pages in a headless Chromium, and searches it.
+site: docs $(VENV)/.browsed
+	cd docs && ../$(BIN)/python -m generators.site_check
 
 # Draws the gallery's pictures that are missing; planning all problems takes minutes.
 gallery: $(VENV)/.documented

@@ -42,6 +42,10 @@ def opened_page(size: tuple[int, int] = SIZE) -> Iterator[Any]:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.on("request", lambda request: asked(request.url))
         page.on("websocket", lambda socket: asked(socket.url))
+        page.on(
+            "response",
+            lambda answer: wrong.append(f"no {answer.url}") if answer.status >= 400 else None,
+        )
         page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
         page.on(
             "console",
