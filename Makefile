@@ -2,16 +2,17 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo film test browser lint docs gallery package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film test browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
 	$(BIN)/hitchopt solve problems/carry_box.yaml -o demo --report
 	@echo "Open demo/report.html in a browser; demo/summary.png shows the plan at a glance."
 
-# Films the demo's plan.
+# Films the demo's plan: in real time, and small for the README.
 film: demo $(VENV)/.filmed
 	$(BIN)/hitchopt view demo --save demo/carry_box.mp4
+	cd docs && ../$(BIN)/python -m generators.readme_film ../demo
 
 test: $(VENV)/.tested
 	$(BIN)/python -m pytest
@@ -31,9 +32,17 @@ docs: $(VENV)/.documented
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
 	@echo "Open docs/_build/html/index.html."
 
+# Looks for broken links and errors in the documentation's pages in a headless Chromium, and searches it.
+site: docs $(VENV)/.browsed
+	cd docs && ../$(BIN)/python -m generators.site_check
+
 # Draws the gallery's pictures that are missing; planning all problems takes minutes.
 gallery: $(VENV)/.documented
 	cd docs && ../$(BIN)/python -m generators.gallery_pictures
+
+# Takes the gallery's pictures of live view and report in a headless Chromium.
+screenshots: $(VENV)/.browsed
+	cd docs && ../$(BIN)/python -m generators.page_pictures
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -45,8 +45,11 @@ html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "hitchopt"
 html_static_path = ["_static"]
+html_favicon = "_static/favicon.svg"
+html_context = {"default_mode": "auto"}  # else the theme logs an error at the first visit
 html_css_files = ["site.css"]
 html_show_sourcelink = False
+html_sidebars = {"gallery/index": []}
 html_theme_options = {
     "navigation_with_keys": False,
     "show_toc_level": 2,

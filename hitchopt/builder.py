@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fitting_start
+from hitchopt.mission.problem import (
+    DronesStart,
+    HitchStart,
+    Problem,
+    Start,
+    fitting_start,
+    named_objects,
+)
 from hitchopt.mission.step_order import fitting_steps
+from hitchopt.objects import SolidObject
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.planning import solve
@@ -29,7 +38,7 @@ class Mission(StepMethods, OneLine):
     ----------
     team: who flies.
     start: a Hitch, a HitchStart, or a DronesStart: drones on free cables.
-    limits, separation, arena, title: as of a Problem.
+    limits, separation, arena, title, objects: as of a Problem.
 
     Raises
     ------
@@ -43,12 +52,14 @@ class Mission(StepMethods, OneLine):
     arena: Arena | None = None
     title: str = ""
     steps: tuple[Step, ...] = ()
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("team", self.team, Team)
         instance("start", self.start, Hitch, DronesStart, HitchStart)
         check_requirements(self)
         text("title", self.title)
+        object.__setattr__(self, "objects", named_objects(self.objects))
         start = fitting_start(self.team, self.start)
         object.__setattr__(self, "start", start)
         outline = None if isinstance(start, DronesStart) else start.polygon
@@ -58,7 +69,7 @@ class Mission(StepMethods, OneLine):
         if steps and steps[-1].blends:  # into one that is still to come
             last = steps.pop()
             steps.append(_with_blend(last, False))
-        fitted = fitting_steps(self.team, outline, tuple(steps))
+        fitted = fitting_steps(self.team, outline, tuple(steps), self.objects)
         if last is not None:
             fitted = (*fitted[:-1], _with_blend(fitted[-1], True))
         object.__setattr__(self, "steps", fitted)
@@ -66,7 +77,7 @@ class Mission(StepMethods, OneLine):
     @property
     def problem(self) -> Problem:
         """The problem that ``solve`` plans; raises InputError where there is no step."""
-        rest = self.limits, self.separation, self.arena, self.title
+        rest = self.limits, self.separation, self.arena, self.title, self.objects
         return Problem(self.team, self.start, self.steps, *rest)
 
     def then(self, step: Step) -> Mission:

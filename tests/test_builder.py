@@ -66,6 +66,16 @@ def test_a_mission_is_the_problem_of_the_same_steps() -> None:
     assert mission.then(ho.Release()).steps[-1].name == "release"
 
 
+def test_objects_are_those_that_steps_may_name() -> None:
+    team = ho.Team(3, 2.4)
+    start = ho.Hitch(team, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+    tray = ho.SolidObject(ho.Section(radius=0.1), at=[1.5, 0.0, 0.0])
+    mission = ho.Mission(team, start, objects={"tray": tray}).enclose("tray").leave("tray")
+    assert mission.problem.objects == {"tray": tray}
+    with pytest.raises(ho.InputError, match="tray"):
+        ho.Mission(team, start).enclose("tray")
+
+
 @pytest.mark.parametrize(
     ("add", "key"),
     [

@@ -14,8 +14,11 @@ from generators.check_facts import write_check_facts
 from generators.command_page import write_command_page
 from generators.docstring_sections import converted
 from generators.gallery_page import write_gallery_page
+from generators.page_pictures import KINDS, SCREENSHOTS
 from generators.problem_collection import PICTURES, SECTIONS, caption
+from generators.readme_film import FILM, SIZE
 from generators.schema_page import problem_schema, write_schema_page
+from PIL import Image
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -119,6 +122,27 @@ def test_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_bytes()) <= 8000
     python = [b for b in blocks(text_of(ROOT / "README.md")) if b.language == "python"]
     assert [len(block.text.strip().splitlines()) <= 12 for block in python] == [True]
+
+
+def test_the_readme_s_film_moves_and_is_small() -> None:
+    assert FILM.relative_to(ROOT).as_posix() in text_of(ROOT / "README.md")
+    assert FILM.stat().st_size < 2e6
+    with Image.open(FILM) as film:
+        frames: int = film.n_frames
+        assert frames > 100
+        assert film.size == SIZE
+
+
+def test_the_gallery_shows_view_and_report_of_three_problems() -> None:
+    page = write_gallery_page()
+    assert {Path(shown.file).stem for shown in SCREENSHOTS} == {
+        "carry_box", "circle_24", "form_thirty_gon",
+    }  # fmt: skip
+    for shown in SCREENSHOTS:
+        for kind in KINDS:
+            path = shown.picture(kind)
+            assert path.stat().st_size > 10_000, "make screenshots takes it"
+            assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page
 
 
 def test_every_check_has_a_section_of_three_parts() -> None:

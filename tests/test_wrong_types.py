@@ -93,8 +93,11 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.Hitch.balanced, {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "roll": 0.0}),
     (ho.Hitch.spread, {"team": TEAM, "polygon": TRIANGLE, "limits": None, "separation": None}),
     (ho.DronesStart, {"q": Q, "r": R}),
-    (ho.Problem, {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], **RECORDS}),
-    (ho.Mission, {"team": TEAM, "start": START, "steps": (), **RECORDS}),
+    (
+        ho.Problem,
+        {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], "objects": {}, **RECORDS},
+    ),
+    (ho.Mission, {"team": TEAM, "start": START, "steps": (), "objects": {}, **RECORDS}),
     (ho.SwarmProblem, {"team": PAIR, "start": LOWER, "goal": UPPER, "keep_out": (), **RECORDS}),
     (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
     (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),

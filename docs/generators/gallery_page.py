@@ -6,13 +6,20 @@ import re
 from pathlib import Path
 
 import hitchopt as ho
-from generators.problem_collection import PROBLEMS, REFUSED, SECTIONS, Section, caption
+from generators.page_pictures import KINDS, SCREENSHOTS
+from generators.problem_collection import PICTURES, PROBLEMS, REFUSED, SECTIONS, Section, caption
 
 INTRODUCTION = """# Gallery of problems
 
 All problem files of the repository. `hitchopt solve problems/triangle.yaml` plans one. Pictures show the plan
 from above: the start dashed and grey, the end in colours, the drones' paths between; circles are the drones'
 downwash ellipsoids.
+"""
+
+PAGES = """## In the browser
+
+The live view of `hitchopt view` and the file of `hitchopt report` ({doc}`/how_to/look_at_a_plan`) show three of these
+problems.
 """
 
 UNSOLVED = """These files are well-formed, and no plan meets their limits: `hitchopt solve` ends with
@@ -33,7 +40,17 @@ def write_gallery_page() -> str:
     """Return the page, one figure for every problem and one row for every refused file."""
     sections = [part for section in SECTIONS for part in _section(section)]
     rows = [_refused(file) for folder in REFUSED for file in _files(folder)]
-    return "\n".join([INTRODUCTION, *sections, REFUSALS, *rows, ""])
+    return "\n".join([INTRODUCTION, PAGES, *_screenshots(), *sections, REFUSALS, *rows, ""])
+
+
+def _screenshots() -> list[str]:
+    lines = []
+    for shown in SCREENSHOTS:
+        for kind, name in KINDS.items():
+            path = shown.picture(kind).relative_to(PICTURES.parent).as_posix()
+            words = f"{name[0].upper()}{name[1:]}: {shown.words}"
+            lines += [f"```{{figure}} {path}\n:alt: {words}\n\n{words}.\n```", ""]
+    return lines
 
 
 def _section(section: Section) -> list[str]:

@@ -43,6 +43,7 @@ def draw(file: Path, *, solved: bool) -> Figure:
     else:
         problem = ho.read_problem(file)
         draw_task(axes, problem)
+        figure.draw_without_rendering()  # limits of equal axes are known then, and so their labels
     return figure
 
 

@@ -170,7 +170,7 @@ def _leave_diagnosis(
     save_diagnosis(place, error)  # the search may be interrupted
     found: tuple[Suggestion, ...] = ()
     if problem is not None and isinstance(error, InfeasibleError):
-        error, found = _suggested(problem, error, left)
+        error, found = report_suggestions(problem, error, left)
         save_diagnosis(place, error, found)
     record(directory=str(place), diagnosis=diagnosis_content(error, found))
     kept = place / PREVIOUS
@@ -181,7 +181,7 @@ def _leave_diagnosis(
     click.get_current_context().exit(exit_code(error))
 
 
-def _suggested(
+def report_suggestions(
     problem: Problem, error: InfeasibleError, left: float
 ) -> tuple[InfeasibleError, tuple[Suggestion, ...]]:
     """Return the verified changes that make the problem feasible, and report them.

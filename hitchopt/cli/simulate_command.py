@@ -16,6 +16,7 @@ from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
+    from hitchopt.motion.motion import Motion
     from hitchopt.simulation.flight_task import Task
     from hitchopt.simulation.simulate import Simulation
     from hitchopt.simulation.simulation_settings import Settings
@@ -189,13 +190,16 @@ def _simulate_one(
     """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables, headline
+    from hitchopt.exports.directory import PLAN
+    from hitchopt.motion.plan_file import read_plan, read_title
     from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.run_report import save_simulation, summary
     from hitchopt.simulation.simulate import simulate as simulated
 
     with LateProgress(sys.stderr, "building ropes") as progress:
         done = simulated(task, settings, progress)
-    save_simulation(place, done)
+    plan, title = read_plan(directory / PLAN), read_title(directory / PLAN)
+    save_simulation(place, done, plan, title)
     record(directory=str(place), simulation=summary(done))
     say(flight_tables(done))
     say(f"{_verdict(done)}; results are in {place}")
@@ -204,26 +208,22 @@ def _simulate_one(
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
-        _save_film(film, done, directory)
+        _save_film(film, done, plan, title)
     if not done.outcome.succeeded:
         click.get_current_context().exit(UNMET)
 
 
-def _save_film(path: Path, done: Simulation, directory: Path) -> None:
-    """Write the film of a flight of the plan in a directory."""
+def _save_film(path: Path, done: Simulation, plan: Motion, title: str) -> None:
+    """Write the film of a flight of a plan."""
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.exports.directory import PLAN
-    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.simulation.flight_picture import flight_scene
     from hitchopt.view.film import save_film
-    from hitchopt.view.ghost_scene import recorded_scene
 
-    shown = done.flight.film
-    if len(shown.t[shown.t >= 0.0]) < 2:
+    scene = flight_scene(done, plan)
+    if scene is None:
         raise FileError(f"{path}: the flight ended before there was anything to film")
-    plan = directory / PLAN
-    scene = recorded_scene(read_plan(plan), shown.t, shown.nodes, shown.cables, shown.poses)
     with LateProgress(sys.stderr, "drawing the film") as progress:
-        words = f"{read_title(plan)} (simulated)".strip()
+        words = f"{title} (simulated)".strip()
         save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
     say(f"the film is {path}")
 

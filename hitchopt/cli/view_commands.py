@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hitchopt.cli.commands import main
+from hitchopt.cli.commands import main, report_suggestions
+from hitchopt.cli.failures import UNMET, complain
 from hitchopt.cli.output import say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import HitchoptError
+from hitchopt.errors import HitchoptError, InfeasibleError
 
 if TYPE_CHECKING:
     from hitchopt.checks import Certificate
+    from hitchopt.mission.loading import AnyProblem
+    from hitchopt.mission.repair import Suggestion
     from hitchopt.plan import Plan
+    from hitchopt.view.editing_session import Status
     from hitchopt.view.live_view import LiveView
 
 PROBLEM = "problem.yaml"
@@ -24,6 +28,9 @@ PROBLEM = "problem.yaml"
 
 PROBLEM_ENDINGS = (".yaml", ".yml")
 """Endings of the names of problem files."""
+
+SEARCH = 60.0
+"""Time limit of the search for changes that make a problem feasible [s]."""
 
 
 @main.command()
@@ -62,9 +69,10 @@ def view(
 ) -> None:
     """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
 
-    Of a problem FILE (.yaml) the plan is made first. Vertices, edges and the hitch can be dragged;
-    the plan is made again in the background, and Save writes the problem file: FILE, or
-    DIR/problem.yaml.
+    Of a problem FILE (.yaml) the plan is made first; if it cannot be met, that of the smallest
+    change that makes it feasible is shown, and changes are offered. Vertices, edges and the hitch
+    can be dragged; the plan is made again in the background, and Save writes the problem file:
+    FILE, or DIR/problem.yaml.
 
     With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
     summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
@@ -78,9 +86,9 @@ def view(
     from hitchopt.view.ghost_scene import ghost_scene
     from hitchopt.view.live_view import LiveView
 
-    certificate, text = None, ""
+    certificate, text, status = None, "", None
     if path.suffix in PROBLEM_ENDINGS:
-        plan = _planned(path)
+        plan, status = shown_plan(path)
         motion, certificate, title, text = plan.motion, plan.certificate, plan.title, plan.problem
     else:
         from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
@@ -98,7 +106,7 @@ def view(
 
         certificate = certify(motion)
         live.show_certificate(certificate, title)
-    _edit(live, text, path, certificate)
+    _edit(live, text, path, certificate, status)
     try:
         threading.Event().wait()
     finally:
@@ -116,14 +124,50 @@ def _planned(path: Path) -> Plan:
         return replace(solve(path, progress), problem=text)
 
 
-def _edit(live: LiveView, text: str, path: Path, certificate: Certificate) -> None:
+def shown_plan(path: Path) -> tuple[Plan, Status | None]:
+    """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
+
+    Exits where there is no plan, and no change was found.
+    """
+    try:
+        return _planned(path), None
+    except InfeasibleError as error:
+        problem, found = _suggested(path, error)
+        words = str(error)
+    if not found:
+        say(f"nothing to show: change {path} as the errors say, then view it again", err=True)
+        click.get_current_context().exit(UNMET)
+    from hitchopt.planning import solve
+    from hitchopt.storage.yaml_file import read_text
+    from hitchopt.view.editing_session import Stage, Status
+
+    say("the page shows the plan of the first change; a click on a change makes it")
+    plan = replace(solve(found[0].change.problem), title=problem.title, problem=read_text(path)[0])
+    return plan, Status(Stage.SUGGESTED, words, found)
+
+
+def _suggested(path: Path, error: InfeasibleError) -> tuple[AnyProblem, tuple[Suggestion, ...]]:
+    """Report what binds, and return the problem with the changes that make it feasible."""
+    from hitchopt.mission.loading import read_problem
+    from hitchopt.mission.problem import Problem
+
+    complain(error)
+    problem = read_problem(path)
+    if not isinstance(problem, Problem):
+        return problem, ()
+    return problem, report_suggestions(problem, error, SEARCH)[1]
+
+
+def _edit(
+    live: LiveView, text: str, path: Path, certificate: Certificate, status: Status | None
+) -> None:
     """Offer to edit the problem of the plan shown, or say why it cannot be edited."""
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.view.editing_panel import EditingPanel
     from hitchopt.view.editing_session import Editing
 
     try:
-        editing = Editing(text, path, Certified(live.motion, certificate))
+        editing = Editing(text, path, Certified(live.motion, certificate), status=status)
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
         return
@@ -136,7 +180,12 @@ def _save(path: Path, file: Path) -> None:
     from hitchopt.plan import load
 
     planned = path.suffix in PROBLEM_ENDINGS
-    with LateProgress(sys.stderr, "certifying and drawing") as progress:
-        plan = _planned(path) if planned else load(plan_path(path).parent)
-        plan.view(file, progress=progress)
+    try:
+        with LateProgress(sys.stderr, "certifying and drawing") as progress:
+            plan = _planned(path) if planned else load(plan_path(path).parent)
+            plan.view(file, progress=progress)
+    except InfeasibleError as error:
+        if _suggested(path, error)[1]:
+            say(f"nothing is written; hitchopt view {path} shows the first change", err=True)
+        click.get_current_context().exit(UNMET)
     say(f"wrote {file}")

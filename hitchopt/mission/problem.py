@@ -103,7 +103,7 @@ class Problem(OneLine):
         steps = sequence("mission", self.mission)
         for i, step in enumerate(steps):
             instance(f"mission[{i}]", step, Step)
-        object.__setattr__(self, "objects", dict(self.objects))
+        object.__setattr__(self, "objects", named_objects(self.objects))
         check_placed(self.objects, self.requirements.floor)
         object.__setattr__(self, "start", fitting_start(self.team, self.start))
         if not steps:
@@ -121,6 +121,21 @@ class Problem(OneLine):
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
         return None if isinstance(self.start, DronesStart) else self.start.polygon
+
+
+def named_objects(objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
+    """Return objects by name.
+
+    Raises
+    ------
+    InputError: they are no mapping of names to objects.
+    """
+    if not isinstance(objects, Mapping):
+        remedy = "write {'box': hitchopt.SolidObject(…)}"
+        raise InputError("objects", objects, "a dict of objects by name", remedy)
+    for name, body in objects.items():
+        instance(f"objects.{name}", body, SolidObject)
+    return dict(objects)
 
 
 def fitting_start(team: Team, start: Start) -> Start:

@@ -1,88 +1,154 @@
-"""Picture of a simulated flight: from above, and errors and tensions over time."""
+"""Picture of a simulated flight: a storyboard, and errors and tensions over time."""
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 
+from hitchopt.motion.motion import Motion
 from hitchopt.simulation.error_measures import tracking_errors
-from hitchopt.simulation.object_wires import placed
 from hitchopt.simulation.simulate import Simulation
-from hitchopt.view.house_colours import cable_colours
+from hitchopt.view.ghost_scene import recorded_scene
+from hitchopt.view.house_colours import cable_colours, facts
+from hitchopt.view.scene import Scene
+from hitchopt.view.storyboard import FEW, Shot, chosen_shots, draw_storyboard
+from hitchopt.view.style import DASHES, INK, LIMIT_COLOUR, new_figure, save_figure
+from hitchopt.view.time_plots import draw_phases
 
-SIZE, DOTS = (11.0, 5.0), 110
-"""Size of the picture [in], and its resolution [1/in]."""
+SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
+"""Width and height [inch], and widths of storyboard and plots: those of a plan's summary."""
 
 LABELLED = 6
 """Largest number of vertices for which the legend has space."""
 
+THICKNESS, THICKEST = 0.005, 0.02
+"""Radius of a drawn rope as a share of the flight's extent, and the largest one [m]."""
 
-def save_picture(path: Path, simulation: Simulation) -> None:
-    """Draw a flight.
+SAME_FRAME = 0.1
+"""Largest distance in time from a shot to a frame that shows it [s]."""
 
-    Parameters
-    ----------
-    path: png file.
-    simulation: what is drawn.
+
+def save_picture(path: Path, simulation: Simulation, motion: Motion, title: str = "") -> None:
+    """Write the picture of a flight to a png file; arguments are those of ``drawn_flight``.
 
     Raises
     ------
     OSError: the file cannot be written.
     """
-    from matplotlib.figure import Figure
+    save_figure(drawn_flight(simulation, motion, title), path)
 
+
+def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Figure:
+    """Return the picture of a flight.
+
+    Parameters
+    ----------
+    simulation: what is drawn.
+    motion, title: the plan that was flown.
+    """
+    figure = new_figure(SIZE)
+    grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
+    _draw_left(figure, grid[:, 0], simulation, motion)
+    plots = [figure.add_subplot(grid[row, 1]) for row in range(3)]
+    _draw_over_time(plots, simulation, motion)
+    name = textwrap.shorten(title, 100, placeholder=" …")
+    said = f"{facts(motion)}, simulated: {_ending(simulation)}"
+    figure.suptitle(f"{name}\n{said}".strip(), fontsize="large", parse_math=False)
+    return figure
+
+
+def flight_scene(simulation: Simulation, motion: Motion) -> Scene | None:
+    """Return the scene of a flight of a plan; None if it ended before there was one."""
+    film = simulation.flight.film
+    if np.sum(film.t >= 0.0) < 2:
+        return None
+    return recorded_scene(motion, film.t, film.nodes, film.cables, film.poses)
+
+
+def _draw_left(
+    figure: Figure, place: SubplotSpec, simulation: Simulation, motion: Motion
+) -> None:  # fmt: skip
+    """Draw the storyboard, and the vertices from above where few moments leave space."""
+    scene = flight_scene(simulation, motion)
+    shots = () if scene is None else _shots(simulation, motion, float(scene.t[-1]))
+    if scene is None or not shots:
+        _draw_vertices(figure.add_subplot(place), simulation)
+        return
+    extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
+    drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
+    if len(shots) > FEW or not simulation.errors.t.size:
+        draw_storyboard(place, drawn, shots)
+        return
+    parts = place.subgridspec(2, 1, height_ratios=(1.0, 1.25))
+    draw_storyboard(parts[0], drawn, shots)
+    _draw_vertices(figure.add_subplot(parts[1]), simulation)
+
+
+def _shots(simulation: Simulation, motion: Motion, end: float) -> Sequence[Shot]:
+    """Return the plan's moments that were reached, and the end of all."""
+    shots = [shot for shot in chosen_shots(motion) if shot.time <= end + SAME_FRAME]
+    if np.isfinite(simulation.flight.pulled):
+        words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
+        shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, kept=True)]
+    return shots
+
+
+def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motion) -> None:
+    """Draw errors of vertices, tensions and errors of drones."""
     flight, errors = simulation.flight, simulation.errors
-    record, team = flight.record, flight.task.team
-    figure = Figure(SIZE, dpi=DOTS, layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.1))
-    _draw_from_above(figure.add_subplot(grid[:, 0]), simulation)
-    over_time: list[Any] = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-    top, middle, bottom = over_time
+    record, task = flight.record, flight.task
+    team, end = task.team, float(record.t[-1]) or 1.0
+    colours = cable_colours(team.robots)
+    top, middle, bottom = plots
     for c, point in enumerate(team.layout.clasps):
-        name = team.point_names[point]
-        top.plot(errors.t, 100.0 * errors.errors[:, c], lw=1.0, label=name)
+        colour = colours[int(point) % team.robots]
+        values = 100.0 * errors.errors[:, c]
+        top.plot(errors.t, values, color=colour, lw=1.2, label=team.point_names[point])
     if errors.t.size and len(team.layout.clasps) <= LABELLED:
-        top.legend(fontsize=8, ncols=3)
-    middle.plot(record.t, record.tensions, lw=1.0)
+        top.legend(fontsize="small", ncols=3, frameon=False)
+    for k, colour in enumerate(colours):
+        middle.plot(record.t, record.tensions[:, k], color=colour, lw=1.2)
+    planned = np.where(task.formed[:, None], task.tensions, np.nan)
+    for tension in np.unique(planned.T, axis=0):
+        middle.plot(task.t - task.t[0], tension, color=LIMIT_COLOUR, lw=1.2, ls=DASHES)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
-    bottom.plot(record.t[: len(tracking)], tracking, lw=1.0)
-    titles = "vertex error,\nsag included [cm]", "tension [N]", "farthest drone\nfrom setpoint [cm]"
-    for axes, title in zip(over_time, titles, strict=True):
-        axes.set_ylabel(title)
-        axes.set_xlim(0.0, float(record.t[-1]) or 1.0)
-        axes.axvline(flight.task.duration, color="0.6", lw=0.8, ls="--")
-        axes.grid(alpha=0.3)
+    bottom.plot(record.t[: len(tracking)], tracking, color=INK, lw=1.2)
+    titles = "vertex error,\nsag included [cm]", "tension [N],\nplanned dashed"
+    for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
+        axes.set_ylabel(words)
+        axes.set_xlim(0.0, end)
+        axes.set_ylim(bottom=0.0)
+        axes.grid(axis="y", color="0.9", linewidth=0.6)
+        axes.set_axisbelow(True)
         axes.tick_params(labelbottom=axes is bottom)
-    bottom.set_xlabel("t [s]; beyond the dashes: rest and pull test")
-    figure.savefig(path, format="png")
+        if end > task.duration:
+            axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
+    draw_phases(plots, motion.phases, end)
+    bottom.set_xlabel("t [s]; hatched: rest and pull test")
 
 
-def _draw_from_above(axes: Any, simulation: Simulation) -> None:
-    """Draw the cables as the flight began (pale) and as the plan ended, from above."""
+def _draw_vertices(axes: Any, simulation: Simulation) -> None:
+    """Draw the vertices from above: as planned and as they were."""
     flight, errors = simulation.flight, simulation.errors
-    film = flight.film
     colours = cable_colours(flight.task.team.robots)
-    if len(film.t):
-        for time, strength in ((0.0, 0.3), (flight.task.duration, 1.0)):
-            frame = film.nodes[np.argmin(np.abs(film.t - time))]
-            for rings in placed(film.wires, film.poses[np.argmin(np.abs(film.t - time))]):
-                axes.plot(rings[..., 0].T, rings[..., 1].T, color="0.5", alpha=strength, lw=0.8)
-            for k, cable in enumerate(np.split(frame, film.cables[1:-1])):
-                axes.plot(cable[:, 0], cable[:, 1], color=colours[k], alpha=strength, lw=1.4)
-                ends = cable[[0, -1]]
-                axes.plot(ends[:, 0], ends[:, 1], "o", color="black", alpha=strength, ms=4)
-    for c in range(errors.planned.shape[1]):
+    for c, point in enumerate(flight.task.team.layout.clasps):
         planned = errors.planned[:, c]
         found = flight.record.vertices[errors.rows, c]
-        axes.plot(planned[:, 0], planned[:, 1], color="black", lw=0.8, ls=":")
-        axes.plot(found[:, 0], found[:, 1], color="crimson", lw=0.9)
-        axes.plot(planned[-1:, 0], planned[-1:, 1], "x", color="black", ms=6)
+        axes.plot(found[:, 0], found[:, 1], color=colours[int(point) % len(colours)], lw=1.4)
+        axes.plot(planned[:, 0], planned[:, 1], color=INK, lw=0.9, ls=":")
+        axes.plot(planned[-1:, 0], planned[-1:, 1], "x", color=INK, ms=6)
     axes.set_aspect("equal", "datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.set_title(f"{_ending(simulation)}; ×: the plan's vertices", fontsize=10)
+    axes.set_title("vertices from above; dotted: planned, ×: where they end", fontsize="small")
 
 
 def _ending(simulation: Simulation) -> str:

@@ -1,4 +1,4 @@
-"""Outlines of objects in space, for pictures and films."""
+"""Outlines of objects in space, for the bodies of a simulation and its recording."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hitchopt.objects import Section, SolidObject
 
@@ -30,15 +29,6 @@ def wires(objects: Mapping[str, SolidObject]) -> Floats:
         for ring, (section, height) in zip(rings, levels, strict=True):
             ring[:, :2], ring[:, 2] = outline_points(section, POINTS), height
     return found
-
-
-def placed(rings: Floats, poses: Floats) -> Floats:
-    """Return outlines (objects, 3, points, 3) [m] at poses (objects, 7): places and quaternions."""
-    turned = [
-        Rotation.from_quat(pose[3:], scalar_first=True).apply(each.reshape(-1, 3)) + pose[:3]
-        for each, pose in zip(rings, poses, strict=True)
-    ]
-    return np.array(turned, dtype=np.float32).reshape(rings.shape)
 
 
 def outline_points(section: Section, count: int) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.motion.motion import Motion
 from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_picture import save_picture
 from hitchopt.simulation.simulate import Simulation
@@ -35,8 +36,16 @@ OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIG
 """Names that belong to hitchopt in the directory of results; other files are never touched."""
 
 
-def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
+def save_simulation(
+    directory: Path | str, simulation: Simulation, motion: Motion, title: str = ""
+) -> Path:
     """Write summary, tables, recording and picture, all of them or none; return the directory.
+
+    Parameters
+    ----------
+    directory: where to.
+    simulation: what is written.
+    motion, title: the plan that was flown, for the picture.
 
     Raises
     ------
@@ -65,7 +74,7 @@ def save_simulation(directory: Path | str, simulation: Simulation) -> Path:
         CABLES: lambda path: write_table(path, "cable", record.t, robots, cables),
         DRONES: lambda path: write_table(path, "drone", record.t, team.drone_names, drones),
         RECORDING: lambda path: np.savez_compressed(path, **vars(film)),
-        PICTURE: lambda path: save_picture(path, simulation),
+        PICTURE: lambda path: save_picture(path, simulation, motion, title),
         **_object_table(simulation),
         SUMMARY: lambda path: write_strict_json(path, summary(simulation)),
     }

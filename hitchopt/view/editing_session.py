@@ -41,6 +41,7 @@ class Stage(StrEnum):
     CURRENT = "the plan of this problem"
     PLANNING = "an OLD plan: the changed problem is being planned"
     REFUSED = "an OLD plan: the changed problem cannot be met"
+    SUGGESTED = "the plan of a suggested change: the problem as it is cannot be met"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,9 @@ class Editing:
     ----------
     text: what the problem file holds.
     path: where it is saved; outlines of objects are beside it.
-    planned: the plan of this text.
+    planned: the plan of this text, or of a change that makes it feasible.
     plan, repair: what plans a problem, and what finds changes that make it feasible.
+    status: how they relate; by default it is the plan of this text.
 
     Raises
     ------
@@ -98,6 +100,7 @@ class Editing:
         planned: Certified,
         plan: Planner = solve_problem,
         repair: Repairer = _suggested,
+        status: Status | None = None,
     ) -> None:
         self.path, self.planned = path, planned
         self.listener: Callable[[], None] = lambda: None
@@ -107,7 +110,7 @@ class Editing:
         self._changed = threading.Condition(threading.RLock())
         self._open = True
         self.problem = self._read(text)
-        self.status = Status(Stage.CURRENT)
+        self.status = status or Status(Stage.CURRENT)
         self._worker = threading.Thread(target=self._work, daemon=True)
         self._worker.start()
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.tensions import stated_tensions
 from hitchopt.values import Array
 from hitchopt.view.cable_curves import CLASPS, HOOKED, POINTS
@@ -32,7 +32,7 @@ PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
 DIGESTED = ("plan.npz", "setpoints.csv")
 """Files of a plan whose digests a report states."""
 
-SCRIPTS = ("samples.js", "stage.js", "plots.js", "report.js")
+SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
 """Parts of the page's script."""
 
 HEADROOM = 1.2
@@ -114,7 +114,7 @@ def _described(scene: Scene) -> dict[str, Any]:
         "phases": [
             {
                 **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
-                "state": str(phase.state),
+                "state": "" if phase.state is CableState.NONE else str(phase.state),
                 "hooked": phase.state in HOOKED,
             }
             for phase in motion.phases

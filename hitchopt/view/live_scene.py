@@ -17,8 +17,17 @@ from hitchopt.view.house_colours import (
     drone_colours,
     object_colours,
 )
+from hitchopt.view.live_surroundings import add_surroundings
 from hitchopt.view.object_shape import object_shape
 from hitchopt.view.scene import Concerned, Moment, Scene
+from hitchopt.view.viser_arrays import (
+    as_bytes,
+    faded,
+    in_linear_light,
+    per_segment,
+    segments,
+    single,
+)
 
 Server = Any
 """A viser server; viser is imported only where it is used."""
@@ -32,8 +41,14 @@ MOST_NAMED = 40
 PALE = (150, 156, 162)
 """Colour of a ghost."""
 
+GHOSTLY = 0.4
+"""Opacity of objects of a ghost, or of an old plan."""
+
 PATH_POINTS = 60_000
 """Largest number of points of all paths."""
+
+PATH_WIDTH = 1.2
+"""Width of a path [pixels]: thinner ones are drawn with gaps."""
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 """Attitude of what is not turned."""
@@ -60,15 +75,17 @@ class LiveScene:
         team, separation = motion.team, motion.requirements.separation
         self._moment = scene.at(0.0)
         self._size = SPAN * separation.radius
-        colours = _bytes(drone_colours(team)) if not ghost else None
+        colours = as_bytes(drone_colours(team)) if not ghost else None
         self._drones = self._add_drones(separation.radius, colours)
-        self._cable_colours = _bytes(cable_colours(team.robots))
+        self._cable_colours = as_bytes(cable_colours(team.robots))
         if ghost:
             self._cable_colours = np.tile(np.array(PALE, np.uint8), (team.robots, 1))
         self._cables = self._lines(
-            "cables", _segments(self._moment.cables), thickness=2.0 * scene.radius
+            "cables", segments(self._moment.cables), thickness=2.0 * scene.radius
         )
         self._objects = self._add_objects()
+        self._bright = [(batch, np.array(batch.batched_colors)) for batch in self._drones]
+        self._pale = False
         if ghost:
             self.show(0.0)
             return
@@ -83,12 +100,12 @@ class LiveScene:
             "forces": self._arrow("forces", (200, 65, 79)),
             "thrusts": self._arrow("thrusts", (11, 60, 93)),
         }
-        self._paths = self._lines("paths", *_paths(scene), thickness=0.15 * scene.radius)
+        self._paths = self._lines("paths", *_paths(scene), thickness=PATH_WIDTH, units="screen")
         self._labels = [
             self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
             for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
         ]
-        self._add_surroundings()
+        add_surroundings(self._api, name, scene)
         few = len(team.drone_names) <= MOST_NAMED
         self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
         self.show(0.0)
@@ -98,9 +115,9 @@ class LiveScene:
         self._moment = moment = self.scene.at(time)
         turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
         for batch in self._drones:
-            batch.batched_positions, batch.batched_wxyzs = _single(moment.drones), _single(turns)
+            batch.batched_positions, batch.batched_wxyzs = single(moment.drones), single(turns)
         if self.scene.motion.team.has_cables:
-            self._cables.points = _segments(moment.cables)
+            self._cables.points = segments(moment.cables)
         for solid, pose in zip(self._objects, moment.objects, strict=True):
             solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
         if not self._ghost:
@@ -119,11 +136,23 @@ class LiveScene:
     def mark(self, marked: Concerned) -> None:
         """Highlight drones, cables and vertices."""
         self._marked = marked
-        colours = self._cable_colours.copy()
+        colours = faded(self._cable_colours) if self._pale else self._cable_colours.copy()
         colours[list(marked.cables)] = MARK_COLOUR
         if len(colours):
-            self._cables.colors = _linear(_per_segment(colours, self._moment.cables))
+            self._cables.colors = in_linear_light(per_segment(colours, self._moment.cables))
         self._show_marks(self._moment)
+
+    def fade(self, *, on: bool) -> None:
+        """Draw drones and cables pale, without their paths, or as they are again."""
+        if on == self._pale:
+            return
+        self._pale = on
+        for batch, colours in self._bright:
+            batch.batched_colors = faded(colours) if on else colours.copy()
+        for solid in self._objects:
+            solid.opacity = GHOSTLY if on else None
+        self.mark(self._marked)
+        self._show_switched(self._moment, self._moment.quaternions)
 
     def vertex_places(self) -> Array:
         """Return where the bends of clasps are drawn now (clasps, 3) [m]."""
@@ -132,13 +161,13 @@ class LiveScene:
 
     def _show_switched(self, moment: Moment, turns: Array) -> None:
         self._shells.visible = self.shown["downwash ellipsoids"]
-        self._paths.visible = self.shown["paths"]
+        self._paths.visible = self.shown["paths"] and not self._pale
         for label, place in zip(self._labels, moment.drones, strict=True):
             label.visible = self.shown["names"]
             if label.visible:
                 label.position = tuple(place)
         if self._shells.visible:
-            self._shells.batched_positions = _single(moment.drones)
+            self._shells.batched_positions = single(moment.drones)
         w, x, y, z = np.moveaxis(turns, -1, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
         vectors = {"forces": moment.cable_forces, "thrusts": moment.thrusts[:, None] * up}
@@ -158,7 +187,7 @@ class LiveScene:
         points = np.concatenate(places)
         self._marks.visible = len(points) > 0
         if len(points):
-            self._marks.batched_positions = _single(points)
+            self._marks.batched_positions = single(points)
             self._marks.batched_wxyzs = np.tile(UPRIGHT, (len(points), 1))
 
     def _add_drones(self, radius: float, colours: NDArray[np.uint8] | None) -> list[Any]:
@@ -176,13 +205,13 @@ class LiveScene:
 
     def _add_objects(self) -> list[Any]:
         motion = self.scene.motion
-        bodies, colours = motion.requirements.objects, _bytes(object_colours(motion))
+        bodies, colours = motion.requirements.objects, as_bytes(object_colours(motion))
         meshes = [object_shape(body) for body in bodies.values()]
         return [
             self._api.add_mesh_simple(
                 f"{self._name}objects/{name}", mesh.vertices.astype(np.float32),
                 mesh.faces.astype(np.uint32), color=PALE if self._ghost else tuple(colour.tolist()),
-                opacity=0.4 if self._ghost else None, flat_shading=True, side="double",
+                opacity=GHOSTLY if self._ghost else None, flat_shading=True, side="double",
                 cast_shadow=False,
             )
             for name, mesh, colour in zip(bodies, meshes, colours, strict=True)
@@ -197,8 +226,8 @@ class LiveScene:
             mesh.vertices.astype(np.float32),
             mesh.faces.astype(np.uint32),
             np.tile(UPRIGHT, (len(places), 1)),
-            _single(places),
-            batched_colors=_linear(colours) if isinstance(colours, np.ndarray) else colours,
+            single(places),
+            batched_colors=in_linear_light(colours) if isinstance(colours, np.ndarray) else colours,
             opacity=opacity,
             lod="off",
             side="double",
@@ -206,67 +235,21 @@ class LiveScene:
             receive_shadow=False,
         )
 
-    def _lines(self, name: str, points: Any, colours: Any = None, thickness: float = 0.01) -> Any:
+    def _lines(
+        self, name: str, points: Any, colours: Any = None, thickness: float = 0.01,
+        units: str = "world",
+    ) -> Any:  # fmt: skip
         if colours is None:
-            colours = _per_segment(self._cable_colours, self._moment.cables)
+            colours = per_segment(self._cable_colours, self._moment.cables)
         return self._api.add_line_segments(
-            f"{self._name}{name}", _single(points), _linear(colours), thickness=thickness
-        )
+            f"{self._name}{name}", single(points), in_linear_light(colours), thickness=thickness,
+            thickness_units=units,
+        )  # fmt: skip
 
     def _arrow(self, name: str, colour: tuple[int, int, int]) -> Any:
         points = np.repeat(self._moment.drones[:, None], 2, axis=1)
         shades = np.tile(np.array(colour, np.uint8), (*points.shape[:2], 1))
         return self._lines(name, points, shades)
-
-    def _add_surroundings(self) -> None:
-        requirements, api = self.scene.motion.requirements, self._api
-        drones = self.scene.drones
-        size = 2.0 * float(np.max(np.ptp(drones, axis=(0, 1)))) + 2.0
-        middle = 0.5 * (np.min(drones, axis=(0, 1)) + np.max(drones, axis=(0, 1)))
-        cell = 10.0 ** np.round(np.log10(size / 10.0))
-        api.add_grid(
-            f"{self._name}ground", size, size, plane="xy", cell_size=cell, section_size=5.0 * cell,
-            position=(middle[0], middle[1], requirements.floor), cell_color=(205, 209, 213),
-            section_color=(175, 180, 186),
-        )  # fmt: skip
-        arena = requirements.arena
-        if arena is not None:
-            corners = np.array([arena.lower, arena.upper])
-            ends = [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
-            picked = np.array(
-                [[a, [*a[:i], 1 - a[i], *a[i + 1 :]]] for a in ends for i in range(3)]
-            )
-            box = corners[picked, np.arange(3)]
-            shades = np.full((len(box), 2, 3), 154, np.uint8)
-            self._lines("arena", box, shades, 0.006)
-        for i, prism in enumerate(requirements.keep_out):
-            m = len(prism.polygon)
-            k, following = np.arange(m), (np.arange(m) + 1) % m
-            sides = [
-                np.column_stack([k, following, m + k]),
-                np.column_stack([following, m + following, m + k]),
-            ]
-            caps = [np.column_stack([0 * k[2:], k[1:-1], k[2:]]) + shift for shift in (0, m)]
-            api.add_mesh_simple(
-                f"{self._name}keep_out/{i}", prism.corners.astype(np.float32),
-                np.vstack([*sides, *caps]).astype(np.uint32), color=(179, 38, 30), opacity=0.25,
-                side="double", cast_shadow=False,
-            )  # fmt: skip
-
-
-def _single(values: Array) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _segments(curves: Array) -> NDArray[np.float32]:
-    """Return the segments (m, 2, 3) of curves (n, points, 3)."""
-    return _single(np.stack([curves[:, :-1], curves[:, 1:]], axis=2).reshape(-1, 2, 3))
-
-
-def _per_segment(colours: NDArray[np.uint8], curves: Array) -> NDArray[np.uint8]:
-    """Return colours (m, 2, 3) of the segments of curves, one colour each."""
-    count = curves.shape[1] - 1
-    return np.repeat(np.repeat(colours, count, axis=0)[:, None], 2, axis=1)
 
 
 def _paths(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -274,20 +257,8 @@ def _paths(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     drones = scene.drones
     stride = max(1, drones.shape[0] * drones.shape[1] // PATH_POINTS)
     picked = np.moveaxis(drones[::stride], 1, 0)
-    pale = 0.5 * _bytes(drone_colours(scene.motion.team)) + 120.0
-    return _segments(picked), _per_segment(pale.astype(np.uint8), picked)
-
-
-def _bytes(colours: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Return colours such as #0b3c5d as bytes (…, 3)."""
-    return np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8).reshape(-1, 3)
-
-
-def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colours in linear light: viser takes those of lines to be."""
-    share = colours / 255.0
-    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return np.rint(255.0 * light).astype(np.uint8)
+    pale = 0.5 * as_bytes(drone_colours(scene.motion.team)) + 120.0
+    return segments(picked), per_segment(pale.astype(np.uint8), picked)
 
 
 def _sphere() -> Triangles:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import UnsupportedError
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.house_colours import facts, verdict
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
@@ -34,6 +34,12 @@ FROM = np.array([-0.35, -0.8, 0.5])
 
 FIELD = 0.6
 """Vertical field of view [rad]."""
+
+FILLED, ASPECT = 0.85, 1.1
+"""Part of the picture that the paths fill, and its width over its height in usual windows."""
+
+NEAREST = 1.5
+"""Shortest distance from which the scene is seen at first [m]."""
 
 
 class LiveView:
@@ -119,9 +125,13 @@ class LiveView:
             self.seek(self.time)
 
     def note(self, words: str) -> None:
-        """Say above the certificate what the plan shown is; nothing where it is the plan."""
+        """Say above the certificate what the plan shown is, which is drawn pale then.
+
+        Nothing is said where it is the plan of the problem.
+        """
         with self._lock:
             self._note = words
+            self.live.fade(on=bool(words))
             self.head.content = self._words()
 
     def seek(self, time: float) -> None:
@@ -144,9 +154,9 @@ class LiveView:
                 self.phases[self.phase].color = QUIET
             self.phases[i].color = None  # the theme's
             self.phase = i
-        words = (
-            f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}** ({phases[i].state})"
-        )
+        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}**"
+        if phases[i].state is not CableState.NONE:
+            words += f" ({phases[i].state})"
         remark = plain_words(phases[i].remark)
         self.now.content = f"{words}  \n{remark}" if remark else words
 
@@ -183,18 +193,24 @@ class LiveView:
 
     def _look(self) -> None:
         """Place the camera so that it sees all paths."""
-        drones = self.live.scene.drones
-        lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
-        centre, extent = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
-        away = FROM / np.linalg.norm(FROM) * (0.55 * extent + 0.3) / np.sin(0.5 * FIELD)
-        self.server.initial_camera.position = tuple(centre + away)
+        drones = self.live.scene.drones.reshape(-1, 3)
+        centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
+        back = FROM / np.linalg.norm(FROM)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
+        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([ASPECT, 1.0])
+        away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
+        self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
         self.server.initial_camera.look_at = tuple(centre)
 
     def _words(self) -> str:
         """Return the head of the panel."""
         said = "being certified …" if self.certificate is None else verdict(self.certificate)
         said = (
-            f"**{plain_words(self._note)}**  \nthe old one: {said}" if self._note else f"**{said}**"
+            f"**{plain_words(self._note)}**  \nwhat is shown: {said}"
+            if self._note
+            else f"**{said}**"
         )
         return f"### {plain_words(self._title or 'Plan')}\n{facts(self.motion)}  \n{said}"
 

@@ -24,6 +24,9 @@ from hitchopt.view.scene import Scene, extent_points, scene_at
 MOST = 9
 """Largest number of panels; more would be too small to read."""
 
+FEW = 3
+"""Number of panels up to which there is space for another picture below them."""
+
 MANY, BESIDE = 30, 1
 """Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
 

@@ -13,7 +13,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.view.curves import Curves, sampled_curves
 from hitchopt.view.house_colours import facts, verdict
 from hitchopt.view.plan_view import draw_plan_view
-from hitchopt.view.storyboard import chosen_shots, draw_plan_storyboard
+from hitchopt.view.storyboard import FEW, chosen_shots, draw_plan_storyboard
 from hitchopt.view.style import new_figure, save_figure
 from hitchopt.view.time_plots import draw_legend, draw_panel, draw_phases, panels
 
@@ -26,8 +26,8 @@ WIDTHS = (1.25, 1.0)
 LEGEND_GAP = 0.17
 """Distance of the legend from such a plan, as a share of its height."""
 
-FEW, HEIGHTS = 3, (1.0, 1.25)
-"""Number of panels up to which the plan is drawn from above as well, and the heights of both."""
+HEIGHTS = (1.0, 1.25)
+"""Heights of few panels and of the plan from above, which is drawn as well then."""
 
 
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:

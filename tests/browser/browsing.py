@@ -1,38 +1,20 @@
-"""A headless Chromium, and where a drone is seen in it."""
+"""What pages show: where a drone is seen, and what a change alters."""
 
 from __future__ import annotations
 
 import io
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 from matplotlib.image import imread
-from playwright.sync_api import sync_playwright
 
 import hitchopt as ho
 from hitchopt.values import Array
 
-FLAGS = (
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-)
-"""WebGL in software: machines for tests have no graphics card."""
-
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-
-SIZE = {"width": 1200, "height": 800}
-
 NEAR = 5.0
 """Largest distance of a drawn drone to its place in the plan [pixels]."""
-
-LOCAL = ("file:", "data:", "blob:", "http://127.0.0.1:", "ws://127.0.0.1:")
-"""Beginnings of addresses that stay on this machine."""
 
 
 @cache
@@ -42,32 +24,6 @@ def tied_plan() -> ho.Plan:
     q = np.array([[0.4, -2.2, 1.0], [0.4, -1.0, 1.0], [0.4, 0.2, 1.0]])
     triangle = [[1.1, -0.3], [1.6, -1.2], [0.6, -1.3]]
     return ho.form(team, q, q + [1.2, 0.0, 0.0], triangle, altitude=1.5)
-
-
-@contextmanager
-def opened_page() -> Iterator[Any]:
-    """Yield a page; fail if it logs an error or asks for anything outside of this machine."""
-    path = next(filter(None, map(shutil.which, NAMES)), None)
-    assert path, f"none of {', '.join(NAMES)} is installed; apt-get install chromium"
-    wrong: list[str] = []
-
-    def asked(address: str) -> None:
-        if not address.startswith(LOCAL):
-            wrong.append(f"asked for {address}")
-
-    with sync_playwright() as tool:
-        browser = tool.chromium.launch(executable_path=path, args=list(FLAGS))
-        page = browser.new_page(viewport=SIZE)
-        page.on("request", lambda request: asked(request.url))
-        page.on("websocket", lambda socket: asked(socket.url))
-        page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
-        page.on(
-            "console",
-            lambda message: wrong.append(message.text) if message.type == "error" else None,
-        )
-        yield page
-        browser.close()
-    assert not wrong, "\n".join(wrong)
 
 
 def projected(
@@ -108,6 +64,12 @@ def waited(page: Any, holds: Callable[[], bool]) -> None:
             return
         page.wait_for_timeout(100)
     raise AssertionError("the page has not answered")
+
+
+def vividness(png: bytes) -> float:
+    """Return the sum of all pixels' distances from grey."""
+    levels = _levels(png)
+    return float(np.sum(np.max(levels, axis=-1) - np.min(levels, axis=-1)))
 
 
 def _levels(png: bytes) -> Array:

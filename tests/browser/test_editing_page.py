@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import opened_page, projected, waited
+from browsing import projected, waited
+from generators.headless_page import opened_page
 
 import hitchopt as ho
 from hitchopt.steps.certified_motions import Certified

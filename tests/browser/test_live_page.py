@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import NEAR, changed_place, opened_page, projected, tied_plan, waited
+from browsing import NEAR, changed_place, projected, tied_plan, vividness, waited
+from generators.headless_page import opened_page
 
 from hitchopt.view.live_view import LiveView
 from hitchopt.view.scene import Concerned
@@ -83,3 +84,20 @@ def test_it_plays(page: Any, live: LiveView) -> None:
     waited(page, lambda: live.time > 0.3)
     page.get_by_role("button", name="Pause").click()
     waited(page, lambda: not live.playing)
+
+
+def test_an_old_plan_is_pale_until_it_is_the_plan_again(page: Any, live: LiveView) -> None:
+    live.live.mark(Concerned())
+    live.seek(0.6 * tied_plan().duration)
+    box = page.locator("canvas").first.bounding_box()
+
+    def colour() -> float:
+        page.wait_for_timeout(SETTLE)
+        return vividness(page.screenshot(clip=box))
+
+    before = colour()
+    live.note("an OLD plan")
+    page.get_by_text("an OLD plan").wait_for()
+    assert colour() < 0.5 * before
+    live.note("")
+    assert colour() == pytest.approx(before, rel=0.05)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import NEAR, changed_place, opened_page, projected, tied_plan, waited
+from browsing import NEAR, changed_place, projected, tied_plan, waited
+from generators.headless_page import opened_page
 
 NOTHING = "{drones: [], cables: [], vertices: []}"
 

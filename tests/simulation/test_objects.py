@@ -14,7 +14,7 @@ from hitchopt.simulation.flight_cargo import Cargo
 from hitchopt.simulation.flight_outcome import judge
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.mujoco_world import World
-from hitchopt.simulation.object_wires import placed, wires
+from hitchopt.simulation.object_wires import wires
 from hitchopt.simulation.object_xml import _second_moments
 from hitchopt.simulation.ropes import Ropes
 from hitchopt.simulation.simulate import Simulation, simulate
@@ -56,11 +56,11 @@ def test_second_moments_are_those_of_points_spread_over_the_section(section: Sec
     np.testing.assert_allclose([[xx, xy], [xy, yy]], centred.T @ centred / len(inside), atol=2e-4)
 
 
-def test_outlines_turn_with_their_objects() -> None:
-    pose = np.array([[1.0, 2.0, 0.5, np.cos(0.25), 0.0, 0.0, np.sin(0.25)]], dtype=np.float32)
-    rings = placed(wires({"box": SolidObject(BOX, 0.0, 0.3)}), pose)
+def test_outlines_are_those_of_floor_and_ceiling() -> None:
+    rings = wires({"box": SolidObject(BOX, 0.1, 0.3)})
     assert rings.shape == (1, 3, 49, 3)
-    np.testing.assert_allclose(rings[0, 1, 0], [*BOX.placed([1.0, 2.0], 0.5)[0], 0.8], atol=1e-6)
+    for ring, height in zip(rings[0], (0.1, 0.3, 0.3), strict=True):
+        np.testing.assert_allclose(ring[0], [*BOX.placed([0.0, 0.0], 0.0)[0], height], atol=1e-6)
 
 
 def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:

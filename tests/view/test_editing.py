@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.cli.view_commands import shown_plan
 from hitchopt.mission.file_models import StepKeys
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
@@ -264,3 +265,35 @@ def test_the_command_shows_a_problem_that_has_no_plan_yet(tmp_path: Path) -> Non
     done = CliRunner().invoke(main, ["view", str(file), "--save", str(page)])
     assert done.exit_code == 0, done.output
     assert "# A triangle off the origin." in page.read_text()
+
+
+CLOSE = TEXT.replace("cable_length: [2.4, 2.5, 2.4]", "cable_length: [1.9, 1.9, 1.9]")
+"""A problem that cannot be met: legs too short for the drones to keep apart."""
+
+
+def test_a_problem_that_cannot_be_met_is_shown_with_a_change(tmp_path: Path) -> None:
+    file = tmp_path / "problem.yaml"
+    file.write_text(CLOSE)
+    with pytest.raises(ho.InfeasibleError):
+        ho.solve(file)
+    plan, status = shown_plan(file)
+    assert status is not None
+    assert status.stage is Stage.SUGGESTED
+    assert "separation" in status.words
+    assert plan.certificate.certified
+    editing = Editing(CLOSE, file, Certified(plan.motion, plan.certificate), status=status)
+    editing.apply(status.suggestions[0])
+    assert editing.wait()
+    assert editing.status.stage is Stage.CURRENT
+    assert editing.planned.motion.duration == pytest.approx(plan.duration, rel=1e-3)
+    editing.close()
+
+
+def test_nothing_is_saved_of_a_problem_that_cannot_be_met(tmp_path: Path) -> None:
+    file, page = tmp_path / "problem.yaml", tmp_path / "plan.html"
+    file.write_text(CLOSE)
+    done = CliRunner().invoke(main, ["view", str(file), "--save", str(page)])
+    assert done.exit_code == 3
+    assert "suggested change: " in done.output
+    assert f"hitchopt view {file} shows the first change" in done.output
+    assert not page.exists()

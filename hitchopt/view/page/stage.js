@@ -1,5 +1,4 @@
 // The scene in three dimensions; `show()` draws what `arrays` hold now.
-const MARK = "#e8590c", INK = "#1a1a1a", SIDES = 6;
 
 class Stage {
   constructor(data, arrays, place) {
@@ -21,7 +20,7 @@ class Stage {
     this.addBounds();
     this.addDrones();
     this.addObjects();
-    this.addCables();
+    this.tubes = new CableTubes(data, this.scene);
     this.addPaths();
     this.addArrows();
     this.addMarks();
@@ -115,62 +114,6 @@ class Stage {
     });
   }
 
-  addCables() {
-    const { cables, points } = this.data;
-    const geometry = new THREE.BufferGeometry(), rings = cables * points;
-    for (const [name, size] of [["position", 3], ["normal", 3], ["color", 3]]) {
-      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(rings * SIDES * size), size).setUsage(THREE.DynamicDrawUsage));
-    }
-    const index = [];
-    for (let c = 0; c < cables; c++) for (let i = 0; i + 1 < points; i++) for (let s = 0; s < SIDES; s++) {
-      const a = (c * points + i) * SIDES + s, b = (c * points + i) * SIDES + (s + 1) % SIDES;
-      index.push(a, b, a + SIDES, b, b + SIDES, a + SIDES);
-    }
-    geometry.setIndex(index);
-    this.tubes = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: true }));
-    this.tubes.frustumCulled = false;
-    this.scene.add(this.tubes);
-    this.colourCables();
-  }
-
-  colourCables() {
-    const { cables, points, colours } = this.data, colour = this.tubes.geometry.attributes.color;
-    for (let c = 0; c < cables; c++) {
-      const { r, g, b } = new THREE.Color(this.marked.cables.includes(c) ? MARK : colours[2 * c]);
-      for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) colour.setXYZ(i, r, g, b);
-    }
-    colour.needsUpdate = true;
-  }
-
-  updateCables() {
-    const { cables, points } = this.data, p = this.arrays.cables.now;
-    const radius = Math.max(this.data.radius, 0.0011 * this.distance());
-    const { position, normal } = this.tubes.geometry.attributes;
-    for (let c = 0; c < cables; c++) {
-      let nx = 0.13, ny = 0.29, nz = 0.95;
-      for (let i = 0; i < points; i++) {
-        const at = 3 * (c * points + i), a = 3 * (c * points + Math.max(i - 1, 0)), b = 3 * (c * points + Math.min(i + 1, points - 1));
-        let tx = p[b] - p[a], ty = p[b + 1] - p[a + 1], tz = p[b + 2] - p[a + 2];
-        const length = Math.hypot(tx, ty, tz) || 1;
-        tx /= length; ty /= length; tz /= length;
-        // The last ring's normal, made upright on this tangent: no twist along the cable.
-        const dot = nx * tx + ny * ty + nz * tz;
-        nx -= dot * tx; ny -= dot * ty; nz -= dot * tz;
-        let size = Math.hypot(nx, ny, nz);
-        if (size < 1e-6) { nx = -ty; ny = tx; nz = 0.01; size = Math.hypot(nx, ny, nz); }
-        nx /= size; ny /= size; nz /= size;
-        const bx = ty * nz - tz * ny, by = tz * nx - tx * nz, bz = tx * ny - ty * nx;
-        for (let s = 0; s < SIDES; s++) {
-          const angle = 2 * Math.PI * s / SIDES, u = Math.cos(angle), v = Math.sin(angle), k = (c * points + i) * SIDES + s;
-          const x = u * nx + v * bx, y = u * ny + v * by, z = u * nz + v * bz;
-          position.setXYZ(k, p[at] + radius * x, p[at + 1] + radius * y, p[at + 2] + radius * z);
-          normal.setXYZ(k, x, y, z);
-        }
-      }
-    }
-    position.needsUpdate = normal.needsUpdate = true;
-  }
-
   addPaths() {
     const { names, colours, t } = this.data, p = this.arrays.drones, corners = [], shades = [];
     const stride = Math.max(1, Math.ceil(names.length * t.length / 200000));
@@ -224,7 +167,7 @@ class Stage {
   // Marks what a check names: indices of drones, cables and vertices.
   mark(marked) {
     this.marked = marked;
-    this.colourCables();
+    this.tubes.colour(marked.cables);
     this.show();
   }
 
@@ -238,16 +181,28 @@ class Stage {
     this.looking = kind;
     const to = { above: [0, -0.001, 1], front: [-0.35, -0.8, 0.5] }[kind] ?? [0, -1, 0.3];
     const back = new THREE.Vector3(...to).normalize(), right = new THREE.Vector3(-back.y, back.x, 0).normalize();
-    const up = back.clone().cross(right), tall = 0.9 * Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
-    const p = this.arrays.drones.values, point = new THREE.Vector3();
+    const up = back.clone().cross(right), all = Math.tan(this.camera.fov * Math.PI / 360), tall = 0.82 * all, wide = 0.9 * all * this.camera.aspect;
+    const p = this.arrays.drones.values, point = new THREE.Vector3(), target = this.centre.clone();
     let far = 0.5;
-    for (let i = 0; i < p.length; i += 3) {
-      point.set(p[i], p[i + 1], p[i + 2]).sub(this.centre);
-      far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+    for (let round = 0; round < 4; round++) {
+      far = 0.5;
+      for (let i = 0; i < p.length; i += 3) {
+        point.set(p[i], p[i + 1], p[i + 2]).sub(target);
+        far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+      }
+      far += 2 * this.size;
+      // What is seen is brought to the middle: what is near takes more space than what is far.
+      const ends = [Infinity, -Infinity, Infinity, -Infinity];
+      for (let i = 0; i < p.length; i += 3) {
+        point.set(p[i], p[i + 1], p[i + 2]).sub(target);
+        const depth = far - point.dot(back), u = point.dot(right) / depth, v = point.dot(up) / depth;
+        ends[0] = Math.min(ends[0], u); ends[1] = Math.max(ends[1], u); ends[2] = Math.min(ends[2], v); ends[3] = Math.max(ends[3], v);
+      }
+      target.addScaledVector(right, far * (ends[0] + ends[1]) / 2).addScaledVector(up, far * (ends[2] + ends[3]) / 2);
     }
-    far += 2 * this.size;
-    this.controls.target.copy(this.centre);
-    this.camera.position.copy(this.centre).addScaledVector(back, far);
+    target.addScaledVector(up, 0.08 * all * far);  // the switches are above
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).addScaledVector(back, far);
     this.camera.near = far / 500; this.camera.far = far * 50;
     this.camera.updateProjectionMatrix();
     this.controls.update();
@@ -302,7 +257,7 @@ class Stage {
     this.shells.visible = !!this.on.ellipsoids;
     this.paths.visible = !!this.on.paths;
     this.updateObjects();
-    this.updateCables();
+    this.tubes.update(this.arrays.cables.now, Math.max(this.data.radius, 0.0011 * this.distance()));
     this.updateMarks();
     this.updateLabels();
     this.renderer.render(this.scene, this.camera);
@@ -323,14 +278,17 @@ class Stage {
     this.marks.instanceMatrix.needsUpdate = true;
   }
 
+  // Names what is switched on or marked; of names that would lie on each other, the first.
   updateLabels() {
-    const few = this.labels.length <= 120;
-    for (const { node, array, at, drone } of this.labels) {
-      const shown = drone < 0 ? this.on.names && few && this.hooked : (this.on.names && few) || this.marked.drones.includes(drone);
-      node.hidden = !shown;
-      if (!shown) continue;
+    const few = this.labels.length <= 120, placed = [];
+    const marked = ({ drone }) => this.marked.drones.includes(drone);
+    for (const label of [...this.labels.filter(marked), ...this.labels.filter((other) => !marked(other))]) {
+      const { node, array, at, drone } = label;
+      node.hidden = !(marked(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
+      if (node.hidden) continue;
       const { x, y, behind } = this.project(array, at);
-      node.hidden = behind;
+      node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 22 && Math.abs(v - y) < 12);
+      if (!node.hidden) placed.push([x, y]);
       node.style.transform = `translate(${x + 8}px, ${y - 18}px)`;
     }
   }

@@ -1,0 +1,176 @@
+"""Live view, films and editing: how long a user waits.
+
+Usage: python -m benchmarks.views [--drags N] [--output FILE]
+
+Needs Chromium, Playwright (``pip install -e .[browser]``) and an otherwise idle machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import io
+import math
+import re
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.image import imread
+
+import hitchopt as ho
+from benchmarks.environment import busy, environment
+from hitchopt.steps.certified_motions import Certified
+from hitchopt.view.editing_session import Editing, Stage
+
+PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
+
+COMMAND = (sys.executable, "-m", "hitchopt")
+
+DRAWN = 0.002
+"""Part of the picture that is coloured once the scene is there."""
+
+CIRCLE = 0.02
+"""Radius of the circle on which a vertex is dragged about [m]."""
+
+LIMITATIONS = (
+    "one machine, whose cores others may use as well (see load); WebGL in software, on the same "
+    "cores; the browser is open before the command is given; seconds of the clock on the wall, and "
+    "processor seconds of the command and its children where they are told"
+)
+
+EDITED = (
+    ("triangle.yaml", 0, "a morph, n = 3"),
+    ("twelve_gon.yaml", 0, "a morph, n = 12"),
+    ("tie_carry_untie.yaml", 1, "the second of five steps, n = 3"),
+)
+"""Problem files, the step whose vertex is dragged, and words."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of the table: what it is of, its value, the goal, and the load meanwhile."""
+
+    what: str
+    value: str
+    goal: str
+    load: float
+
+
+def first_frame(file: str) -> Row:
+    """Return the time from ``hitchopt view`` to the scene's picture in a browser that is open."""
+    sys.path.insert(0, str(PROBLEMS.parent / "docs"))
+    from generators.headless_page import opened_page
+
+    with tempfile.TemporaryDirectory() as place, opened_page() as page:
+        run("solve", "-q", PROBLEMS / file, "-o", place)
+        page.goto("about:blank")
+        used, before = children(), time.monotonic()
+        served = subprocess.Popen(
+            [*COMMAND, "view", place, "--no-browser", "--port", "8470"],
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            assert served.stdout is not None
+            words = next(line for line in served.stdout if "http://" in line and "plan is" in line)
+            ready = time.monotonic() - before
+            page.goto(re.findall(r"http://\S+?(?=;)", words)[0], wait_until="commit")
+            page.wait_for_selector("canvas")
+            while (
+                coloured(page.screenshot(clip={"x": 0, "y": 200, "width": 800, "height": 600}))
+                < DRAWN
+            ):
+                page.wait_for_timeout(20)
+            shown = time.monotonic() - before
+        finally:
+            served.terminate()
+            served.wait()
+    processor = children() - used
+    value = f"{shown:.2f} s (served after {ready:.2f} s; {processor:.2f} s of processor for both)"
+    return Row(f"first frame of {file} in Chromium", value, "3 s", busy())
+
+
+def film(file: str) -> Row:
+    """Return the time of a film over the duration of the flight."""
+    with tempfile.TemporaryDirectory() as place:
+        run("solve", "-q", PROBLEMS / file, "-o", place)
+        duration = ho.load(place).duration
+        used, before = children(), time.monotonic()
+        run("view", place, "--save", Path(place) / "film.mp4")
+        wall, processor = time.monotonic() - before, children() - used
+    value = (
+        f"{wall / duration:.2f} ({wall:.0f} s for {duration:.1f} s; {processor:.0f} s of processor)"
+    )
+    return Row(f"film of {file} in mp4, over the flight's duration", value, "2", busy())
+
+
+def drags(file: str, step: int, words: str, count: int) -> Row:
+    """Return the median time from a dragged vertex to its certified plan."""
+    text = (PROBLEMS / file).read_text(encoding="utf-8")
+    plan = ho.solve(PROBLEMS / file)
+    editing = Editing(text, PROBLEMS / file, Certified(plan.motion, plan.certificate))
+    at = np.array(editing.problem.mission[step].polygon.vertices[0])  # type: ignore[attr-defined]
+    times, used = [], time.process_time()
+    for k in range(count):
+        angle = 2.0 * math.pi * k / count
+        place = np.array([*(at + CIRCLE * np.array([math.cos(angle), math.sin(angle)])), 0.0])
+        before = time.monotonic()
+        editing.drag(step, "vertex 0", place)
+        editing.wait()
+        if editing.status.stage is Stage.CURRENT:
+            times.append(time.monotonic() - before)
+    editing.close()
+    goal = {3: "0.5 s", 12: "1.5 s"}[plan.motion.team.robots]
+    processor = (time.process_time() - used) / count
+    more = f"slowest {max(times):.2f} s, {len(times)} of {count} drags certified"
+    value = f"{statistics.median(times):.2f} s ({more}; {processor:.2f} s of processor each)"
+    return Row(f"dragged vertex to certified plan: {words} (median)", value, goal, busy())
+
+
+def run(*words: object) -> None:
+    """Run a command of hitchopt."""
+    subprocess.run([*COMMAND, *map(str, words)], check=True, stdout=subprocess.DEVNULL)
+
+
+def children() -> float:
+    """Return the processor seconds of all children that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def coloured(png: bytes) -> float:
+    """Return the share of pixels that are not grey."""
+    levels = np.asarray(imread(io.BytesIO(png), format="png"))[..., :3]
+    return float(np.mean(np.ptp(levels, axis=-1) > 0.2))
+
+
+def main() -> None:
+    """Measure everything, print it, and write it to a file."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--drags", type=int, default=15)
+    parser.add_argument("--output", type=Path)
+    given = parser.parse_args()
+    rows = [first_frame("form_twelve_gon.yaml"), film("tie_carry_untie.yaml")]
+    rows += [drags(*case, given.drags) for case in EDITED]
+    table = [f"| {row.what} | {row.value} | {row.goal} | {row.load:.1f} |" for row in rows]
+    lines = [
+        "# Live view, films and editing\n",
+        f"Measured on {datetime.date.today()}: {environment()}.\n",
+        f"Limitations: {LIMITATIONS}.\n",
+        "| what | measured | goal | load |\n|---|---|---|---|",
+        *table,
+        "",
+    ]
+    print("\n".join(lines))
+    if given.output is not None:
+        given.output.write_text("\n".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
