@@ -219,7 +219,7 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        world.step(self._substeps)
+        world.step(self._substeps, loose=not np.any(self._task.tensions[index] > 0.0))
         check_valid(world, time)
         self._recorder.observe(time, index)
 
