@@ -50,10 +50,6 @@ EXPERIMENTS = (
 EDGE, LENGTH = 1.3, 2.2
 """Edge length of the hitches that are tied, and length of their cables [m]."""
 
-RAISED = 1.6
-"""Altitude [m] at which hitches are tied with fine ropes: those of short segments that lie on the
-ground, folded, strain by more than 2 % where drones take off with them."""
-
 MOVED, MOVED_BY, MOVED_IN = 2.4, 0.4, 8.0
 """Cable length [m] of the triangle whose vertex is moved outward, distance [m] and time [s]."""
 
@@ -68,15 +64,10 @@ def experiment(name: str, friction: float | None = None) -> Problem:
     return problem_from_dict(data)
 
 
-def tied(n: int, friction: float = 0.1, altitude: float = 0.0) -> Problem:
-    """Return the problem of a regular hitch of n robots, tied from rows of two.
-
-    Parameters
-    ----------
-    altitude: of the rows [m]; by default they stand on the ground.
-    """
+def tied(n: int, friction: float = 0.1) -> Problem:
+    """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
     row, column = np.divmod(np.arange(n), 2)
-    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.full(n, altitude)])
+    q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
     r = q + [1.0, 0.0, 0.0]
     step = {"form": {"polygon": _polygon(n), "altitude": 1.6, "legs": "balanced"}}
     start = {"drones": {"q": q.tolist(), "r": r.tolist()}}

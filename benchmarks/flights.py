@@ -33,7 +33,6 @@ from benchmarks.capstan import capstan_test
 from benchmarks.environment import busy, print_environment
 from benchmarks.flight_plans import (
     EXPERIMENTS,
-    RAISED,
     at_rest,
     experiment,
     irregular,
@@ -144,7 +143,7 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
         for name, problem in (
             ("at rest", at_rest(n)),
             ("a vertex moved", moved(0.0, n)),
-            ("formed", tied(n, 0.0, RAISED)),
+            ("formed", tied(n, 0.0)),
         ):
             if given.only not in name:
                 continue

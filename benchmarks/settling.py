@@ -28,7 +28,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.environment import busy, environment
-from benchmarks.flight_plans import RAISED, tied
+from benchmarks.flight_plans import tied
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
@@ -139,7 +139,7 @@ def flown(seed: int, *, loose: bool) -> Compared:
 
 def formed(n: int) -> Compared:
     """Return how a regular hitch that was tied in the air compares."""
-    problem = tied(n, 0.0, RAISED)
+    problem = tied(n, 0.0)
     mission = (*problem.mission, ho.Hold(SETTLE + MEASURE))
     plan = ho.solve(replace(problem, mission=mission))
     stiffness = 4.75

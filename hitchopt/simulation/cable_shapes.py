@@ -32,6 +32,12 @@ SAME_RISE = 1e-6
 BEYOND = 0.5
 """Length by which a cable's line continues beyond its drone, for its last segments [m]."""
 
+LYING_RADIUS = 0.02
+"""Radius of the bends of a cable that lies on the ground, being longer than its place [m]."""
+
+SMALL_SWING, MOST_SWING = 0.1, 2.6
+"""Range of the angle by which a lying cable swings to either side [rad]; beyond it ends recede."""
+
 LEAST_PULL, MOST_PULL = 1e-3, 1e3
 """Range of the tension along the floor, in weights of a link and of the cable: from ends that hang
 straight down to a cable that is all but taut."""
@@ -195,7 +201,7 @@ def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) ->
     The result is None where no whole link lies: the cable just touches the floor.
 
     The tension along the floor is equal at both ends. Where the cable is too long for any tension,
-    the two ends hang down, and the part between them zigzags, a link wide.
+    the two ends hang down, and the part between them meanders.
 
     Parameters
     ----------
@@ -222,17 +228,47 @@ def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) ->
     lying = count - len(x_q) - len(x_r)
     if lying < 0:
         return None
-    zigzag = lying - lying % 2  # the odd one out lies straight
-    forward = span / length - float(np.sum(x_q) + np.sum(x_r)) - lying % 2
-    forward = min(max(forward / max(zigzag, 1), -1.0), 1.0)
-    aside = np.sqrt(1.0 - forward**2) * (-1.0) ** np.arange(zigzag)
-    x = np.concatenate([x_q[::-1], np.full(zigzag, forward), np.ones(lying % 2), x_r])
+    aside, forward = _meander(lying, span / length - float(np.sum(x_q) + np.sum(x_r)), length)
+    x = np.concatenate([x_q[::-1], forward, x_r])
     z = np.concatenate([-z_q[::-1], np.zeros(lying), z_r])
-    y = np.concatenate([np.zeros(len(x_q)), aside, np.zeros(lying % 2 + len(x_r))])
+    y = np.concatenate([np.zeros(len(x_q)), aside, np.zeros(len(x_r))])
     side = np.array([-level[1], level[0], 0.0])
     steps = x[:, None] * level + y[:, None] * side + z[:, None] * np.array([0.0, 0.0, 1.0])
     start = np.array([*q[:2], floor + length * heights[0]])
     return np.vstack([start, start + length * np.cumsum(steps, axis=0)])
+
+
+def _meander(count: int, reach: float, length: float) -> tuple[Array, Array]:
+    """Return the parts across and along (count,) of links that meander on the floor.
+
+    Their direction swings like a sine along the cable, which bends it least: a cable in folds as
+    narrow as its links would turn these so fast, when it is picked up, that they stretch.
+
+    Parameters
+    ----------
+    count: number of links.
+    reach: distance from their first to their last end, in links.
+    length: of a link [m].
+    """
+    if count < 2:
+        return np.zeros(count), np.ones(count)
+    swing = _swing(np.linspace(0.0, 2.0 * np.pi, 65)[:-1], reach / count)
+    periods = round(count * length / (2.0 * np.pi * LYING_RADIUS * max(swing, SMALL_SWING)))
+    periods = min(max(periods, 1), max(count // 4, 1))
+    phases = 2.0 * np.pi * periods * (np.arange(count) + 0.5) / count
+    turned = _swing(phases, reach / count) * np.sin(phases)
+    return np.sin(turned), np.cos(turned)
+
+
+def _swing(phases: Array, share: float) -> float:
+    """Return the largest angle with which meandering links advance by a share of their length."""
+
+    def missing(angle: float) -> float:
+        return float(np.mean(np.cos(angle * np.sin(phases)))) - share
+
+    if missing(0.0) <= 0.0:
+        return 0.0
+    return brentq(missing, 0.0, MOST_SWING) if missing(MOST_SWING) < 0.0 else MOST_SWING
 
 
 def _risen(pull: float, height: float) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ Contacts of drones with cables and with one another are found in ``drone_contact
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 from hitchopt.errors import UnsupportedError
 from hitchopt.hitch import GRAVITY
 from hitchopt.objects import SolidObject
-from hitchopt.simulation.mujoco_xml import BODY_RADIUS, describe
+from hitchopt.simulation.mujoco_xml import BODY_RADIUS, EDGE_STEPS, describe
 from hitchopt.simulation.object_xml import PREFIX
-from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.ropes import ROUNDING, Ropes
 from hitchopt.values import Array
 
 Index = NDArray[np.intp]
@@ -24,6 +25,16 @@ Index = NDArray[np.intp]
 RADII_OF_GYRATION = (0.5, 0.5, 0.65)
 """Radii of gyration of a drone about its axes, over its radius: four motors on arms, and the
 remaining mass in the middle."""
+
+TURNED = 0.07
+"""Angle by which a link may turn within the time constant of the constraint on its length: links
+that turn at a rate ω are strained by ``(ω t)²``, t that constant."""
+
+LEAST_EDGE_TIME = 0.06
+"""Least time constant, over that of links which hardly turn."""
+
+TIGHTER, LOOSER = 0.8, 1.05
+"""Most that the time constant changes at once: taut ropes would jerk."""
 
 
 FIRM_STEPS = 2.2
@@ -101,6 +112,10 @@ class World:
         self._drone_origins = np.zeros((len(names), 3)) if rigid else model.body_pos[drones]
         self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
         self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
+        joints = model.body_jntadr[model.flex_vertbodyid]
+        self._vertex_dofs = model.jnt_dofadr[joints][:, None] + axes
+        self._last_edges: Index = self.cable_vertices[1:-1] - 1  # none, from a cable to the next
+        self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
 
     def place(self, cables: list[Array]) -> None:
         """Put every cable's nodes, its drones at the ends, at n of (segments + 1, 3) [m]."""
@@ -110,9 +125,40 @@ class World:
         self.data.qpos[self._drone_qpos] = ends - self._drone_origins
         self._mujoco.mj_forward(self.model, self.data)
 
-    def step(self, count: int = 1) -> None:
-        """Advance by ``count`` time steps."""
-        self._mujoco.mj_step(self.model, self.data, nstep=count)
+    def step(self, count: int = 1, *, loose: bool = False) -> None:
+        """Advance by ``count`` time steps of the preset, in smaller ones where loose ropes whip.
+
+        Ropes that are picked up from the ground, or drawn straight, do so. Taut ones must not be
+        made stiffer at times: they would jerk, since they yield a little.
+
+        Parameters
+        ----------
+        loose: whether the ropes are not drawn tight, such that none pulls much.
+        """
+        time = TURNED / max(self._turning if loose else 0.0, TURNED / self._longest_edge_time)
+        time = min(max(time, TIGHTER * self._edge_time), LOOSER * self._edge_time)
+        self._edge_time = time = max(time, LEAST_EDGE_TIME * self._longest_edge_time)
+        step = self.ropes.preset.time_step
+        parts = max(1, math.ceil(EDGE_STEPS * step / time - ROUNDING))
+        if time >= self._longest_edge_time:
+            self._edge_time, parts = self._longest_edge_time, 1
+        self.model.opt.timestep = step / parts
+        self.model.eq_solref[:, 0] = self._edge_time
+        self._mujoco.mj_step(self.model, self.data, nstep=count * parts)
+
+    @property
+    def strains(self) -> Array:
+        """(edges,): relative changes of the segments' lengths."""
+        found: Array = self.data.flexedge_length / self.model.flexedge_length0 - 1.0
+        return found
+
+    @property
+    def _turning(self) -> float:
+        """Largest rate at which a link turns [rad/s]."""
+        velocities = self.data.qvel[self._vertex_dofs]
+        across = np.linalg.norm(np.diff(velocities, axis=0), axis=-1)
+        across[self._last_edges] = 0.0
+        return float(np.max(across)) / float(np.min(self.ropes.segment_lengths))
 
     def refine(self, factor: int) -> None:
         """Take steps of the preset's length over ``factor``; finer ropes are firmer as well."""

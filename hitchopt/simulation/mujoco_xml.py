@@ -26,8 +26,8 @@ EDGE_TIME, EDGE_IMPEDANCE = 0.002, 'solimp="0.999 0.9999 0.0005"'
 """Time constant [s] and impedances of the constraints on the ropes' lengths."""
 
 EDGE_STEPS = 2.5
-"""Time constant of the lengths in time steps where there are objects: ropes that hold them pull
-harder, and short segments would yield by a per cent."""
+"""Least time constant of the lengths in time steps; also what it is where there are objects: ropes
+that hold them pull harder, and short segments would yield by a per cent."""
 
 ROPES, GROUND = 1, 2
 """Collision groups besides OBJECTS: ropes meet ropes and the ground, drones the ground and objects,

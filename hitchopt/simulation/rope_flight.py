@@ -240,7 +240,8 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        world.step(fine * self._substeps)
+        loose = not np.any(self._task.tensions[index] > 0.0)
+        world.step(fine * self._substeps, loose=loose)
         check_valid(world, time)
         if self._feedback is not None and time >= 0.0:
             self._feedback.observe(time + self._period, self._least_bearing[index])

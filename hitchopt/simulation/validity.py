@@ -62,11 +62,11 @@ def check_valid(world: World, time: float) -> None:
     ------
     InvalidRunError: the state is not finite, or a limit is exceeded.
     """
-    data, model, ropes = world.data, world.model, world.ropes
+    data, ropes = world.data, world.ropes
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
         raise InvalidRunError("state", float("nan"), 0.0, "", time, "all")
-    finer = ropes.preset.time_step / model.opt.timestep
-    strain = np.abs(data.flexedge_length / model.flexedge_length0 - 1.0)
+    finer = ropes.preset.time_step / world.model.opt.timestep
+    strain = np.abs(world.strains)
     for quantity, values, limit, unit in (
         ("strain", strain, MOST_STRAIN, "m/m"),
         ("tension", tensions(world), finer**2 * ropes.largest_tension, "N"),

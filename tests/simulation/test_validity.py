@@ -10,8 +10,8 @@ import pytest
 from hitchopt.simulation.cable_shapes import hanging
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.simulation_settings import FAST
-from hitchopt.simulation.validity import InvalidRunError, check_valid, tensions
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST
+from hitchopt.simulation.validity import MOST_STRAIN, InvalidRunError, check_valid, tensions
 
 PLACES = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 3.0]])
 
@@ -70,3 +70,24 @@ def test_numbers_that_explode_end_the_run_and_leave_no_file(
         check_valid(world, 2.0)
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_rope_picked_up_from_the_ground_is_valid_since_its_lengths_answer_faster() -> None:
+    drones, lifted = np.array([[0.0, 0.0, 0.03], [0.6, 0.0, 0.03]]), []
+    for loose in (False, True):
+        found = World(Ropes(np.array([1.2]), 0.01, 0.0, ACCURATE), np.full(2, 0.13), rigid=False)
+        found.place(hanging(found.ropes, drones, 0.0))
+        step, worst = ACCURATE.time_step, 0.0
+        for k in range(int(0.9 / (5 * step))):
+            # Drones that are led upward at 1 m/s by a soft position loop.
+            goal = drones + [0.0, 0.0, 5 * step * k]
+            away = goal - found.drones, [0.0, 0.0, 1.0] - found.data.qvel[found.drone_dofs]
+            force = 40.0 * away[0] + 4.0 * away[1] + [0.0, 0.0, 9.81 * 0.136]
+            found.data.xfrc_applied[found.drone_bodies, :3] = force
+            found.step(5, loose=loose)
+            worst = max(worst, float(np.max(np.abs(found.strains))))
+            assert found.data.time == pytest.approx(5 * step * (k + 1))
+        assert np.min(found.nodes[:, 2]) > 0.1  # all of it has left the ground
+        lifted.append(worst)
+    assert lifted[0] > 1.3 * MOST_STRAIN
+    assert lifted[1] < 0.8 * MOST_STRAIN
