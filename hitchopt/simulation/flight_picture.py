@@ -85,10 +85,10 @@ def _draw_left(
     extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
     drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
     if len(shots) > FEW or not simulation.errors.t.size:
-        draw_storyboard(place, drawn, shots)
+        draw_storyboard(place, drawn, shots, (drawn.t, drawn.drones))
         return
     parts = place.subgridspec(2, 1, height_ratios=(1.0, 1.25))
-    draw_storyboard(parts[0], drawn, shots)
+    draw_storyboard(parts[0], drawn, shots, (drawn.t, drawn.drones))
     _draw_vertices(figure.add_subplot(parts[1]), simulation)
 
 

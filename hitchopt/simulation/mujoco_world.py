@@ -36,7 +36,6 @@ LEAST_EDGE_TIME = 0.06
 TIGHTER, LOOSER = 0.8, 1.05
 """Most that the time constant changes at once: taut ropes would jerk."""
 
-
 FIRM_STEPS = 2.2
 """Time constant of the ropes' lengths in refined steps; MuJoCo takes no less than 2."""
 
@@ -93,7 +92,6 @@ class World:
         text = describe(ropes, *drones_of, ground, gravity, self.objects)
         self.model = model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(model)
-        self._edge_times = model.eq_solref[:, 0].copy()
         names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
         drones: Index = np.array([model.body(name).id for name in names])
         nodes = np.setdiff1d(model.flex_vertbodyid, drones)
@@ -125,7 +123,7 @@ class World:
         self.data.qpos[self._drone_qpos] = ends - self._drone_origins
         self._mujoco.mj_forward(self.model, self.data)
 
-    def step(self, count: int = 1, *, loose: bool = False) -> None:
+    def step(self, count: int = 1, *, loose: bool = False, finer: int = 1) -> None:
         """Advance by ``count`` time steps of the preset, in smaller ones where loose ropes whip.
 
         Ropes that are picked up from the ground, or drawn straight, do so. Taut ones must not be
@@ -134,6 +132,7 @@ class World:
         Parameters
         ----------
         loose: whether the ropes are not drawn tight, such that none pulls much.
+        finer: least number of smaller steps for one of the preset's; ropes are firmer then as well.
         """
         time = TURNED / max(self._turning if loose else 0.0, TURNED / self._longest_edge_time)
         time = min(max(time, TIGHTER * self._edge_time), LOOSER * self._edge_time)
@@ -142,8 +141,10 @@ class World:
         parts = max(1, math.ceil(EDGE_STEPS * step / time - ROUNDING))
         if time >= self._longest_edge_time:
             self._edge_time, parts = self._longest_edge_time, 1
+        parts = max(parts, finer)
         self.model.opt.timestep = step / parts
-        self.model.eq_solref[:, 0] = self._edge_time
+        firm = FIRM_STEPS * step / parts if finer > 1 else math.inf
+        self.model.eq_solref[:, 0] = min(self._edge_time, firm)
         self._mujoco.mj_step(self.model, self.data, nstep=count * parts)
 
     @property
@@ -159,13 +160,6 @@ class World:
         across = np.linalg.norm(np.diff(velocities, axis=0), axis=-1)
         across[self._last_edges] = 0.0
         return float(np.max(across)) / float(np.min(self.ropes.segment_lengths))
-
-    def refine(self, factor: int) -> None:
-        """Take steps of the preset's length over ``factor``; finer ropes are firmer as well."""
-        step = self.ropes.preset.time_step / factor
-        self.model.opt.timestep = step
-        firm = FIRM_STEPS * step if factor > 1 else self._edge_times
-        self.model.eq_solref[:, 0] = np.minimum(self._edge_times, firm)
 
     @property
     def nodes(self) -> Array:

@@ -216,7 +216,6 @@ class _Run:
         if self._lost is not None and time >= self._lost[1]:
             self._motors.stop(self._lost[0])
             fine = self._fine if time < self._lost[1] + FALLING else 1
-        world.refine(fine)
         setpoints, gains = self._setpoints[index], self._gains
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
         measured = world.drones + disturbances.noise.advance(self._period)
@@ -241,7 +240,7 @@ class _Run:
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
         loose = not np.any(self._task.tensions[index] > 0.0)
-        world.step(fine * self._substeps, loose=loose)
+        world.step(self._substeps, loose=loose, finer=fine)
         check_valid(world, time)
         if self._feedback is not None and time >= 0.0:
             self._feedback.observe(time + self._period, self._least_bearing[index])
