@@ -11,7 +11,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.fitting.fit import GRIP, REST, Fit
 from hitchopt.fitting.fit_picture import save_fit_picture
 from hitchopt.holding.capacity import Capacity
-from hitchopt.holding.grip import Grip
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.storage.strict_json import write_strict_json
 
 FORMAT = "hitchopt-fit/1"
@@ -44,8 +44,8 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "grip": None,
         "rest": None,
     }
-    if isinstance(holding.grip, Grip):
-        grip = holding.grip
+    if isinstance(holding.grip_statics, Grip):
+        grip = holding.grip_statics
         content["grip"] = {
             "polygon": grip.vertices[:, :2].tolist(),
             "wraps_deg": np.degrees(grip.wraps.angles).tolist(),

@@ -15,7 +15,7 @@ from hitchopt.fitting.fit import Fit
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.holding.capacity import Capacity
-from hitchopt.holding.grip import Grip
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.objects import Section
 from hitchopt.values import Array
 from hitchopt.view.house_colours import COLOURS
@@ -40,8 +40,8 @@ def draw_fit(fit: Fit) -> Figure:
     axes[0].set_ylabel("y [m]")
     _draw_hitch(axes[0], fit, fit.enclosing)
     axes[0].set_title(f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m")
-    if isinstance(holding.grip, Grip):
-        _draw_grip(axes[1], holding.grip)
+    if isinstance(holding.grip_statics, Grip):
+        _draw_grip(axes[1], holding.grip_statics)
     axes[1].set_title(_held("grip", holding.grip_capacity))
     if not isinstance(holding.rest, InfeasibleError):
         _draw_hitch(axes[2], fit, holding.rest)
