@@ -24,14 +24,14 @@ def _polygons(fit: Fit) -> str:
 
     holding = fit.holding
     title = f"Polygons of {holding.robots} cables of {holding.cable_length:.2f} m"
-    wraps = isinstance(holding.grip_statics, Grip)
+    wraps = isinstance(holding.grip, Grip)
     numbers = ["enclosing [m]", "gripping [m]", "wrap [°]", "resting [m]"]
     table = new_table(title, ["vertex"], numbers)
     for k in range(holding.robots):
         grip, wrap, rest = "–", "–", "–"
-        if wraps and isinstance(holding.grip_statics, Grip):
-            grip = _point(holding.grip_statics.vertices[k, :2])
-            wrap = f"{np.degrees(holding.grip_statics.wraps.angles[k]):.1f}"
+        if wraps and isinstance(holding.grip, Grip):
+            grip = _point(holding.grip.vertices[k, :2])
+            wrap = f"{np.degrees(holding.grip.wraps.angles[k]):.1f}"
         if not isinstance(holding.rest, InfeasibleError):
             rest = _point(holding.rest.vertices[k])
         table.add_row(f"p{k}", _point(holding.enclosing.vertices[k]), grip, wrap, rest)

@@ -44,8 +44,8 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "grip": None,
         "rest": None,
     }
-    if isinstance(holding.grip_statics, Grip):
-        grip = holding.grip_statics
+    if isinstance(holding.grip, Grip):
+        grip = holding.grip
         content["grip"] = {
             "polygon": grip.vertices[:, :2].tolist(),
             "wraps_deg": np.degrees(grip.wraps.angles).tolist(),

@@ -40,8 +40,8 @@ def draw_fit(fit: Fit) -> Figure:
     axes[0].set_ylabel("y [m]")
     _draw_hitch(axes[0], fit, fit.enclosing)
     axes[0].set_title(f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m")
-    if isinstance(holding.grip_statics, Grip):
-        _draw_grip(axes[1], holding.grip_statics)
+    if isinstance(holding.grip, Grip):
+        _draw_grip(axes[1], holding.grip)
     axes[1].set_title(_held("grip", holding.grip_capacity))
     if not isinstance(holding.rest, InfeasibleError):
         _draw_hitch(axes[2], fit, holding.rest)
