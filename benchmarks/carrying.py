@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.carrying [CASE ...] [--runs N] [--seed S] [--preset NAME]
 
 Cases: tray-3, tray-4, tray-6, drum-3, box-4; by default all. Hours with 40 runs each and the
-accurate preset. A run is written to benchmarks/results/carrying.csv as it ends, and not flown again;
+accurate preset. A run is written to benchmarks/results/carrying.csv as it ends, not flown again;
 the table of all runs so far is benchmarks/results/carrying.md.
 
 Trays of 0.6 m with 200 g stand on the ground, are taken by their rims by a hitch that is tied from
