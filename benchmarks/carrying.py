@@ -2,12 +2,14 @@
 
 Usage: python -m benchmarks.carrying [CASE ...] [--runs N] [--seed S] [--preset NAME]
 
-Cases: tray-3, tray-4, tray-6; by default all. Hours with 40 runs each and the accurate preset. A
-run is written to benchmarks/results/carrying.csv as it ends, and not flown again; the table of all
-runs so far is benchmarks/results/carrying.md.
+Cases: tray-3, tray-4, tray-6, drum-3, box-4; by default all. Hours with 40 runs each and the
+accurate preset. A run is written to benchmarks/results/carrying.csv as it ends, not flown again;
+the table of all runs so far is benchmarks/results/carrying.md.
 
 Trays of 0.6 m with 200 g stand on the ground, are taken by their rims by a hitch that is tied from
-the ground, carried 1.5 m, set down and left; the hitch is untied and lands.
+the ground, carried 1.5 m, set down and left; the hitch is untied and lands. Drums of 0.4 m with
+100 g and boxes of 0.4 m × 0.3 m with 60 g have no rim: they are gripped with 1.3 N, the cables'
+friction of 0.15 on each other known.
 """
 
 from __future__ import annotations
@@ -40,7 +42,16 @@ COLUMNS = (
 )
 
 CABLES = {3: 2.2, 4: 1.8, 6: 1.4}
-"""Cable lengths [m] by number of robots."""
+"""Cable lengths [m] by number of robots, for trays."""
+
+GRIPPED = {3: 1.6, 4: 1.3}
+"""The same for what is gripped."""
+
+PULL, FRICTION = 1.3, 0.15
+"""Tension with which it is gripped [N], and the cables' friction on each other."""
+
+SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
+"""Outline of the box [m]."""
 
 AWAY, BY, ALTITUDE = 2.2, 1.5, 1.3
 """Where the tray stands in x, how far it is carried in y, and the height at which hitches are tied
@@ -52,26 +63,37 @@ TIED, STARTS = 0.4, 1.0
 
 def tray(n: int) -> dict[str, Any]:
     """Return the problem of n robots and a tray, with the keys of a problem file."""
+    rim = {"circle": 0.3, "at": 0.25}
+    return carried(n, CABLES[n], {"circle": 0.1, "to": 0.3, "mass": 0.2, "rim": rim})
+
+
+def gripped(n: int) -> dict[str, Any]:
+    """Return the problem of three robots and a drum, or four and a box."""
+    drum = {"circle": 0.2, "mass": 0.1, "friction": 0.5}
+    box = {"outline": SIDES, "mass": 0.06, "friction": 0.8}
+    problem = carried(n, GRIPPED[n], drum if n == 3 else box)
+    problem["team"]["cable_friction"] = FRICTION
+    problem["mission"][1]["transport_object"]["tension"] = PULL
+    return problem
+
+
+def carried(n: int, cable: float, body: dict[str, Any]) -> dict[str, Any]:
+    """Return the problem of n robots with cables of a length [m] that carry an object."""
     angles = -2.0 * np.pi * np.arange(n) / n
     polygon = TIED * np.column_stack([np.cos(angles), np.sin(angles)])
     onward = np.roll(polygon, -1, axis=0)
     along = (onward - polygon) / np.linalg.norm(onward - polygon, axis=1, keepdims=True)
     outward = (onward + polygon) / np.linalg.norm(onward + polygon, axis=1, keepdims=True)
-    half = 0.375 * min(CABLES[n], 2.0 * STARTS * np.tan(np.pi / n))
+    half = 0.375 * min(cable, 2.0 * STARTS * np.tan(np.pi / n))
     q, r = (np.pad(STARTS * outward + s * half * along, ((0, 0), (0, 1))) for s in (-1.0, 1.0))
     return {
-        "team": {"robots": n, "cable_length": CABLES[n], "cable_density": 0.01, "tension": 1.0},
+        "team": {"robots": n, "cable_length": cable, "cable_density": 0.01, "tension": 1.0},
         "limits": {"tilt_deg": 60},
-        "objects": {
-            "tray": {
-                **{"circle": 0.1, "to": 0.3, "mass": 0.2, "at": [AWAY, 0.0, 0.0]},
-                "rim": {"circle": 0.3, "at": 0.25},
-            }
-        },
+        "objects": {"carried": {**body, "at": [AWAY, 0.0, 0.0]}},
         "start": {"drones": {"q": q.tolist(), "r": r.tolist()}},
         "mission": [
             {"form": {"polygon": polygon.tolist(), "altitude": ALTITUDE}},
-            {"transport_object": {"object": "tray", "to": [AWAY, BY, 0.0]}},
+            {"transport_object": {"object": "carried", "to": [AWAY, BY, 0.0]}},
             {"transport": {"to": [0.0, BY, ALTITUDE]}},
             {"release": {}},
             {"land": {}},
@@ -79,7 +101,12 @@ def tray(n: int) -> dict[str, Any]:
     }
 
 
-CASES = {f"tray-{n}": n for n in CABLES}
+CASES = {
+    **{f"tray-{n}": tray(n) for n in CABLES},
+    "drum-3": gripped(3),
+    "box-4": gripped(4),
+}
+"""Problems by names."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -94,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"cases are {', '.join(CASES)}")
     settings = Settings(preset=PRESETS[given.preset], perturbations=USUAL, pull_test=False)
     for case in given.cases or CASES:
-        task = planned(tray(CASES[case]), case)
+        task = planned(CASES[case], case)
         flown = {(row["case"], row["preset"], int(row["seed"])) for row in rows()}
         for seed in range(given.seed, given.seed + given.runs):
             if task is not None and (case, given.preset, seed) not in flown:
@@ -147,7 +174,7 @@ def summarise() -> None:
     """Write the table of all runs so far."""
     found = rows()
     lines = [
-        "# Trays carried from the ground and back, perturbed",
+        "# Objects carried from the ground and back, perturbed",
         "",
         environment(("mujoco",)),
         "",

@@ -48,7 +48,7 @@ from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swar
 from hitchopt.hitch.assignment import Assignment as Assignment
 from hitchopt.hitch.hanging_cable import hanging_cable as hanging_cable
 from hitchopt.holding.capacity import Capacity as Capacity
-from hitchopt.holding.grip import Grip as Grip
+from hitchopt.holding.grip_statics import Grip as Grip
 from hitchopt.mission.loading import (
     load_problem as load_problem,
     load_swarm as load_swarm,

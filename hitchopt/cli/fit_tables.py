@@ -20,7 +20,7 @@ def fit_tables(fit: Fit) -> str:
 
 
 def _polygons(fit: Fit) -> str:
-    from hitchopt.holding.grip import Grip
+    from hitchopt.holding.grip_statics import Grip
 
     holding = fit.holding
     title = f"Polygons of {holding.robots} cables of {holding.cable_length:.2f} m"

@@ -14,9 +14,9 @@ from hitchopt.fitting.given_outline import section_of
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.holding.capacity import Capacity
-from hitchopt.holding.grip import Grip
 from hitchopt.holding.grip_limits import largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.holding.resting_mass import rest_capacity
 from hitchopt.objects import Section
 from hitchopt.one_line import OneLine

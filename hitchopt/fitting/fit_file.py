@@ -11,7 +11,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.fitting.fit import GRIP, REST, Fit
 from hitchopt.fitting.fit_picture import save_fit_picture
 from hitchopt.holding.capacity import Capacity
-from hitchopt.holding.grip import Grip
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.storage.strict_json import write_strict_json
 
 FORMAT = "hitchopt-fit/1"

@@ -15,7 +15,7 @@ from hitchopt.fitting.fit import Fit
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.holding.capacity import Capacity
-from hitchopt.holding.grip import Grip
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.objects import Section
 from hitchopt.values import Array
 from hitchopt.view.house_colours import COLOURS

@@ -9,7 +9,7 @@ import numpy as np
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import GRAVITY, Quadrotor
-from hitchopt.holding.grip import Grip
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array, Indices
 

@@ -19,8 +19,8 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import TIE
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.capacity import Capacity, largest_mass
-from hitchopt.holding.grip import Grip
 from hitchopt.holding.grip_limits import grip_margins
+from hitchopt.holding.grip_statics import Grip
 from hitchopt.objects import Section
 from hitchopt.requirements import Requirements
 from hitchopt.time_limit import check_time

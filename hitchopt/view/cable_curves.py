@@ -24,6 +24,7 @@ from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
+from hitchopt.view.wrapped_edges import wrapped_lengths, wrapped_points
 
 LEG, BEND, EDGE = 6, 9, 9
 """Number of points of a leg, a bend and an edge."""
@@ -87,7 +88,10 @@ def cable_curves(motion: Motion, states: States, thickness: float = THICKNESS) -
         some = np.flatnonzero(hooked > 0.0)
         vertices = motion.vertices.at(motion.vertices.breaks[0] + times[some])
         radius = min(radius, _largest_radius(motion.team.layout, states.positions[some], vertices))
-        bent = _bent(motion, states.positions[some], vertices, BEND_RADIUS * radius)
+        contacts = None
+        if motion.contacts is not None:
+            contacts = motion.contacts.at(motion.contacts.breaks[0] + times[some])
+        bent = _bent(motion, states.positions[some], vertices, BEND_RADIUS * radius, contacts)
         free = _hanging(motion, states.positions[some], _shares(bent))
         share = hooked[some, None, None, None]
         points[some] = share * bent + (1.0 - share) * free
@@ -179,13 +183,20 @@ def _sagging(first: Array, second: Array, hung: Catenary, mu: Array) -> Array:
     return np.asarray(points)
 
 
-def _bent(motion: Motion, drones: Array, vertices: Array, radius: float) -> Array:
-    """Return hooked cables (times, n, POINTS, 3); bends have a radius [m]."""
+def _bent(
+    motion: Motion, drones: Array, vertices: Array, radius: float, contacts: Array | None
+) -> Array:
+    """Return hooked cables (times, n, POINTS, 3); bends have a radius [m].
+
+    Contacts (times, n, 2, 3) [m] are where edges are wrapped around something.
+    """
     team, layout = motion.team, motion.team.layout
     q, r = drones[:, 0::2], drones[:, 1::2]
     a, b = vertices[:, layout.starts], vertices[:, layout.ends]
     ends = ((q, a), (a, b), (b, r))
     chords = np.stack([np.linalg.norm(y - x, axis=-1) for x, y in ends], axis=-1)
+    if contacts is not None:
+        chords[..., 1] = wrapped_lengths(a, b, contacts)
     extra = team.cable_length - np.sum(chords, axis=-1)
     straight = NO_SLACK * team.cable_length if team.cable_density == 0.0 else 0.0
     extra = np.where(extra <= straight, 0.0, extra)
@@ -201,6 +212,12 @@ def _bent(motion: Motion, drones: Array, vertices: Array, radius: float) -> Arra
         _cut_span(x, y, lengths[..., i], cuts[i], count)
         for i, ((x, y), count) in enumerate(zip(ends, (LEG, EDGE, LEG), strict=True))
     ]
+    if contacts is not None:
+        wrapped = np.any(contacts[..., 0, :] != 0.5 * (a + b), axis=-1)
+        before, after = (edge_trims[0][..., None], edge_trims[1][..., None])
+        shares = before + (1.0 - before - after) * np.linspace(0.0, 1.0, EDGE)
+        around = wrapped_points(a, b, contacts, shares)
+        parts[1] = np.where(wrapped[..., None, None], around, parts[1])
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
 
 

@@ -274,8 +274,8 @@ def _shift(T: Array, leaving: Array, arriving: Array, pulled: Array) -> Array:
         force = force + sign * np.sum(T[..., None] * along, axis=-2)
         across = np.eye(2) - along[..., :, None] * along[..., None, :]
         stiffness = stiffness + np.sum((T / length(part))[..., None, None] * across, axis=-3)
-    shift: Array = -np.linalg.solve(stiffness, force[..., None])[..., 0]
-    return shift
+    shift = np.linalg.solve(stiffness, -force[..., None])[..., 0]
+    return np.asarray(shift, dtype=np.float64)
 
 
 def _heights(T: Array, leaving: Array, arriving: Array, arms: Array, weight: Array) -> Array:
