@@ -1,7 +1,7 @@
 """Vertex errors of simulated flights of Experiment 2 with and without feedback.
 
 Usage: python -m benchmarks.feedback [--preset fast|accurate] [--friction MU …] [--seeds N]
-       [--without]
+       [--flights with|without|both]
 
 The plan knows neither friction nor weight of its cables. Vertices are measured with noise of 1 cm
 per axis and a delay of 50 ms. Errors are distances in three dimensions, sag included, over all
@@ -25,6 +25,7 @@ from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import PRESETS, Perturbations, Settings
 
 PROBLEM = Path(__file__).parents[1] / "problems" / "paper_experiment_2.yaml"
+FLIGHTS = {"with": (True,), "without": (False,), "both": (True, False)}
 MEASURED = Perturbations(vertex_noise=0.01, vertex_delay=0.05)
 
 
@@ -55,7 +56,7 @@ def main() -> None:
     parser.add_argument("--preset", choices=sorted(PRESETS), default="accurate")
     parser.add_argument("--friction", type=float, nargs="*", default=[0.1, 0.3])
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--without", action="store_true", help="flights without feedback too")
+    parser.add_argument("--flights", choices=sorted(FLIGHTS), default="both")
     given = parser.parse_args()
     versions = f"Python {platform.python_version()}, MuJoCo {mujoco.__version__}"
     print(f"{platform.machine()}, {versions}, preset {given.preset}\n")
@@ -67,7 +68,7 @@ def main() -> None:
         task = read_task(ho.solve(PROBLEM).save(Path(place) / "plan"))
     for friction in given.friction:
         for seed in range(given.seeds):
-            for feedback in (True, False) if given.without else (True,):
+            for feedback in FLIGHTS[given.flights]:
                 print(row(task, given.preset, friction, seed, feedback=feedback), flush=True)
 
 

@@ -63,16 +63,16 @@ def goal(rng: Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, Any]:
     kind = rng.integers(3)
     base = first.polygon.vertices - first.polygon.centroid
     size = float(np.min(np.linalg.norm(base, axis=1)))
-    spread = 0.12 * size if len(base) == 3 else 0.02 * size
+    spread = 0.35 * size if len(base) == 3 else 0.03 * size
     if kind == 0:
-        moved = rng.uniform(0.9, 1.1) * base + rng.uniform(-spread, spread, base.shape)
+        moved = rng.uniform(0.85, 1.1) * base + rng.uniform(-spread, spread, base.shape)
         return {"polygon": moved + now.polygon.centroid + rng.uniform(-0.3, 0.3, 2)}
     if kind == 1:
         k = int(rng.integers(len(base)))
         own = now.polygon.vertices[k]
         return {"vertex": k, "to": own + rng.uniform(-spread, spread, 2)}
     place = rng.uniform([-1.0, -1.0, 0.8], [1.0, 1.0, 1.6])
-    return {"to": place, "yaw": float(rng.uniform(-0.5, 0.5))}
+    return {"to": place, "yaw": float(rng.uniform(-2.0, 2.0))}
 
 
 def from_rest(now: ho.Hitch, asked: dict[str, Any]) -> bool:

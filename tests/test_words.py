@@ -48,6 +48,7 @@ METHODS = frozenset(
         "mirrored",
         "pause",
         "renumbered",
+        "retarget",
         "resume",
         "rotated",
         "to_dataframe",

@@ -34,8 +34,8 @@ LEAD = 0.4
 UNWINDING = 0.5
 """[s] Time constant with which the integral forgets what could not be commanded."""
 
-SMOOTHING = 0.1
-"""[s] Time constant of the filter of errors: of 1 cm of white noise at 100 Hz 2 mm are left."""
+SMOOTHING = 0.2
+"""[s] Time constant of the filter of errors: 1 cm of white noise at 100 Hz leaves 2 mm."""
 
 LARGEST_ERROR = 0.5
 """[m] A measured error larger than this is no error of a vertex, but a false measurement."""

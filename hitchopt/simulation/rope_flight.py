@@ -257,6 +257,8 @@ class _Run:
         """Record a sample at ``time`` [s], at which setpoint ``index`` applies."""
         least = self._least_bearing[index]
         commanded = self._setpoints.positions[index]
+        if self._feedback is not None:
+            commanded = commanded + self._feedback.offsets
         self._recorder.sample(time, commanded, least)
 
     def flight(self, error: InvalidRunError | None) -> Flight:

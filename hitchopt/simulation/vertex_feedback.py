@@ -52,6 +52,11 @@ class VertexFeedback:
         self._waiting: deque[tuple[float, Array]] = deque()
         self._measured = 0.0
 
+    @property
+    def offsets(self) -> Array:
+        """(2n, 3) [m]: corrections of the setpoints in force."""
+        return self._feedback.offsets
+
     def corrected(
         self, setpoints: Setpoints, time: float, seconds: float, drones: Array
     ) -> Setpoints:
