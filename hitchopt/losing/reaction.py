@@ -2,10 +2,10 @@
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones above others go aside and land by themselves. A hitch lets all
-tension go at once, so that the lost drone's cable may run; where the drone hangs still once it has
-swung down, survivors come to pull as its weight needs, until it lies on the ground. Where cables hang free the lost
-drone has to reach the ground before its cable is taut, since no drone carries two.
+on the ground; drones above others go aside and land by themselves. A hitch lets all tension go at
+once, so that the lost drone's cable may run; where the drone hangs still once it has swung down,
+survivors come to pull as its weight needs, until it lies on the ground. Where cables hang free the
+lost drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations

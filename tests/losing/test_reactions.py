@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import hitchopt as ho
+from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.losing.falling import GAIN, STIFFER, Rest, free_fall, resting_place, swings
@@ -116,6 +118,19 @@ def test_swings_are_arcs_about_the_clasp() -> None:
     assert np.min(np.linalg.norm(arcs - start, axis=-1)) < 1e-12
     assert (np.min(radii), np.max(radii)) == (pytest.approx(0.4), pytest.approx(0.9))
     assert np.min(swings(clasp, start, 3.0, 0.0)[:, 2]) == 0.0
+
+
+def test_the_command_line_tells_losses(tmp_path: Path) -> None:
+    plan_of(1.0).save(tmp_path)
+    shown = CliRunner().invoke(main, ["check", str(tmp_path), "--survivable"])
+    assert shown.exit_code == 0
+    (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
+    assert row.split()[1] == "1"
+    for given in ("q9@0.5", "q0@99", "q0"):
+        refused = CliRunner().invoke(main, ["simulate", str(tmp_path), "--lose", given])
+        assert refused.exit_code == 2
+    together = ["simulate", str(tmp_path), "--lose", "q0@0.5", "--runs", "2"]
+    assert CliRunner().invoke(main, together).exit_code == 2
 
 
 def hovering(altitude: float) -> Motion:
