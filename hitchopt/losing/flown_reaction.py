@@ -14,10 +14,10 @@ from hitchopt.simulation.flight_task import SAME_TIME, Setpoints, Task
 from hitchopt.values import Array
 
 RATE = 100.0
-"""[Hz] Of the setpoints of a reaction."""
+"""[Hz] Rate of the setpoints of a reaction."""
 
 FADING = 0.1
-"""[s] In which survivors let a lost drone go that lies on the ground."""
+"""[s] Time in which survivors let go of a lost drone that lies on the ground."""
 
 
 def reacting(task: Task, reaction: Reaction) -> Task:

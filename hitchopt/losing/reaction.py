@@ -31,19 +31,19 @@ from hitchopt.stopping.abort import Aborts
 from hitchopt.values import Array, not_negative
 
 DELAY = 0.05
-"""[s] From the loss until the survivors react."""
+"""[s] Time from the loss until the survivors react."""
 
 LEAST_LEG = 0.05
-"""[m] To which a partner's leg becomes shorter when it gives way."""
+"""[m] Length of a partner's leg that remains when it gives way."""
 
 HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
 
 SWING = 0.8
-"""[s] After its loss a drone has swung down: one that lies on the ground by then is not held."""
+"""[s] Time in which a lost drone swings down: one that lies on the ground then is not held."""
 
 CAUGHT = (1.0, 2.0)
-"""[s] From the loss: in this span survivors come to pull as a drone needs that hangs."""
+"""[s] Times after the loss between which survivors come to pull as a hanging drone needs."""
 
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
@@ -172,7 +172,7 @@ class Reactions:
 
     def _course(self, time: float) -> Course:
         motion = self.motion
-        if motion.poses is not None or motion.requirements.objects:
+        if motion.team.has_cables and motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
         begins = min(time + DELAY, motion.duration)
         stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
