@@ -164,10 +164,11 @@ def _lost(
         return settings, task
     found = Reactions(read_plan(directory / PLAN)).found(loss.drone, loss.time)
     course = found.course
+    held = "" if found.held is None else f"{loss.drone} is held until {found.held.ends:.3f} s, "
     say(
-        f"reaction: from t = {course.begins:.3f} s, tension is let go at {found.lets_go:.3f} s, on "
-        f"the ground at {course.duration:.3f} s; hovering with {loss.drone} on its cable takes up "
-        f"to {found.thrust:.0%} of a thrust"
+        f"reaction: tension is let go at t = {course.begins:.3f} s, {held}all are on the ground at "
+        f"{course.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} of a "
+        "thrust"
     )
     return settings, reacting(task, found)
 

@@ -43,7 +43,7 @@ REACHES = 5
 """Number of radii of these arcs, from its leg to what it has when it hangs."""
 
 STEP = 0.02
-"""[s] Between samples of a free fall."""
+"""[s] Time between samples of a free fall."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,10 @@ from hitchopt.simulation.flight_task import SAME_TIME, Setpoints, Task
 from hitchopt.values import Array
 
 RATE = 100.0
-"""[Hz] Of the setpoints of a reaction."""
-
-CAUGHT = (0.5, 1.0)
-"""[s] From the loss: while the lost drone swings down survivors pull as before, such that its cable
-may run; in this span they come to pull as it needs to hang."""
+"""[Hz] Rate of the setpoints of a reaction."""
 
 FADING = 0.1
-"""[s] In which survivors that let go late let their feed-forward fade."""
+"""[s] Time in which survivors let go of a lost drone that lies on the ground."""
 
 
 def reacting(task: Task, reaction: Reaction) -> Task:
@@ -41,18 +37,13 @@ def reacting(task: Task, reaction: Reaction) -> Task:
     kept = formed[:, None]
     vertices = np.concatenate([states.vertices for _, states in rows])
     tensions = np.concatenate([states.tensions for _, states in rows])
-    fed = _fed(times, reaction)
     after = Setpoints(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
             for field in fields(Setpoints)
         )
     )
-    forces = after.cable_forces
-    if reaction.pulls is not None:
-        held = _risen(times - reaction.course.time)[:, None, None]
-        forces = (1.0 - held) * forces + held * reaction.pulls
-    after = replace(after, cable_forces=fed[:, None, None] * forces)
+    after = replace(after, cable_forces=_forces(times, reaction))
     whole = {
         field.name: np.concatenate(
             [getattr(task.setpoints, field.name)[first], getattr(after, field.name)]
@@ -96,15 +87,12 @@ def _setpoints(states: States) -> Setpoints:
     )
 
 
-def _risen(since: Array) -> Array:
-    """Return (k,) the share of what cables pull with the lost drone hanging, after its loss [s]."""
-    risen: Array = np.clip((since - CAUGHT[0]) / (CAUGHT[1] - CAUGHT[0]), 0.0, 1.0)
-    return risen
-
-
-def _fed(times: Array, reaction: Reaction) -> Array:
-    """Return (k,) the share of the cable forces that is fed forward at times [s]."""
-    if reaction.lets_go <= reaction.course.begins:
-        return np.where(times < reaction.lets_go, 1.0, 0.0)
-    share: Array = 1.0 - np.clip((times - reaction.lets_go) / FADING, 0.0, 1.0)
-    return share
+def _forces(times: Array, reaction: Reaction) -> Array:
+    """Return (k, 2n, 3) [N] what is fed forward at times [s]."""
+    held = reaction.held
+    if held is None:
+        return np.zeros((len(times), reaction.course.sinking.team.drones, 3))
+    risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
+    fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
+    forces: Array = (risen * (1.0 - fallen))[:, None, None] * held.pulls
+    return forces

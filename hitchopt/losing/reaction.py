@@ -2,10 +2,10 @@
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones above others go aside and land by themselves. A hitch whose lost drone hangs
-keeps its tension until that lies on the ground; one whose lost drone is on the ground once it has
-swung down lets all tension go at once, which lets its cable run. Where cables hang free the lost
-drone has to reach the ground before its cable is taut, since no drone carries two.
+on the ground; drones above others go aside and land by themselves. A hitch lets all tension go at
+once, so that the lost drone's cable may run; where the drone hangs still once it has swung down,
+survivors come to pull as its weight needs, until it lies on the ground. Where cables hang free the
+lost drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from hitchopt.checks.bounds.static_thrust import largest_static_thrust
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.losing.falling import free_fall, resting_place, swings
+from hitchopt.hitch import GRAVITY
+from hitchopt.losing.falling import GAIN, free_fall, resting_place, swings
 from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
@@ -30,13 +31,19 @@ from hitchopt.stopping.abort import Aborts
 from hitchopt.values import Array, not_negative
 
 DELAY = 0.05
-"""[s] From the loss until the survivors react."""
+"""[s] Time from the loss until the survivors react."""
+
+LEAST_LEG = 0.05
+"""[m] Length of a partner's leg that remains when it gives way."""
 
 HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
 
 SWING = 0.8
-"""[s] After its loss a drone has swung down: one that lies on the ground by then is not held."""
+"""[s] Time in which a lost drone swings down: one that lies on the ground then is not held."""
+
+CAUGHT = (1.0, 2.0)
+"""[s] Times after the loss between which survivors come to pull as a hanging drone needs."""
 
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
@@ -92,27 +99,42 @@ class Course(OneLine):
 
 
 @dataclass(frozen=True, eq=False)
+class Held(OneLine):
+    """How survivors hold a lost drone that hangs.
+
+    Attributes
+    ----------
+    pulls: (2n, 3) [N], of the cables while it hangs, which survivors feed forward.
+    begins, full: times from which on they pull, and from which on they do so fully [s].
+    ends: time at which it lies on the ground, and they let go again [s].
+    """
+
+    pulls: Array
+    begins: float
+    full: float
+    ends: float
+
+
+@dataclass(frozen=True, eq=False)
 class Reaction(OneLine):
     """A certified reaction to the loss of a drone.
 
     Attributes
     ----------
     drone: that is lost.
-    course: what survivors fly.
-    lets_go: time at which all survivors let tension go [s].
+    course: what survivors fly; when it begins they let all tension go.
     thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
         its largest one.
     nearest: smallest separation of a survivor and the lost drone, or another one, as a ratio.
-    pulls: (2n, 3) [N], of the cables while the lost drone hangs, which survivors feed forward once
-        it has swung down; None where it does not hang.
+    held: how they hold the lost drone once it has swung down; None where it lies on the ground by
+        then, or no clasp holds its cable.
     """
 
     drone: str
     course: Course
-    lets_go: float
     thrust: float
     nearest: float
-    pulls: Array | None = None
+    held: Held | None = None
 
 
 class Reactions:
@@ -150,7 +172,7 @@ class Reactions:
 
     def _course(self, time: float) -> Course:
         motion = self.motion
-        if motion.poses is not None or motion.requirements.objects:
+        if motion.team.has_cables and motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
         begins = min(time + DELAY, motion.duration)
         stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
@@ -179,7 +201,7 @@ class Reactions:
         floor = motion.requirements.floor
         rest = resting_place(motion, states, lost)
         if rest is None:
-            raise _none(course.time, f"no rest was found with {drone} on its cable")
+            return self._dropped(course, drone, lost, states)
         if rest.thrust > 1.0:
             raise _none(course.time, f"{drone} on its cable takes {rest.thrust:.0%} of a thrust")
         others, point = np.arange(team.drones) != lost, team.layout.pulled_to[lost]
@@ -193,14 +215,42 @@ class Reactions:
         )
         if nearest < 1.0:
             raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
-        lets_go, pulls = course.begins, None
         t = np.linspace(course.begins, course.sinking.duration, 400)
         sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
         there = np.flatnonzero(sunk_by >= end[2] - floor)
         lands = float(t[there[0]]) if len(there) else course.sinking.duration
-        if not rest.lies and lands > course.time + SWING:
-            lets_go, pulls = lands, rest.pulls
-        return Reaction(drone, course, lets_go, rest.thrust, nearest, pulls)
+        held = None
+        if not rest.lies and lands > course.time + CAUGHT[0]:
+            held = Held(rest.pulls, course.time + CAUGHT[0], course.time + CAUGHT[1], lands)
+        return Reaction(drone, course, rest.thrust, nearest, held)
+
+    def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
+        """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.
+
+        All let go, and the partner gives way as far as the weight moves it: that and what the team
+        has sunk once the lost drone has swung down must reach to the ground.
+        """
+        motion, team = self.motion, self.motion.team
+        points, partner = team.layout.pulled_to, lost ^ 1
+        clasps, floor = states.vertices[points], motion.requirements.floor
+        legs = states.positions - clasps
+        lengths = np.linalg.norm(legs, axis=-1)
+        gives = GRAVITY / GAIN * float(team.mass[lost] / team.mass[partner])
+        gives = min(gives, float(lengths[partner]) - LEAST_LEG)
+        when = min(course.time + SWING, course.sinking.duration)
+        sunk_by = float(states.positions[lost, 2] - course.sinking.drones.at(when)[lost, 2])
+        above = float(clasps[lost, 2]) - floor - float(lengths[lost]) - gives - sunk_by
+        if above > 0.0:
+            words = f"no rest was found with {drone} on its cable, {above:.2g} m above the ground"
+            raise _none(course.time, words)
+        moved = states.positions.copy()
+        moved[partner] -= gives * legs[partner] / lengths[partner]
+        others = np.arange(team.drones) != lost
+        arcs = swings(clasps[lost], states.positions[lost], float(lengths[lost]) + gives, floor)
+        nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
+        if nearest < 1.0:
+            raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
+        return Reaction(drone, course, largest_static_thrust(motion), nearest)
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""
@@ -225,7 +275,7 @@ class Reactions:
                 height = places[np.argmax(taut), 2] - motion.requirements.floor
                 words = f"{drone} hangs on its partner {height:.2g} m above the ground"
                 raise _none(course.time, words)
-        return Reaction(drone, course, course.begins, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest)
 
     def _lying(self, course: Course, others: Array, place: Array, drone: str) -> float:
         """Return the smallest separation of survivors and a drone that lies on the ground."""
