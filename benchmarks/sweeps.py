@@ -35,6 +35,10 @@ LONGEST = 12.0
 """Longest time until something is killed [s]: rows arrive from the fifth second on."""
 
 
+PATIENCE = 5.0
+"""How long a process is given to end by itself [s]."""
+
+
 def study(plans: int) -> dict[str, Any]:
     """Return a study of so many triangles, all different."""
     drawn = {"random": {"from": 0.2, "to": 0.8}}
@@ -121,7 +125,11 @@ def one_run(place: Path, chance: random.Random, kill: bool) -> bool:
         for process in (client, worker, scheduler, *victims.values()):
             if process.poll() is None:
                 process.terminate()
-                process.wait()
+                try:
+                    process.wait(PATIENCE)
+                except subprocess.TimeoutExpired:  # a worker without scheduler may wait for it
+                    process.kill()
+                    process.wait()
 
 
 def _start(module: str, *arguments: str) -> subprocess.Popen[bytes]:

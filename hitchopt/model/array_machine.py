@@ -29,7 +29,7 @@ OPERATIONS: dict[int, np.ufunc] = {
 }
 """Operations of casadi that are one of numpy's."""
 
-CHUNK = 1024
+CHUNK = 2048
 """Number of columns at a time, such that all intermediate values stay in the processor's cache."""
 
 

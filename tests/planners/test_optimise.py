@@ -16,6 +16,7 @@ from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram
+from hitchopt.planners.optimise.search_task import Effort
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.planners.timing.flight_curves import Flight
@@ -133,9 +134,9 @@ def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch
     solved: list[str] = []
     solve = solve_program
 
-    def counting(program: MorphProgram) -> KnotPath | None:
+    def counting(program: MorphProgram, effort: Effort) -> KnotPath | None:
         solved.append(program.path.name)
-        return solve(program)
+        return solve(program, effort)
 
     monkeypatch.setattr(ipopt_steps, "solve_program", counting)
 

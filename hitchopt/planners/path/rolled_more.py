@@ -37,7 +37,6 @@ def rolled_more(path: ShapePath) -> Iterator[ShapePath]:
     rise = bernstein.restrict(np.array([0.0, 2.0, 0.0]), lower, upper)[:, None]  # 4 s (1 - s)
     own, more = bernstein.elevate(c, order), bernstein.elevate(rise, order)
     for angle in RAISES:
-        raised = own + angle * sense * more
-        if np.max(np.abs(raised)) > max(STEEPEST, float(np.max(np.abs(own)))):
+        if float(np.max(np.abs(own))) + angle > STEEPEST:
             return
-        yield replace(path, roll=PiecewisePolynomial(roll.breaks, raised))
+        yield replace(path, roll=PiecewisePolynomial(roll.breaks, own + angle * sense * more))
