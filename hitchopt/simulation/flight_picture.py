@@ -84,11 +84,12 @@ def _draw_left(
         return
     extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
     drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
+    flown = scene.t, scene.drones
     if len(shots) > FEW or not simulation.errors.t.size:
-        draw_storyboard(place, drawn, shots)
+        draw_storyboard(place, drawn, shots, flown)
         return
     parts = place.subgridspec(2, 1, height_ratios=(1.0, 1.25))
-    draw_storyboard(parts[0], drawn, shots)
+    draw_storyboard(parts[0], drawn, shots, flown)
     _draw_vertices(figure.add_subplot(parts[1]), simulation)
 
 
