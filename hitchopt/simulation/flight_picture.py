@@ -149,7 +149,7 @@ def _draw_vertices(axes: Any, simulation: Simulation) -> None:
     axes.set_aspect("equal", "datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.set_title("vertices from above; dotted: planned, ×: where they end", fontsize="small")
+    axes.set_title("vertices from above; dotted: planned, ×: the end of the plan", fontsize="small")
 
 
 def _ending(simulation: Simulation) -> str:
