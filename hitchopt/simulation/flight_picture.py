@@ -84,11 +84,12 @@ def _draw_left(
         return
     extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
     drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
+    flown = scene.t, scene.drones
     if len(shots) > FEW or not simulation.errors.t.size:
-        draw_storyboard(place, drawn, shots, (drawn.t, drawn.drones))
+        draw_storyboard(place, drawn, shots, flown)
         return
     parts = place.subgridspec(2, 1, height_ratios=(1.0, 1.25))
-    draw_storyboard(parts[0], drawn, shots, (drawn.t, drawn.drones))
+    draw_storyboard(parts[0], drawn, shots, flown)
     _draw_vertices(figure.add_subplot(parts[1]), simulation)
 
 
@@ -148,7 +149,7 @@ def _draw_vertices(axes: Any, simulation: Simulation) -> None:
     axes.set_aspect("equal", "datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.set_title("vertices from above; dotted: planned, ×: where they end", fontsize="small")
+    axes.set_title("vertices from above; dotted: planned, ×: the end of the plan", fontsize="small")
 
 
 def _ending(simulation: Simulation) -> str:

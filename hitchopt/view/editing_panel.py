@@ -22,6 +22,9 @@ from hitchopt.view.live_view import LiveView, plain_words
 WIDTH = 330
 """Width of the panel [pixels]."""
 
+ASPECT = 0.75
+"""Width over height of what the panels leave of usual windows."""
+
 SIZE = 0.04
 """Radius of a handle [m]."""
 
@@ -56,6 +59,7 @@ class EditingPanel:
         self._nodes: list[Any] = []
         self._buttons: list[Any] = []
         self._offered: tuple[Any, ...] = ()
+        live.look(ASPECT)
         gui = live.server.gui
         window = gui.add_panel()
         window.dock_left()
@@ -97,6 +101,8 @@ class EditingPanel:
         self.live.note("" if current else str(status.stage))
         disk = "saved" if self.editing.saved else "not saved"
         words = f"**{plain_words(str(status.stage))}** ({disk})"
+        if status.suggestions:
+            words += "  \nA click below makes a suggested change."
         if status.words:
             words += "  \n" + "  \n".join(map(plain_words, status.words.splitlines()))
         self.status.content = words
@@ -106,7 +112,7 @@ class EditingPanel:
                 button.remove()
             with self._tab:
                 self._buttons = [
-                    self._button(f"suggested: {each.change}", self.editing.apply, each)
+                    self._button(str(each.change), self.editing.apply, each, hint=str(each))
                     for each in status.suggestions
                 ]
 
@@ -237,8 +243,10 @@ class EditingPanel:
         gizmo.on_update(moved)
         return gizmo
 
-    def _button(self, label: str, work: Callable[..., None], *args: Any) -> Any:
-        button = self.live.server.gui.add_button(label)
+    def _button(
+        self, label: str, work: Callable[..., None], *args: Any, hint: str | None = None
+    ) -> Any:
+        button = self.live.server.gui.add_button(label, hint=hint)
         button.on_click(lambda _: self._do(work, *args))
         return button
 

@@ -76,7 +76,7 @@ class LiveView:
             raise UnsupportedError(words) from None
         self.server = viser.ViserServer(host, port, label=title or "hitchopt", verbose=False)
         self.time, self.playing, self.speed = 0.0, False, 1.0
-        self._note, self._title = "", title
+        self._note, self._title, self._aspect = "", title, ASPECT
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
         self.server.scene.set_up_direction("+z")
@@ -111,7 +111,7 @@ class LiveView:
                 self.live.remove()
             self.motion = motion
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
-            self._look()
+            self.look()
             self.show_certificate(certificate, title)
 
     def show_certificate(self, certificate: Certificate | None, title: str = "") -> None:
@@ -191,15 +191,16 @@ class LiveView:
                         self.play(on=False)
             before = now
 
-    def _look(self) -> None:
-        """Place the camera so that it sees all paths."""
+    def look(self, aspect: float | None = None) -> None:
+        """Place the camera so that it sees all paths in a picture of an aspect, from now on."""
+        self._aspect = self._aspect if aspect is None else aspect
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
         back = FROM / np.linalg.norm(FROM)
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
         seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
-        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([ASPECT, 1.0])
+        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([self._aspect, 1.0])
         away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
         self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
         self.server.initial_camera.look_at = tuple(centre)

@@ -68,6 +68,19 @@ def test_a_click_on_a_phase_shows_it(page: Any, live: LiveView) -> None:
     page.get_by_text(f"{phase.start:.2f} s").first.wait_for()
 
 
+def test_scrubbing_shows_the_phase(page: Any, live: LiveView) -> None:
+    phase = tied_plan().phases[2]
+    middle = round(0.5 * (phase.start + phase.end), 3)
+    live.seek(0.0)
+    page.wait_for_timeout(SETTLE)
+    number = page.locator("input.mantine-NumberInput-input").first
+    number.fill(str(middle))
+    number.press("Tab")
+    waited(page, lambda: abs(live.time - middle) < 1e-3)
+    page.get_by_text(f"{middle:.2f} s").first.wait_for()
+    assert phase.name in page.get_by_text(f"{middle:.2f} s").first.locator("..").inner_text()
+
+
 def test_a_click_on_a_check_jumps_to_its_worst_moment(page: Any, live: LiveView) -> None:
     plan = tied_plan()
     page.get_by_role("tab", name="Certificate").click()
