@@ -186,7 +186,7 @@ def _settled(
         x[:, : team.drones],
         x[:, energy.rigging.points],
         found,
-        energy.law.slack(pulling),
+        energy.law.hanging(spans, pulling),
         bearing(team, energy.rigging, x, found, energy.law.weight),
         positions,
         vertices,

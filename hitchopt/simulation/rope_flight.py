@@ -45,6 +45,9 @@ DAMPING = 40.0
 """Rate at which cables lose speed when they begin to settle [1/s]: falling freely until they are
 taut, they would whip. In the flight only air slows them."""
 
+TIGHT = 0.25
+"""Tension over the team's from which on ropes do not whip."""
+
 REST = 1.0
 """Time after the flight, before anything is judged [s]."""
 
@@ -219,7 +222,8 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        world.step(self._substeps, loose=not np.any(self._task.tensions[index] > 0.0))
+        tight = np.all(self._task.tensions[index] >= TIGHT * self._task.team.tension)
+        world.step(self._substeps, loose=not tight)
         check_valid(world, time)
         self._recorder.observe(time, index)
 

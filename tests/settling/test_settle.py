@@ -449,3 +449,24 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
     missed = np.concatenate([drones, clasps])[None, ..., None]
     moved = energy.rigging.factor(blocks, diagonal).solve(missed)[0, ..., 0]
     assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
+
+
+@pytest.mark.parametrize("inward", [0.3, 0.45])
+@pytest.mark.parametrize("feed_forward", [True, False])
+def test_hitches_whose_drones_are_far_too_near_find_a_rest(
+    inward: float, feed_forward: bool
+) -> None:
+    hitch = regular_hitch(4)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    legs = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    found = settled(
+        hitch,
+        stiffness=12.0,
+        cable_density=0.012,
+        feed_forward=feed_forward,
+        offsets=-inward * legs,
+    )
+    assert found.force_residual < 1e-8
+    assert np.all(found.tensions > 0.0)
+    assert np.all(found.tensions < 0.25)
+    assert bool(found.slack_cables or found.loose_clasps) == (inward > 0.4)
