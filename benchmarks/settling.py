@@ -31,6 +31,7 @@ from benchmarks.environment import busy, environment
 from benchmarks.flight_plans import tied
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.statics import contact_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.settling.cable_tension import SAG_RATIO
 from hitchopt.settling.conditions import Conditions
@@ -80,9 +81,10 @@ class Compared:
     row: of the table.
     tension: largest relative error of a tension; nan where ropes are slack.
     vertex: largest error of a vertex [m].
-    slack: whether any rope is slack: its mean tension is that at which a level span as long as its
-        longest one hangs by a quarter of it.
-    predicted: whether statics say so, or that the cables of a clasp do not press on each other.
+    slack: whether any rope is slack, that is pulls so little that a level span as long as its longest
+        one hangs by a quarter of it, or any clasp does not bear (with 30 % of the plan's force).
+    predicted: whether statics say so.
+    flown: whether the simulation was valid to its end; else the flight counts for nothing.
     """
 
     row: str
@@ -90,6 +92,7 @@ class Compared:
     vertex: float
     slack: bool
     predicted: bool
+    flown: bool
 
     @property
     def good(self) -> bool:
@@ -231,8 +234,10 @@ def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float
     edges = np.linalg.norm(team.layout.edges(places), axis=-1)
     longest = np.maximum(edges, np.max(legs, axis=-1))
     ratio = SAG_RATIO / 8.0 * GRAVITY * flight.density * longest / T
-    slack = bool(np.any(ratio >= 1.0))
-    loose = int(np.sum(~found.bears))
+    slack = bool(np.any(ratio >= 1.0)) or not there.all()
+    directions = unit(team.layout.edges(found.vertices))
+    forces = contact_forces(directions, found.tensions, team.topology)
+    loose = int(np.sum(~found.bears | (forces < flight.least_bearing)))
     said = [f"slack: {len(found.slack_cables)}"] * bool(np.any(found.slack))
     said += [f"loose clasps: {loose}"] * bool(loose)
     predicted = bool(said)
@@ -256,7 +261,9 @@ def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float
         f"{np.sum(there)} of {len(there)}",
         "completed" if flight.error is None else str(flight.error),
     )
-    return Compared(f"| {' | '.join(cells)} |", tension, vertex, slack, predicted)
+    return Compared(
+        f"| {' | '.join(cells)} |", tension, vertex, slack, predicted, flight.error is None
+    )
 
 
 def unsettled(name: str, flight: Flight, k: float, error: ho.InfeasibleError) -> Compared:
@@ -264,7 +271,7 @@ def unsettled(name: str, flight: Flight, k: float, error: ho.InfeasibleError) ->
     said = f"no rest: {error.violations[0].value:.2g} N"
     cells = [name, str(flight.task.team.robots), f"{1e3 * flight.density:.1f}", f"{k:.1f}"]
     cells += ["–"] * 6 + [said, "–", "completed" if flight.error is None else str(flight.error)]
-    return Compared(f"| {' | '.join(cells)} |", np.inf, np.inf, False, True)
+    return Compared(f"| {' | '.join(cells)} |", np.inf, np.inf, False, True, flight.error is None)
 
 
 def called(flight: Callable[[], Compared]) -> Compared:
@@ -326,14 +333,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found.append(one)
             lines.append(one.row)
             print(one.row, flush=True)
-    taut = [one for one in found if not one.slack]  # also where no rest is found
-    slack = [one for one in found if one.slack]
+    taut = [one for one in found if one.flown and not one.slack]  # also where no rest is found
+    slack = [one for one in found if one.flown and one.slack]
     summary = [
         "",
         f"- taut: {sum(one.good for one in taut)} of {len(taut)} within {TENSION:.0%} of tension "
         f"and {100.0 * VERTEX:g} cm",
         f"- slack: said so in {sum(one.predicted for one in slack)} of {len(slack)} flights",
         f"- false alarms: {sum(one.predicted for one in taut)} of {len(taut)}",
+        f"- not simulated to their end: {sum(not one.flown for one in found)} of {len(found)}",
     ]
     print("\n".join(summary))
     if given.output is not None:

@@ -222,7 +222,8 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        tight = np.all(self._task.tensions[index] >= TIGHT * self._task.team.tension)
+        tensions = min(pull, 1.0) * self._task.tensions[index]
+        tight = np.all(tensions >= TIGHT * self._task.team.tension)
         world.step(self._substeps, loose=not tight)
         check_valid(world, time)
         self._recorder.observe(time, index)
