@@ -81,8 +81,8 @@ class Compared:
     row: of the table.
     tension: largest relative error of a tension; nan where ropes are slack.
     vertex: largest error of a vertex [m].
-    slack: whether any rope is slack, that is pulls so little that a level span as long as its longest
-        one hangs by a quarter of it, or any clasp does not bear (with 30 % of the plan's force).
+    slack: whether any rope is slack, that is pulls so little that a level span as long as its
+        longest one hangs by a quarter of it, or any clasp bears less than 30 % of the plan's force.
     predicted: whether statics say so.
     flown: whether the simulation was valid to its end; else the flight counts for nothing.
     """

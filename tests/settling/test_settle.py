@@ -470,3 +470,12 @@ def test_hitches_whose_drones_are_far_too_near_find_a_rest(
     assert np.all(found.tensions > 0.0)
     assert np.all(found.tensions < 0.25)
     assert bool(found.slack_cables or found.loose_clasps) == (inward > 0.4)
+
+
+def test_a_drone_that_comes_to_its_vertex_is_named() -> None:
+    hitch = regular_hitch(5)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    beyond = np.zeros((10, 1))
+    beyond[2] = -2.0  # q1 is led through its vertex, as far again
+    with pytest.raises(ho.InfeasibleError, match="a leg of cable c1 has no length left"):
+        settled(hitch, stiffness=3.0, cable_density=0.01, offsets=beyond * legs)
