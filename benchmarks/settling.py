@@ -31,6 +31,7 @@ from benchmarks.environment import busy, environment
 from benchmarks.flight_plans import tied
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.statics import contact_forces
 from hitchopt.motion.motion import Motion
 from hitchopt.settling.cable_tension import SAG_RATIO
 from hitchopt.settling.conditions import Conditions
@@ -80,7 +81,10 @@ class Compared:
     row: of the table.
     tension: largest relative error of a tension; nan where ropes are slack.
     vertex: largest error of a vertex [m].
-    slack, predicted: whether any rope is slack, and is said to be.
+    slack: whether any rope is slack, that is pulls so little that a level span as long as its
+        longest one hangs by a quarter of it, or any clasp bears less than 30 % of the plan's force.
+    predicted: whether statics say so.
+    flown: whether the simulation was valid to its end; else the flight counts for nothing.
     """
 
     row: str
@@ -88,6 +92,7 @@ class Compared:
     vertex: float
     slack: bool
     predicted: bool
+    flown: bool
 
     @property
     def good(self) -> bool:
@@ -209,18 +214,36 @@ def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float
     team, record = motion.team, flight.record
     rows = record.t > record.t[-1] - (REST + MEASURE)
     T = np.mean(record.tensions[rows], axis=0)
-    vertices = np.nanmean(record.vertices[rows], axis=0)
+    seen = record.vertices[rows]
+    there = np.mean(np.isfinite(seen[..., 0]), axis=0) > 0.5
+    vertices = np.full(seen.shape[1:], np.nan)
+    vertices[there] = np.nanmean(seen[:, there], axis=0)
     lengths = effective_lengths(flight)
     lengths = np.where(np.isfinite(lengths), lengths, flight.task.team.cable_length)
     conditions = Conditions(
         cable_length=lengths, cable_density=flight.density, stiffness=k, offsets=offsets
     )
-    found = settle_motion(motion, motion.duration, conditions)
-    chords = np.linalg.norm(team.layout.edges(found.planned_vertices), axis=-1)
-    least = SAG_RATIO / 8.0 * GRAVITY * flight.density * chords
-    slack, predicted = bool(np.any(least >= T)), bool(np.any(found.slack))
+    try:
+        found = settle_motion(motion, motion.duration, conditions)
+    except ho.InfeasibleError as error:
+        return unsettled(name, flight, k, error)
+    places = found.planned_vertices.copy()
+    places[team.layout.clasps[there]] = vertices[there]
+    drones = np.mean(record.drones[rows], axis=0)
+    legs = np.linalg.norm(drones - places[team.layout.anchors], axis=-1).reshape(-1, 2)
+    edges = np.linalg.norm(team.layout.edges(places), axis=-1)
+    longest = np.maximum(edges, np.max(legs, axis=-1))
+    ratio = SAG_RATIO / 8.0 * GRAVITY * flight.density * longest / T
+    slack = bool(np.any(ratio >= 1.0)) or not there.all()
+    directions = unit(team.layout.edges(found.vertices))
+    forces = contact_forces(directions, found.tensions, team.topology)
+    loose = int(np.sum(~found.bears | (forces < flight.least_bearing)))
+    said = [f"slack: {len(found.slack_cables)}"] * bool(np.any(found.slack))
+    said += [f"loose clasps: {loose}"] * bool(loose)
+    predicted = bool(said)
     tension = float(np.max(np.abs(found.tensions / T - 1.0)))
-    away = found.vertices[team.layout.clasps] - vertices
+    away = (found.vertices[team.layout.clasps] - vertices)[there]
+    away = away if there.any() else np.full((1, 3), np.nan)
     distances = np.linalg.norm(away, axis=-1)
     vertex = float(np.max(distances))
     cells = (
@@ -233,11 +256,22 @@ def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float
         f"{1e3 * vertex:.1f}",
         f"{1e3 * np.mean(distances):.1f}",
         f"{1e3 * np.max(np.abs(away[:, 2])):.1f}",
-        "yes" if slack else "no",
-        "yes" if predicted else "no",
+        f"{'yes' if slack else 'no'} ({np.max(ratio):.2f})",
+        "; ".join(said) or "no",
+        f"{np.sum(there)} of {len(there)}",
         "completed" if flight.error is None else str(flight.error),
     )
-    return Compared(f"| {' | '.join(cells)} |", tension, vertex, slack, predicted)
+    return Compared(
+        f"| {' | '.join(cells)} |", tension, vertex, slack, predicted, flight.error is None
+    )
+
+
+def unsettled(name: str, flight: Flight, k: float, error: ho.InfeasibleError) -> Compared:
+    """Return what a flight gives for which statics find no rest: neither taut nor slack."""
+    said = f"no rest: {error.violations[0].value:.2g} N"
+    cells = [name, str(flight.task.team.robots), f"{1e3 * flight.density:.1f}", f"{k:.1f}"]
+    cells += ["–"] * 6 + [said, "–", "completed" if flight.error is None else str(flight.error)]
+    return Compared(f"| {' | '.join(cells)} |", np.inf, np.inf, False, True, flight.error is None)
 
 
 def called(flight: Callable[[], Compared]) -> Compared:
@@ -255,8 +289,9 @@ COLUMNS = (
     "vertex off by [mm]",
     "mean [mm]",
     "height off by [mm]",
-    "slack",
+    "slack (sag over a quarter)",
     "said so",
+    "clasps that bear",
     "flight",
 )
 
@@ -298,14 +333,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found.append(one)
             lines.append(one.row)
             print(one.row, flush=True)
-    taut = [one for one in found if not one.slack]
-    slack = [one for one in found if one.slack]
+    taut = [one for one in found if one.flown and not one.slack]  # also where no rest is found
+    slack = [one for one in found if one.flown and one.slack]
     summary = [
         "",
         f"- taut: {sum(one.good for one in taut)} of {len(taut)} within {TENSION:.0%} of tension "
         f"and {100.0 * VERTEX:g} cm",
         f"- slack: said so in {sum(one.predicted for one in slack)} of {len(slack)} flights",
         f"- false alarms: {sum(one.predicted for one in taut)} of {len(taut)}",
+        f"- not simulated to their end: {sum(not one.flown for one in found)} of {len(found)}",
     ]
     print("\n".join(summary))
     if given.output is not None:

@@ -33,6 +33,9 @@ quadratically."""
 CONVERGED = 1e-11
 """Relative step that ends the iteration: the next one would be the square of it."""
 
+BEGINNING = 1e-9
+"""Rounding of the tension at which a span begins to be taut, over that tension."""
+
 SAG_RATIO = 4.0
 """A cable is slack where a level span as long as its longest one would hang by more than its chord
 over this number."""
@@ -140,15 +143,27 @@ class CableLaw:
         spare = np.sum(spans.chords, axis=-1) - self.lengths + a * self.reference
         if self.weight == 0.0:
             return np.asarray(np.maximum(self.least, spare / a))
-        # The excess of length falls with T, and is convex: from below Newton's method rises to T.
-        # Where arcs are constant the slope of the convex part serves: it never steps too far.
+        # The excess of length falls with T. It is convex but where a span begins to pull with more
+        # than the least tension: from the last such T at which there is an excess, Newton's method
+        # rises to the solution.
         T = np.maximum(self.least, np.maximum(spare / a, 0.0))
         c = self.weight**2 / 24.0
-        for _ in range(NEWTON):
-            held = np.maximum(self.middle_tensions(spans, T), self.least[..., None])
+
+        def excess(T: Array) -> tuple[Array, Array]:
+            """Return the excess of length and how much it falls with T."""
+            m, least = self.middle_tensions(spans, T), self.least[..., None]
+            held = np.maximum(m, least)
             arcs = c * spans.bulges / held**2
-            excess = spare - a * T + np.sum(arcs, axis=-1)
-            step: Array = np.maximum(excess, 0.0) / (a + np.sum(2.0 * arcs / held, axis=-1))
+            falling = np.where(m >= (1.0 - BEGINNING) * least, 2.0 * arcs / held, 0.0)
+            return spare - a * T + np.sum(arcs, axis=-1), a + np.sum(falling, axis=-1)
+
+        begins = self.least[..., None] + self.weight * (self.heights[..., None] - spans.middles)
+        for begin in np.moveaxis(begins, -1, 0):
+            if np.any(begin > T):
+                T = np.where((begin > T) & (excess(begin)[0] >= 0.0), begin, T)
+        for _ in range(NEWTON):
+            over, fall = excess(T)
+            step: Array = np.maximum(over, 0.0) / fall
             T = T + step
             if np.all(step <= CONVERGED * T):
                 break
@@ -157,6 +172,16 @@ class CableLaw:
     def slack(self, tensions: Array) -> NDArray[np.bool_]:
         """Return (…, n) whether cables of these tensions [N] are slack."""
         return np.asarray(tensions <= self.least)
+
+    def hanging(self, spans: Spans, tensions: Array) -> NDArray[np.bool_]:
+        """Return (…, n) whether cables of these tensions [N] are slack, or hang as slack ones do.
+
+        A span that has come down pulls with less than T: it hangs by its chord over SAG_RATIO where
+        its own tension is ``SAG_RATIO w s/8``.
+        """
+        m = self.middle_tensions(spans, tensions)
+        deep = 8.0 * m < SAG_RATIO * self.weight * spans.chords
+        return np.asarray(self.slack(tensions) | np.any(deep, axis=-1))
 
     def middle_tensions(self, spans: Spans, tensions: Array) -> Array:
         """Return m (…, n, 3) [N] at the heights of the spans' middles."""

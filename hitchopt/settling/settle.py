@@ -23,6 +23,9 @@ from hitchopt.values import Array, instance
 LARGEST_RESIDUAL = 1e-6
 """[N] Largest force without balance of a solution that is returned."""
 
+NO_LEG = 1e-4
+"""[m] Length below which a leg has no direction: its drone has come to its vertex."""
+
 NODES = 40_000
 """Cables of all samples that are solved for at once, which bounds the memory."""
 
@@ -176,6 +179,10 @@ def _settled(
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
         remedy = "give drones a stiffness, or cables more length"
+        short = np.where(energy.rigging.spans, spans.chords[worst], np.inf)
+        if np.min(short) < NO_LEG:
+            cable = int(np.argmin(np.min(short, axis=-1)))
+            remedy = f"lead its drones farther out: a leg of cable c{cable} has no length left"
         when = f"at t = {t[worst]:.4g} s"
         limit = LARGEST_RESIDUAL
         broken = Violation("settling", float(force[worst]), limit, "max", "N", (), when, remedy)
@@ -186,7 +193,7 @@ def _settled(
         x[:, : team.drones],
         x[:, energy.rigging.points],
         found,
-        energy.law.slack(pulling),
+        energy.law.hanging(spans, pulling),
         bearing(team, energy.rigging, x, found, energy.law.weight),
         positions,
         vertices,

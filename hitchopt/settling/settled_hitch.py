@@ -83,7 +83,8 @@ def residuals(energy: HitchEnergy, x: Array, tensions: Array) -> tuple[Array, Ar
 
     A span of length s and level length h, with the tension m at the height of its chord's middle,
     pulls its two ends along its chord with ``m - w² h²/(24 m)``, less ``w² s/(12 m)`` times its
-    level part; it puts half of its arc's weight on each.
+    level part; it puts half of its arc's weight on each. Where m is less than the least tension at
+    which a cable is taut, arcs are those at that tension, and the force is linear in m.
 
     Parameters
     ----------
@@ -105,12 +106,15 @@ def residuals(energy: HitchEnergy, x: Array, tensions: Array) -> tuple[Array, Ar
         s, h = (np.sqrt(np.sum(chord[..., :axes] ** 2, axis=-1)) for axes in (3, 2))
         middle = 0.5 * (x[:, first, 2] + x[:, second, 2])
         m = tensions[:, cables] + law.weight * (middle - edges[:, cables])
-        bent = law.weight**2 / (24.0 * np.where(m > 0.0, m, np.inf))
+        held = np.maximum(m, law.least[:, cables])
+        held = np.where(held > 0.0, held, np.inf)
+        sag = law.weight**2 / (24.0 * held**2)
+        bent = sag * (2.0 * held - m) if law.weight > 0.0 else np.zeros_like(m)
         force = ((m - bent * h**2) / s)[..., None] * chord
         force[..., :2] -= (2.0 * bent * s)[..., None] * chord[..., :2]
         add_at_nodes(forces, first, force)
         add_at_nodes(forces, second, -force)
-        arc = s + bent * s * h**2 / np.where(m > 0.0, m, np.inf)
+        arc = s + sag * s * h**2
         for end in (first, second):
             add_at_nodes(forces[..., 2], end, -0.5 * law.weight * arc)
         lengths[:, cables] += arc

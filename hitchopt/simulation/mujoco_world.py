@@ -33,8 +33,9 @@ that turn at a rate ω are strained by ``(ω t)²``, t that constant."""
 LEAST_EDGE_TIME = 0.06
 """Least time constant, over that of links which hardly turn."""
 
-TIGHTER, LOOSER = 0.8, 1.05
-"""Most that the time constant changes at once: taut ropes would jerk."""
+TIGHTER, LOOSER, LOOSER_TAUT = 0.8, 1.05, 1.002
+"""Factors by which the time constant changes at most at once, the last one where ropes are taut:
+they yield a little, and would jerk."""
 
 FIRM_STEPS = 2.2
 """Time constant of the ropes' lengths in refined steps; MuJoCo takes no less than 2."""
@@ -126,8 +127,7 @@ class World:
     def step(self, count: int = 1, *, loose: bool = False, finer: int = 1) -> None:
         """Advance by ``count`` time steps of the preset, in smaller ones where loose ropes whip.
 
-        Ropes that are picked up from the ground, or drawn straight, do so. Taut ones must not be
-        made stiffer at times: they would jerk, since they yield a little.
+        Ropes that are picked up from the ground, or drawn straight, do so.
 
         Parameters
         ----------
@@ -135,7 +135,8 @@ class World:
         finer: least number of smaller steps for one of the preset's; ropes are firmer then as well.
         """
         time = TURNED / max(self._turning if loose else 0.0, TURNED / self._longest_edge_time)
-        time = min(max(time, TIGHTER * self._edge_time), LOOSER * self._edge_time)
+        looser = LOOSER if loose else LOOSER_TAUT
+        time = min(max(time, TIGHTER * self._edge_time), looser * self._edge_time)
         self._edge_time = time = max(time, LEAST_EDGE_TIME * self._longest_edge_time)
         step = self.ropes.preset.time_step
         parts = max(1, math.ceil(EDGE_STEPS * step / time - ROUNDING))

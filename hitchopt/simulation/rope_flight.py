@@ -28,7 +28,7 @@ from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
 from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
 from hitchopt.simulation.simulation_settings import Settings
-from hitchopt.simulation.validity import InvalidRunError, check_valid
+from hitchopt.simulation.validity import InvalidRunError, check_valid, tensions
 from hitchopt.simulation.vertex_feedback import VertexFeedback
 from hitchopt.values import Array
 
@@ -48,6 +48,9 @@ the cables' tension grows to its value [s]: drawn at once, loose clasps would te
 DAMPING = 40.0
 """Rate at which cables lose speed when they begin to settle [1/s]: falling freely until they are
 taut, they would whip. In the flight only air slows them."""
+
+TIGHT = 0.25
+"""Tension over the team's from which on ropes do not whip."""
 
 REST = 1.0
 """Time after the flight, before anything is judged [s]."""
@@ -239,8 +242,10 @@ class _Run:
             shares = min(pull, 1.0) * self._task.load_shares(index)
             self._loads.apply(shares, self._period)
         world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
-        loose = not np.any(self._task.tensions[index] > 0.0)
-        world.step(self._substeps, loose=loose, finer=fine)
+        tight = TIGHT * self._task.team.tension
+        loose = np.any(min(pull, 1.0) * self._task.tensions[index] < tight)
+        loose = loose or np.mean(tensions(world)) < np.mean(tight)  # whatever the plan says
+        world.step(self._substeps, loose=bool(loose), finer=fine)
         check_valid(world, time)
         if self._feedback is not None and time >= 0.0:
             self._feedback.observe(time + self._period, self._least_bearing[index])

@@ -118,3 +118,27 @@ def test_derivatives_agree_with_finite_differences(weight: float, spare: float) 
     ]
     slopes = (lengths[0] - lengths[1]) / (2 * h)
     np.testing.assert_allclose(-cable.length_slopes(spans(), T), slopes, rtol=1e-4)
+
+
+@pytest.mark.parametrize("lower", [0.0, 0.3, 0.6])
+def test_lengths_are_met_where_a_low_span_hangs_as_slack_ones_do(lower: float) -> None:
+    nodes = NODES.copy()
+    nodes[:, 1:3, 2] -= lower  # the edge, which then pulls with less than at its planned height
+    nodes[:, :, 0] *= 0.8
+    found = spans(nodes)
+    chords = np.sum(found.chords, axis=-1)
+    partly = np.zeros(3, dtype=np.bool_)
+    for spare in np.linspace(0.02, 0.8, 40):
+        cable = replace(law(0.12), lengths=chords + spare)
+        T = cable.tensions(found)
+        length = chords + np.sum(cable.arcs(found, T), axis=-1)
+        real = cable.lengths + cable.compliance * (T - cable.reference)
+        taut = ~cable.slack(T)
+        np.testing.assert_allclose(length[taut], real[taut], rtol=1e-11)
+        assert np.all(length[~taut] <= real[~taut] + 1e-11)
+        # Slack in the sense of a span's own tension: the sag of a level span, w s²/(8 m).
+        m = T[:, None] + 0.12 * (found.middles - cable.heights[:, None])
+        deep = np.any(0.12 * found.chords**2 / 8.0 > 0.25 * found.chords * m, axis=-1)
+        np.testing.assert_array_equal(cable.hanging(found, T), deep | ~taut)
+        partly |= deep & taut
+    assert partly.any() == (lower > 0.0)

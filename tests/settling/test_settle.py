@@ -449,3 +449,33 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
     missed = np.concatenate([drones, clasps])[None, ..., None]
     moved = energy.rigging.factor(blocks, diagonal).solve(missed)[0, ..., 0]
     assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
+
+
+@pytest.mark.parametrize("inward", [0.3, 0.45])
+@pytest.mark.parametrize("feed_forward", [True, False])
+def test_hitches_whose_drones_are_far_too_near_find_a_rest(
+    inward: float, feed_forward: bool
+) -> None:
+    hitch = regular_hitch(4)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    legs = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    found = settled(
+        hitch,
+        stiffness=12.0,
+        cable_density=0.012,
+        feed_forward=feed_forward,
+        offsets=-inward * legs,
+    )
+    assert found.force_residual < 1e-8
+    assert np.all(found.tensions > 0.0)
+    assert np.all(found.tensions < 0.25)
+    assert bool(found.slack_cables or found.loose_clasps) == (inward > 0.4)
+
+
+def test_a_drone_that_comes_to_its_vertex_is_named() -> None:
+    hitch = regular_hitch(5)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    beyond = np.zeros((10, 1))
+    beyond[2] = -2.0  # q1 is led through its vertex, as far again
+    with pytest.raises(ho.InfeasibleError, match="a leg of cable c1 has no length left"):
+        settled(hitch, stiffness=3.0, cable_density=0.01, offsets=beyond * legs)
