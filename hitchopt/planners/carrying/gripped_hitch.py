@@ -21,17 +21,12 @@ from hitchopt.holding.wraps import Wraps, wraps_around
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
+from hitchopt.planners.carrying.clasp_lean import edge_ratios
 from hitchopt.planners.carrying.moves import Move, courses
 from hitchopt.values import Array
 
 PASSES = 6
 """Times that heights and places of clasps are computed from each other: to 1e-9 m."""
-
-SOFT = 0.05
-"""Cosines of half of the angle between legs that are this far below the largest one count fully."""
-
-TINY = 1e-12
-"""Keeps quotients of friction finite where there is none."""
 
 SCAN = 400
 """Places on the way from around the object to the grip at which edges are looked at."""
@@ -178,7 +173,9 @@ class GrippedHitch:
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
             legs = 0.5 * (team.cable_length - wraps.arcs - free)
-            T = tension * self._edge_ratios(lean, wraps.clasp_angles, legs)
+            T = tension * edge_ratios(
+                team.cable_friction * lean, wraps.clasp_angles, legs, self.apart
+            )
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
@@ -203,41 +200,6 @@ class GrippedHitch:
             "leg_tensions": pulls,
             "contacts": np.concatenate([contacts, level], axis=-1),
         }
-
-    def _edge_ratios(self, lean: Array, edges: Array, legs: Array) -> Array:
-        """Return tensions of edges over those of their legs (…, n) where legs lean.
-
-        At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``. Legs that would
-        come too near to each other lean less, and of both clasps of a cable the lesser friction
-        counts.
-
-        Parameters
-        ----------
-        lean: (…), share of clasp friction.
-        edges: (…, n) [rad], between edges at clasps.
-        legs: (…, n) [m], lengths of cables' legs.
-        """
-        friction = self.team.cable_friction * np.abs(lean)[..., None]
-        sign = np.sign(lean)[..., None]
-        cosine = np.cos(0.5 * edges)
-        shorter = np.minimum(legs, np.roll(legs, 1, axis=-1))
-        most = np.sqrt(np.maximum(1.0 - (0.5 * self.apart / shorter) ** 2, 0.1))
-        ratio = np.ones_like(cosine)
-        for _ in range(PASSES):
-            wrapped = 0.5 * edges + np.arccos(np.clip(ratio * cosine, -1.0, 1.0))
-            ratio = _below(np.exp(-sign * friction * wrapped) * cosine, most) / _below(cosine, most)
-        one = np.abs(np.log(ratio)) + TINY
-        other = np.roll(one, -1, axis=-1)
-        lesser = one * other / (0.5 * (one**8 + other**8)) ** 0.125
-        ratios: Array = np.exp(-sign * lesser)
-        return ratios
-
-
-def _below(values: Array, most: Array) -> Array:
-    """Return values that smoothly stay below others, as they are where they are far below."""
-    start = most - SOFT
-    over: Array = np.maximum(values - start, 0.0)
-    return values - over + SOFT * np.tanh(over / SOFT)
 
 
 def _contacts(polygon: Array, wraps: Wraps, core: Array) -> Array:
