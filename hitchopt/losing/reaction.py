@@ -125,7 +125,8 @@ class Reaction(OneLine):
     course: what survivors fly; when it begins they let all tension go.
     thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
         its largest one.
-    nearest: smallest separation of a survivor and the lost drone, or another one, as a ratio.
+    nearest: smallest separation of two survivors, or distance of one to the lost drone over two
+        radii.
     held: how they hold the lost drone once it has swung down; None where it lies on the ground by
         then, or no clasp holds its cable.
     """
@@ -261,9 +262,10 @@ class Reactions:
         whole = course.sinking.drones
         there = whole.at(np.minimum(course.time + times, whole.breaks[-1]))
         others = np.arange(len(team.drone_names)) != lost
-        scale = motion.requirements.separation.scale
-        ratios = np.linalg.norm((there[:, others] - places[:, None]) * scale, axis=-1)
-        nearest = float(np.min(ratios, initial=np.inf))
+        nearest = min(
+            _ratio(motion, each[others], place[None])
+            for each, place in zip(there, places, strict=True)
+        )
         if nearest < 1.0:
             raise _none(course.time, f"{drone} falls past a survivor at {nearest:.3g}")
         nearest = min(nearest, self._lying(course, others, places[-1], drone))
@@ -302,10 +304,13 @@ def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:
 
 
 def _ratio(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest separation of survivors (k, 3) and places (m, 3) [m]."""
-    scale = motion.requirements.separation.scale
-    apart = np.linalg.norm((survivors[:, None] - places) * scale, axis=-1)
-    return float(np.min(apart, initial=np.inf))
+    """Return the smallest distance of survivors (k, 3) and places of the lost drone (m, 3) [m].
+
+    It is over two radii in every direction: ellipsoids are higher for the downwash, which a drone
+    without motors has not, and does not mind.
+    """
+    apart = np.linalg.norm(survivors[:, None] - places, axis=-1)
+    return float(np.min(apart, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
 
 
 def _apart(motion: Motion, survivors: Array) -> float:

@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.losing.falling import GAIN, STIFFER, Rest, free_fall, resting_place, swings
+from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place, swings
 from hitchopt.losing.flown_reaction import reacting
 from hitchopt.losing.reaction import DELAY, Reactions
 from hitchopt.losing.survivable import survivable
@@ -75,7 +75,7 @@ def balance(motion: Motion, time: float, lost: int) -> tuple[Rest, np.ndarray]:
     assert not rest.lies
     held = np.arange(team.drones) != lost
     away = (rest.positions - states.positions)[held]
-    stiffness = STIFFER * GAIN * team.mass[held, None]
+    stiffness = rest.stiffer * GAIN * team.mass[held, None]
     pulls = states.cable_forces[held] + stiffness * away
     np.testing.assert_allclose(rest.pulls[held], pulls)
     pull = np.sum(team.mass[held, None] * [0, 0, GRAVITY] - pulls, axis=0)
