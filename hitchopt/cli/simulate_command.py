@@ -166,7 +166,7 @@ def _lost(
     course = found.course
     held = "" if found.held is None else f"{loss.drone} is held until {found.held.ends:.3f} s, "
     say(
-        f"reaction: tension is let go at t = {course.begins:.3f} s, {held}all are on the ground at "
+        f"reaction: tension is let go at t = {found.lets_go:.3f} s, {held}all are on the ground at "
         f"{course.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} of a "
         "thrust"
     )

@@ -23,9 +23,12 @@ from hitchopt.values import Array
 LOOSE = 1e-6
 """[N/m] Stiffness of a drone that is a mere weight."""
 
-GAIN, STIFFER = 36.0, 8.0
-"""[1/s²] Stiffness over mass of usual position loops, and the factor by which survivors are stiffer
-that feed forward what cables pull at rest: they come to within 3 cm/N of their setpoints."""
+GAIN, STIFFER = 36.0, (8.0, 30.0)
+"""[1/s²] Stiffness over mass of usual position loops, and factors by which survivors are stiffer
+that feed forward what cables pull at rest: they stay within 3 or 0.7 cm/N of their setpoints."""
+
+JAMMED = 0.05
+"""[m] Legs that are shorter at rest leave a drone at its clasp: no such rest is taken."""
 
 STRETCH = 1e3
 """[N] EA of the cables here: 0.2 % at 2 N, and a softer one converges sooner from afar."""
@@ -40,7 +43,7 @@ ARCS = np.radians(np.arange(0.0, 151.0, 5.0))
 """Angles [rad] by which a lost drone swings down about its clasp and beyond."""
 
 REACHES = 5
-"""Number of radii of these arcs, from its leg to what it has when it hangs."""
+"""Number of radii at each of them."""
 
 STEP = 0.02
 """[s] Time between samples of a free fall."""
@@ -57,6 +60,7 @@ class Rest:
     thrust: largest thrust with which a survivor hovers, over its largest one.
     pulls: (2n, 3) [N], of the cables on the drones.
     lies: whether the lost drone lies on the ground; else it hangs.
+    stiffer: by how much survivors are stiffer for it.
     """
 
     positions: Array
@@ -64,6 +68,7 @@ class Rest:
     thrust: float
     pulls: Array
     lies: bool
+    stiffer: float
 
 
 def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
@@ -77,8 +82,14 @@ def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
         forces of the rest forward.
     lost: the drone.
     """
+    found = (_rest(motion, states, lost, stiffer) for stiffer in STIFFER)
+    return next((rest for rest in found if rest is not None), None)
+
+
+def _rest(motion: Motion, states: States, lost: int, stiffer: float) -> Rest | None:
+    """Return the rest of survivors that are stiffer by a factor; None where it is not found."""
     team = motion.team
-    stiffness = STIFFER * GAIN * team.mass
+    stiffness = stiffer * GAIN * team.mass
     conditions = Conditions(stiffness=stiffness, integral=False, axial_stiffness=STRETCH)
     zero = np.zeros((1, team.drones, 3))
     energy, start = energy_of(
@@ -105,6 +116,10 @@ def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
     if not np.max(np.abs(slopes[energy.rigging.free])) <= BALANCED:
         return None
     here = x[0, : team.drones]
+    vertices = x[0, energy.rigging.points]
+    legs = np.linalg.norm(here - vertices[team.layout.pulled_to], axis=-1)
+    if np.min(legs) < JAMMED:
+        return None
     away = here - states.positions
     pulls = states.cable_forces + stiffness[:, None] * away
     pulls[lost] = 0.0
@@ -112,11 +127,13 @@ def resting_place(motion: Motion, states: States, lost: int) -> Rest | None:
     thrusts[lost] = 0.0
     share = float(np.max(thrusts / team.max_thrust))
     lies = bool(here[lost, 2] <= motion.requirements.floor)
-    return Rest(here, x[0, energy.rigging.points], share, pulls, lies)
+    return Rest(here, vertices, share, pulls, lies, stiffer)
 
 
 def swings(clasp: Array, start: Array, longest: float, floor: float) -> Array:
     """Return places (samples, 3) [m] of a drone that swings down about its clasp.
+
+    They lie between its arc, if its cable does not run, and its free fall, if it runs freely.
 
     Parameters
     ----------
@@ -128,7 +145,9 @@ def swings(clasp: Array, start: Array, longest: float, floor: float) -> Array:
     size = float(np.linalg.norm(leg))
     out = leg / max(size, 1e-9)
     down = np.array([0.0, 0.0, -1.0])
-    radii = np.linspace(size, max(size, longest), REACHES)[:, None, None]
+    cosines = np.maximum(np.cos(ARCS), 1e-9)
+    most = np.minimum(max(size, longest), size / cosines)
+    radii = size + np.linspace(0.0, 1.0, REACHES)[:, None, None] * (most - size)[:, None]
     arcs = np.cos(ARCS)[:, None] * out + np.sin(ARCS)[:, None] * down
     places: Array = (clasp + radii * arcs).reshape(-1, 3)
     places[:, 2] = np.maximum(places[:, 2], floor)

@@ -43,7 +43,7 @@ def reacting(task: Task, reaction: Reaction) -> Task:
             for field in fields(Setpoints)
         )
     )
-    after = replace(after, cable_forces=_forces(times, reaction))
+    after = replace(after, cable_forces=_forces(times, after.cable_forces, reaction))
     whole = {
         field.name: np.concatenate(
             [getattr(task.setpoints, field.name)[first], getattr(after, field.name)]
@@ -87,12 +87,13 @@ def _setpoints(states: States) -> Setpoints:
     )
 
 
-def _forces(times: Array, reaction: Reaction) -> Array:
-    """Return (k, 2n, 3) [N] what is fed forward at times [s]."""
+def _forces(times: Array, planned: Array, reaction: Reaction) -> Array:
+    """Return (k, 2n, 3) [N] what is fed forward at times [s], of what is planned to be."""
+    keeps = np.where(times < reaction.lets_go, 1.0, 0.0)
+    forces: Array = keeps[:, None, None] * planned
     held = reaction.held
-    if held is None:
-        return np.zeros((len(times), reaction.course.sinking.team.drones, 3))
-    risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
-    fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
-    forces: Array = (risen * (1.0 - fallen))[:, None, None] * held.pulls
+    if held is not None:
+        risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
+        fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
+        forces = forces + (risen * (1.0 - fallen))[:, None, None] * held.pulls
     return forces

@@ -2,10 +2,11 @@
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones above others go aside and land by themselves. A hitch lets all tension go at
-once, so that the lost drone's cable may run; where the drone hangs still once it has swung down,
-survivors come to pull as its weight needs, until it lies on the ground. Where cables hang free the
-lost drone has to reach the ground before its cable is taut, since no drone carries two.
+on the ground; drones above others go aside and land by themselves. A hitch that can hold the lost
+drone keeps its tension until that has swung down and lets go then; where it hangs still, survivors
+come to pull as its weight needs, until it lies on the ground. A hitch that cannot hold it lets go
+at once and lets it down. Where cables hang free the lost drone has to reach the ground before its
+cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -122,16 +123,19 @@ class Reaction(OneLine):
     Attributes
     ----------
     drone: that is lost.
-    course: what survivors fly; when it begins they let all tension go.
+    course: what survivors fly.
+    lets_go: time at which all survivors let tension go [s].
     thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
         its largest one.
-    nearest: smallest separation of a survivor and the lost drone, or another one, as a ratio.
+    nearest: smallest separation of two survivors, or distance of one to the lost drone over two
+        radii.
     held: how they hold the lost drone once it has swung down; None where it lies on the ground by
         then, or no clasp holds its cable.
     """
 
     drone: str
     course: Course
+    lets_go: float
     thrust: float
     nearest: float
     held: Held | None = None
@@ -222,7 +226,7 @@ class Reactions:
         held = None
         if not rest.lies and lands > course.time + CAUGHT[0]:
             held = Held(rest.pulls, course.time + CAUGHT[0], course.time + CAUGHT[1], lands)
-        return Reaction(drone, course, rest.thrust, nearest, held)
+        return Reaction(drone, course, course.time + CAUGHT[0], rest.thrust, nearest, held)
 
     def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.
@@ -250,7 +254,8 @@ class Reactions:
         nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
         if nearest < 1.0:
             raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
-        return Reaction(drone, course, largest_static_thrust(motion), nearest)
+        thrust = largest_static_thrust(motion)
+        return Reaction(drone, course, course.begins, thrust, nearest)
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""
@@ -261,9 +266,10 @@ class Reactions:
         whole = course.sinking.drones
         there = whole.at(np.minimum(course.time + times, whole.breaks[-1]))
         others = np.arange(len(team.drone_names)) != lost
-        scale = motion.requirements.separation.scale
-        ratios = np.linalg.norm((there[:, others] - places[:, None]) * scale, axis=-1)
-        nearest = float(np.min(ratios, initial=np.inf))
+        nearest = min(
+            _ratio(motion, each[others], place[None])
+            for each, place in zip(there, places, strict=True)
+        )
         if nearest < 1.0:
             raise _none(course.time, f"{drone} falls past a survivor at {nearest:.3g}")
         nearest = min(nearest, self._lying(course, others, places[-1], drone))
@@ -275,7 +281,7 @@ class Reactions:
                 height = places[np.argmax(taut), 2] - motion.requirements.floor
                 words = f"{drone} hangs on its partner {height:.2g} m above the ground"
                 raise _none(course.time, words)
-        return Reaction(drone, course, thrust, nearest)
+        return Reaction(drone, course, course.begins, thrust, nearest)
 
     def _lying(self, course: Course, others: Array, place: Array, drone: str) -> float:
         """Return the smallest separation of survivors and a drone that lies on the ground."""
@@ -302,10 +308,13 @@ def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:
 
 
 def _ratio(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest separation of survivors (k, 3) and places (m, 3) [m]."""
-    scale = motion.requirements.separation.scale
-    apart = np.linalg.norm((survivors[:, None] - places) * scale, axis=-1)
-    return float(np.min(apart, initial=np.inf))
+    """Return the smallest distance of survivors (k, 3) and places of the lost drone (m, 3) [m].
+
+    It is over two radii in every direction: ellipsoids are higher for the downwash, which a drone
+    without motors has not, and does not mind.
+    """
+    apart = np.linalg.norm(survivors[:, None] - places, axis=-1)
+    return float(np.min(apart, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
 
 
 def _apart(motion: Motion, survivors: Array) -> float:

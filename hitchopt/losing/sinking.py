@@ -7,6 +7,7 @@ for it: at 2 m/s² a lost drone pulls at its cable with four fifths of its weigh
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -111,7 +112,7 @@ def sunk(stopping: Stopping, begin: float, share: float) -> Motion:
 def landed(motion: Motion) -> list[PiecewisePolynomial]:
     """Return the flights of all drones from where a motion ends to the ground.
 
-    Those above another one go aside first.
+    Those above another one go aside and down when the others are on the ground.
 
     Raises
     ------
@@ -124,14 +125,17 @@ def landed(motion: Motion) -> list[PiecewisePolynomial]:
     if np.max(start[:, 2] - down[:, 2]) <= LEAST:
         return []
     level = _aside(start, 2.2 * requirements.separation.radius)
+    moved = (np.linalg.norm(level - start[:, :2], axis=-1) > LEAST)[:, None]
+    down[:, :2] = level
+    first = np.where(moved, start, down)
+    beside = np.where(moved, np.column_stack([level, start[:, 2]]), down)
+    places = [start, first, beside, down] if np.any(moved) else [start, down]
     limits = requirements.limits.planned
-    aside, ground = start.copy(), down.copy()
-    aside[:, :2] = ground[:, :2] = level
-    flights = []
-    if not np.allclose(aside, start, atol=LEAST):
-        flights.append(straight(team, limits, start, aside))
-    flights.append(straight(team, limits, aside, ground))
-    return flights
+    return [
+        straight(team, limits, here, there)
+        for here, there in pairwise(places)
+        if np.max(np.abs(there - here)) > LEAST
+    ]
 
 
 def _aside(start: Array, apart: float) -> Array:
