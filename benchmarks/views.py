@@ -39,6 +39,9 @@ DRAWN = 0.002
 CIRCLE = 0.02
 """Radius of the circle on which a vertex is dragged about [m]."""
 
+LONGEST = 120_000
+"""Time after which Chromium is given up [ms]: machines may be busy."""
+
 LIMITATIONS = (
     "one machine, whose cores others may use as well (see load); WebGL in software, on the same "
     "cores; the browser is open before the command is given; seconds of the clock on the wall, and "
@@ -70,6 +73,7 @@ def first_frame(file: str) -> Row:
 
     with tempfile.TemporaryDirectory() as place, opened_page() as page:
         run("solve", "-q", PROBLEMS / file, "-o", place)
+        page.set_default_timeout(LONGEST)
         page.goto("about:blank")
         used, before = children(), time.monotonic()
         served = subprocess.Popen(
@@ -116,20 +120,21 @@ def drags(file: str, step: int, words: str, count: int) -> Row:
     plan = ho.solve(PROBLEMS / file)
     editing = Editing(text, PROBLEMS / file, Certified(plan.motion, plan.certificate))
     at = np.array(editing.problem.mission[step].polygon.vertices[0])  # type: ignore[attr-defined]
-    times, used = [], time.process_time()
+    times, used = [], []
     for k in range(count):
         angle = 2.0 * math.pi * k / count
         place = np.array([*(at + CIRCLE * np.array([math.cos(angle), math.sin(angle)])), 0.0])
-        before = time.monotonic()
+        begun, before = time.process_time(), time.monotonic()
         editing.drag(step, "vertex 0", place)
         editing.wait()
         if editing.status.stage is Stage.CURRENT:
             times.append(time.monotonic() - before)
+            used.append(time.process_time() - begun)
     editing.close()
     goal = {3: "0.5 s", 12: "1.5 s"}[plan.motion.team.robots]
-    processor = (time.process_time() - used) / count
+    processor = statistics.median(used)
     more = f"slowest {max(times):.2f} s, {len(times)} of {count} drags certified"
-    value = f"{statistics.median(times):.2f} s ({more}; {processor:.2f} s of processor each)"
+    value = f"{statistics.median(times):.2f} s ({more}; {processor:.2f} s of processor)"
     return Row(f"dragged vertex to certified plan: {words} (median)", value, goal, busy())
 
 
