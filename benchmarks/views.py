@@ -11,6 +11,7 @@ import argparse
 import datetime
 import io
 import math
+import os
 import re
 import resource
 import statistics
@@ -26,6 +27,7 @@ from matplotlib.image import imread
 
 import hitchopt as ho
 from benchmarks.environment import busy, environment
+from hitchopt.mission.memory import VARIABLE
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.view.editing_session import Editing, Stage
 
@@ -117,6 +119,7 @@ def film(file: str) -> Row:
 def drags(file: str, step: int, words: str, count: int) -> Row:
     """Return the median time from a dragged vertex to its certified plan."""
     text = (PROBLEMS / file).read_text(encoding="utf-8")
+    os.environ.pop(VARIABLE, None)  # steps before the one that is dragged are remembered in a view
     plan = ho.solve(PROBLEMS / file)
     editing = Editing(text, PROBLEMS / file, Certified(plan.motion, plan.certificate))
     at = np.array(editing.problem.mission[step].polygon.vertices[0])  # type: ignore[attr-defined]
