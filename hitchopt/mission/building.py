@@ -42,10 +42,11 @@ def built_problem(keys: ProblemKeys, folder: Path | None = None) -> Problem:
     return faults.made(Problem(team, start, mission, **common) if start else None)
 
 
-def built_swarm(keys: SwarmKeys) -> SwarmProblem:
-    """Return the problem of single drones that ``keys`` describe; errors as ``built_problem``."""
+def built_swarm(keys: SwarmKeys, folder: Path | None = None) -> SwarmProblem:
+    """Return the problem of single drones that ``keys`` describe; as ``built_problem``."""
     faults = Collector()
     common = _common_parts(keys, faults)
+    common["objects"] = objects_of(keys.objects, folder, faults)
     team = faults.attempt("team", lambda: Swarm(**_team_values(keys.team)))
     keep_out = [
         faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))

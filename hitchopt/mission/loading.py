@@ -106,7 +106,7 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
     single = isinstance(values, dict) and _of_single_drones(values)
     try:
         if single:
-            return built_swarm(SwarmKeys.model_validate(values))
+            return built_swarm(SwarmKeys.model_validate(values), folder)
         return built_problem(ProblemKeys.model_validate(values), folder)
     except ValidationError as error:
         raise translated(error, SwarmKeys if single else ProblemKeys) from None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import check_placed
 from hitchopt.one_line import OneLine
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation, check_requirements
 from hitchopt.values import Array, instance, points, positive, sequence, text
@@ -21,6 +24,7 @@ class SwarmProblem(OneLine):
     start, goal: (N, 3) [m]
     limits, separation, arena, keep_out, title: what to keep, and what to call it.
     duration: of the flight, exactly [s], or None: as fast as is found.
+    objects: by name; they stand where they are, and the drones stay off them.
 
     Raises
     ------
@@ -36,11 +40,12 @@ class SwarmProblem(OneLine):
     keep_out: tuple[Prism, ...] = ()
     duration: float | None = None
     title: str = ""
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     @property
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
-        return Requirements(self.limits, self.separation, self.arena, self.keep_out)
+        return Requirements(self.limits, self.separation, self.arena, self.keep_out, self.objects)
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)
@@ -54,6 +59,8 @@ class SwarmProblem(OneLine):
             object.__setattr__(self, name, given)
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
         check_requirements(self)
+        object.__setattr__(self, "objects", dict(self.objects))
+        check_placed(self.objects, self.requirements.floor)
         text("title", self.title)
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Discriminator, Field, Tag
 
 from hitchopt.hitch.swarm import MAX_DRONES
+from hitchopt.mission.object_keys import MAX_OBJECTS, ObjectKeys
 from hitchopt.mission.schema import (
     EACH,
     MAX_TITLE,
@@ -16,6 +17,7 @@ from hitchopt.mission.schema import (
     Keys,
     MotionLimitsKeys,
     Number,
+    ObjectName,
     Point2,
     Point3,
     Positive,
@@ -68,6 +70,9 @@ class SwarmKeys(Keys):
     arena: ArenaKeys | None = Field(default=None, description=str(ArenaKeys.__doc__))
     keep_out: Annotated[list[PrismKeys], Field(max_length=MAX_PRISMS)] = Field(
         default_factory=list, description="Prisms that the drones stay out of"
+    )
+    objects: Annotated[dict[ObjectName, ObjectKeys], Field(max_length=MAX_OBJECTS)] = Field(
+        default_factory=dict, description="Objects that stand in the way, by name"
     )
     start: Points = Field(
         description="Where the drones are at rest, one [x, y, z] [m] per drone",

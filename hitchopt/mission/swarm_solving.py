@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,11 +13,20 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.objects import Slab, SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.requirements import Prism
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.values import Array
 
 SHARE = 1.0 - 1e-6
 """Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
+
+CORNERS = 24
+"""Number of corners of the polygon around a circle that the planner keeps drones out of."""
+
+THIN = 1e-3
+"""[m] Height of the prism around a rim."""
 
 
 @remembered
@@ -34,13 +44,18 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration
         found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
         raise InfeasibleError([found])
+    planned = problem.requirements.planned
+    bodies = [(name, slab) for name, body in problem.objects.items() for slab in body.slabs]
+    around = tuple(prism_around(problem.objects[name], slab) for name, slab in bodies)
+    prisms = [f"prism {k}" for k in range(len(planned.keep_out))]
     task = SeparationTask(
         problem.start,
         problem.goal,
-        problem.requirements.planned,
+        replace(planned, keep_out=planned.keep_out + around, objects={}),
         duration=problem.duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
+        prisms=(*prisms, *(name for name, _ in bodies)),
     )
     separated = separate(task, progress)
     phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
@@ -49,6 +64,21 @@ def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
     if not certificate.certified:
         raise infeasible(certificate, motion)
     return Certified(motion, certificate)
+
+
+def prism_around(body: SolidObject, slab: Slab) -> Prism:
+    """Return a prism that holds a slab of an object, where it stands.
+
+    A circle has a polygon of CORNERS corners around it.
+    """
+    corners = slab.section.core
+    if slab.section.radius is not None:
+        angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
+        reach = slab.section.radius / np.cos(np.pi / CORNERS)
+        corners = reach * np.column_stack([np.cos(angles), np.sin(angles)])
+    placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
+    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper
+    return Prism(placed[:, :2], min(lower, upper - THIN), upper)
 
 
 def flyable_accelerations(problem: SwarmProblem) -> Array:

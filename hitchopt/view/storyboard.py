@@ -109,12 +109,16 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
 
 def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> list[Axes]:
     """Draw the shots of a plan in a part of a figure; return the panels' axes."""
-    times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
-    times = np.unique(np.concatenate([times, [min(s.time, motion.duration) for s in shots]]))
-    return draw_storyboard(place, scene_at(motion, times, THICKNESS), shots)
+    times = np.unique([0.0, motion.duration, *(min(s.time, motion.duration) for s in shots)])
+    paths = np.linspace(0.0, motion.duration, PATH_SAMPLES)
+    paths = np.unique(np.concatenate([paths, times]))
+    flown = motion.drones.at(motion.drones.breaks[0] + paths)
+    return draw_storyboard(place, scene_at(motion, times, THICKNESS), shots, (paths, flown))
 
 
-def draw_storyboard(place: SubplotSpec, scene: Scene, shots: Sequence[Shot]) -> list[Axes]:
+def draw_storyboard(
+    place: SubplotSpec, scene: Scene, shots: Sequence[Shot], flown: tuple[Array, Array]
+) -> list[Axes]:
     """Draw the panels of a scene; return their axes.
 
     Parameters
@@ -122,6 +126,8 @@ def draw_storyboard(place: SubplotSpec, scene: Scene, shots: Sequence[Shot]) -> 
     place: part of a figure that they fill.
     scene: samples at which all shots' times are.
     shots: what is shown.
+    flown: times (samples,) [s], the shots' among them, and the drones there (samples, drones, 3)
+        [m]: the paths.
     """
     columns, rows = _arranged(len(shots))
     grid: Any = place.subgridspec(rows, columns)
@@ -135,7 +141,8 @@ def draw_storyboard(place: SubplotSpec, scene: Scene, shots: Sequence[Shot]) -> 
     half = half * (1.0 + 2.0 * MARGIN) + scene.motion.requirements.separation.radius
     size = max(1.0, _smallest(scene) * 2.0 * half[1])
     painter = Painter(scene, camera, scene.radius, size)
-    paths = camera.seen(scene.drones)[..., :2]
+    paths = camera.seen(flown[1])[..., :2]
+    reached = np.searchsorted(flown[0], scene.t[moments])
     made = []
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Any = figure.add_subplot(grid[k // columns, k % columns])
@@ -144,8 +151,8 @@ def draw_storyboard(place: SubplotSpec, scene: Scene, shots: Sequence[Shot]) -> 
         if shot.near:
             centre, reach = _nearest(scene, camera.seen(moment.cables)[..., :2], half)
             painting = Painter(scene, camera).painted(moment)
-        before = moments[k - 1] if k and not shot.near else i
-        lines = np.moveaxis(paths[before : i + 1], 1, 0)
+        before = reached[k - 1] if k and not shot.near else reached[k]
+        lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
         apart = np.min(np.abs(painting.polygons - centre), axis=1)
         inside = np.all(apart <= reach, axis=1)
         axes.add_collection(

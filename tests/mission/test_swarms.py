@@ -42,6 +42,7 @@ def full() -> dict[str, Any]:
         "separation": {"radius": 0.1, "height": 0.25},
         "arena": {"lower": [-2, -2, 0], "upper": [2, 2.5, 3]},
         "keep_out": [{"polygon": [[0, 1], [0.3, 1.4], [0.4, 0.9]], "lower": 0.0, "upper": 2.0}],
+        "objects": {"pole": {"circle": 0.1, "to": 1.5, "at": [1.0, 1.5, 0.0], "fixed": True}},
         "start": [[-1, 0.1, 1.0], [1.0, 0, 1.1]],
         "goal": [[1, 0.2, 1.1], [-1.0, 0.3, 1.2]],
         "duration": 6.5,
@@ -240,3 +241,84 @@ def test_the_duration_that_is_told_will_do() -> None:
         assert plan.duration == pytest.approx(data["duration"])
         return
     pytest.fail("no duration that was told would do")
+
+
+OBJECTS: dict[str, Any] = {
+    "table": {
+        "outline": [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.2], [-0.3, 0.2]],
+        "to": 0.4,
+        "at": [2.0, 1.0, 0.0],
+        "yaw_deg": 20.0,
+        "fixed": True,
+    },
+    "tub": {"circle": 0.2, "to": 1.2, "at": [2.0, 1.0, 0.4], "rim": {"circle": 0.3, "at": 1.0}},
+}
+
+
+def past_objects(goal: tuple[float, ...] = (3.2, 1.0, 0.6)) -> dict[str, Any]:
+    return {
+        "team": {"drones": 2},
+        "start": [[0.8, 1.0, 0.6], [3.2, 1.05, 0.3]],
+        "goal": [list(goal), [0.8, 1.05, 0.3]],
+        "objects": OBJECTS,
+    }
+
+
+def distance_to_box(points: np.ndarray, half: tuple[float, float], top: float) -> np.ndarray:
+    """Distances of points (m, 3) in the frame of a box on the ground."""
+    beyond = np.abs(points - [0.0, 0.0, 0.5 * top]) - [*half, 0.5 * top]
+    found: np.ndarray = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    return found
+
+
+def distance_to_disc(points: np.ndarray, radius: float, low: float, high: float) -> np.ndarray:
+    beside = np.maximum(np.hypot(points[:, 0], points[:, 1]) - radius, 0.0)
+    above = np.maximum(np.maximum(low - points[:, 2], points[:, 2] - high), 0.0)
+    found: np.ndarray = np.hypot(beside, above)
+    return found
+
+
+def test_drones_stay_off_objects_by_samples(tmp_path: Path) -> None:
+    problem = any_problem_from_dict(past_objects())
+    plan = ho.solve(problem)
+    points = plan.motion.drones.at(np.linspace(0.0, plan.duration, 20001)).reshape(-1, 3)
+    seen = points - [2.0, 1.0, 0.0]
+    c, s = math.cos(math.radians(20.0)), math.sin(math.radians(20.0))
+    turned = np.column_stack(
+        [c * seen[:, 0] + s * seen[:, 1], c * seen[:, 1] - s * seen[:, 0], seen[:, 2]]
+    )
+    nearest = min(
+        float(np.min(distances))
+        for distances in (
+            distance_to_box(turned, (0.3, 0.2), 0.4),
+            distance_to_disc(seen, 0.2, 0.4, 1.6),
+            distance_to_disc(seen, 0.3, 1.4, 1.4),
+        )
+    )
+    found = plan.certificate["keep_out"]
+    assert 0.12 <= found.bound <= nearest + 1e-9
+    assert found.bound == pytest.approx(nearest, abs=1e-3)
+    assert found.where[1] in OBJECTS
+    plan.save(tmp_path / "plan")
+    again = ho.load(tmp_path / "plan")
+    assert list(again.motion.requirements.objects) == ["table", "tub"]
+    assert again.certificate["keep_out"].bound == pytest.approx(found.bound, abs=1e-12)
+
+
+def test_without_the_objects_they_would_hit_them() -> None:
+    keys = past_objects() | {"objects": {}}
+    plan = ho.solve(any_problem_from_dict(keys))
+    points = plan.motion.drones.at(np.linspace(0.0, plan.duration, 2001)).reshape(-1, 3)
+    assert np.min(distance_to_disc(points - [2.0, 1.0, 0.0], 0.2, 0.4, 1.6)) < 0.12
+
+
+def test_a_goal_at_an_object_names_it() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"keep_out: .* d0, tub at the goals"):
+        ho.solve(any_problem_from_dict(past_objects((2.25, 1.0, 0.6))))
+
+
+def test_objects_of_a_swarm_must_stand_on_something() -> None:
+    keys = past_objects()
+    keys["objects"] = {"tub": OBJECTS["tub"]}
+    with pytest.raises(ho.InputError, match=r"objects\.tub\.at"):
+        any_problem_from_dict(keys)

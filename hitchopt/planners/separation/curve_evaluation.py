@@ -150,11 +150,11 @@ def _outside(task: SeparationTask, points: Array, when: str, end: str) -> Iterat
 
 def _within(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
     limit = task.requirements.separation.radius
-    remedy = f"move the {end} away from the prism"
+    remedy = f"move the {end} away from it"
     for k, prism in enumerate(task.requirements.keep_out):
         distances = np.maximum(prism.clearance(points).distance, 0.0)
         for i, distance in _worst(distances, limit, "min", float(np.max(np.abs(points)))):
-            where = (task.names[i], f"prism {k}")
+            where = (task.names[i], task.prisms[k])
             yield Violation("keep_out", distance, limit, "min", "m", where, when, remedy)
 
 

@@ -49,6 +49,7 @@ class SeparationTask:
     acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
         tilt), or None.
     names: of the drones, for messages; none given: d0, d1, ….
+    prisms: names of the prisms, for messages; none given: prism 0, prism 1, ….
 
     Raises
     ------
@@ -63,6 +64,7 @@ class SeparationTask:
     nominal: PiecewisePolynomial | None = None
     acceleration: ArrayLike | None = None
     names: tuple[str, ...] = ()
+    prisms: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("start", "goal"):
@@ -92,6 +94,11 @@ class SeparationTask:
         if len(names) != n:
             raise InputError("names", names, f"{n} names", "one per drone")
         object.__setattr__(self, "names", names)
+        count = len(self.requirements.keep_out)
+        prisms = tuple(self.prisms) or tuple(f"prism {k}" for k in range(count))
+        if len(prisms) != count:
+            raise InputError("prisms", prisms, f"{count} names", "one per prism")
+        object.__setattr__(self, "prisms", prisms)
 
     @property
     def drones(self) -> int:
