@@ -46,7 +46,7 @@ def test_a_part_is_the_whole_with_the_others_at_rest() -> None:
         assert 0.5 * x @ part.program.P @ x + part.program.q @ x == pytest.approx(
             0.5 * y @ whole.P @ y + whole.q @ y
         )
-        values, rest = part.program.A @ x, whole.A @ y
+        values, rest = np.asarray(part.program.A @ x), np.asarray(whole.A @ y)
         rows = np.flatnonzero(np.abs(rest) > 0.0)
         np.testing.assert_allclose(np.sort(values[values != 0.0]), np.sort(rest[rows]))
         moved = built.moved(y)
@@ -73,8 +73,8 @@ def test_drones_that_nobody_meets_stay(
     moving = search._moving
 
     def counting(*given: object) -> object:
-        found = moving(*given)  # type: ignore[arg-type]
-        moved.append(int(np.sum(found)))  # type: ignore[call-overload]
+        found = moving(*given)
+        moved.append(int(np.sum(found)))
         return found
 
     monkeypatch.setattr(search, "_moving", counting)
