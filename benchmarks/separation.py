@@ -1,9 +1,10 @@
 """The separation planner on circles and random teams, beside plain Opti with ellipsoids at knots.
 
-Usage: python -m benchmarks.separation [circles | rival | random] ...
+Usage: python -m benchmarks.separation [circles | rival | random | crowds] ...
 
 ``circles``: antipodal circles of 6 to 200 drones; ``rival``: IPOPT on those of 6, 12 and 24;
-``random``: 100 seeded teams of 10 to 30 drones. All of them without a word.
+``random``: 100 seeded teams of 10 to 30 drones; ``crowds``: random places of 100 to 1000. All of
+them without a word.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Requirements
-from problems.swarm import antipodal_circle, random_team
+from problems.swarm import antipodal_circle, random_crowd, random_team
 
 CIRCLES = (6, 12, 24, 64, 200)
 RIVAL_CIRCLES = (6, 12, 24)
@@ -33,6 +34,8 @@ RIVAL_SECONDS = 120.0
 """Processor time that IPOPT is given."""
 
 TEAMS = 100
+
+CROWDS = (100, 300, 1000)
 
 
 def circle(n: int) -> SwarmProblem:
@@ -140,10 +143,31 @@ def measure_random() -> None:
     print(f"  duration over bound: {np.median(ratios):.3f} (median), {np.max(ratios):.3f} at most")
 
 
+def measure_crowds() -> None:
+    """Print a row for random crowds of the density of 1000 drones in 20 x 20 x 10 m."""
+    print("random crowds, 1000 drones in 20 x 20 x 10 m and as dense (seed 0), no arena")
+    print("     N  processor [s]  duration [s]  over bound  separation, all t  certified")
+    for n in CROWDS:
+        problem = any_problem_from_dict(random_crowd(n))
+        if not isinstance(problem, SwarmProblem):
+            raise TypeError("a crowd is of single drones")
+        began = time.process_time()
+        plan = ho.separate(problem)
+        seconds = time.process_time() - began
+        print(
+            f"  {n:4d}  {seconds:13.2f}  {plan.duration:12.3f}  "
+            f"{plan.duration / bound(problem):10.3f}  "
+            f"{plan.certificate['separation'].worst:17.4f}  "
+            f"{'yes' if plan.certificate.certified else 'NO'}",
+            flush=True,
+        )
+
+
 PARTS: dict[str, Callable[[], None]] = {
     "circles": measure_circles,
     "rival": measure_rival,
     "random": measure_random,
+    "crowds": measure_crowds,
 }
 
 

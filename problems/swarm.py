@@ -1,7 +1,7 @@
 """Problems of single drones for any N, as problem files: for tests, benchmarks and trying out.
 
 Usage: python -m problems.swarm circle DRONES | grids SIDE | door WIDTH DRONES | stack DRONES |
-random SEED > problem.yaml
+random SEED | crowd DRONES > problem.yaml
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ SPACING = 1.5
 RANDOM_SPACING = 1.1
 """Separation of starts, and of goals, of random teams."""
 
-BOX = ((-2.0, -2.0, 0.3), (2.0, 2.0, 2.3))
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+BOX: Box = ((-2.0, -2.0, 0.3), (2.0, 2.0, 2.3))
 """Box [m] in which random teams start and end, two corners."""
 
 
@@ -87,6 +89,14 @@ def random_team(seed: int) -> dict[str, Any]:
     return problem(f"Random team {seed}", _apart(rng, n), _apart(rng, n))
 
 
+def random_crowd(n: int, seed: int = 0) -> dict[str, Any]:
+    """Return n drones between random places, as dense as 1000 of them in 20 by 20 by 10 m."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 * (n / 1000.0) ** (1.0 / 3.0)
+    box = ((-size, -size, 0.3), (size, size, 0.3 + size))
+    return problem(f"Random crowd of {n} drones", _apart(rng, n, box), _apart(rng, n, box))
+
+
 def problem(title: str, start: Array, goal: Array) -> dict[str, Any]:
     """Return the problem of drones that go from (N, 3) to (N, 3) [m]."""
     return {
@@ -97,12 +107,12 @@ def problem(title: str, start: Array, goal: Array) -> dict[str, Any]:
     }
 
 
-def _apart(rng: np.random.Generator, n: int) -> Array:
+def _apart(rng: np.random.Generator, n: int, box: Box = BOX) -> Array:
     """(n, 3): random points in the box, none too close to another."""
     scale = Separation().scale
     points = np.empty((0, 3))
     while len(points) < n:
-        point = rng.uniform(*BOX)
+        point = rng.uniform(*box)
         if np.all(np.linalg.norm((points - point) * scale, axis=1) > RANDOM_SPACING):
             points = np.vstack([points, point])
     return points
@@ -118,6 +128,7 @@ if __name__ == "__main__":
             "grids": swapping_grids,
             "stack": reversed_stack,
             "random": random_team,
+            "crowd": random_crowd,
         }[kind]
         data = make(int(words[0]))
     yaml = YAML()  # keeps the keys in their order

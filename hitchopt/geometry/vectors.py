@@ -40,7 +40,7 @@ def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
     least: length up to which a vector has no direction, one or (…, 1).
     """
     size = length(a)[..., None]
-    long = size > least
+    long = size > np.asarray(least)
     directions: Array = np.where(long, a / np.where(long, size, 1.0), fallback)
     return directions
 

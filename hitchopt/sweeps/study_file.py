@@ -201,7 +201,7 @@ def _section(keys: StudyKeys, name: str) -> dict[str, Plain] | None:
 def _problems(given: Plain, directory: Path) -> list[tuple[str, dict[str, Plain]]]:
     """Return the name and the mapping of every problem."""
     if isinstance(given, dict):
-        return [("problem", given)]
+        return [("problem", _with_outlines(given, directory))]
     files = given if isinstance(given, list) else [given]
     found = []
     for i, file in enumerate(files):
@@ -211,7 +211,26 @@ def _problems(given: Plain, directory: Path) -> list[tuple[str, dict[str, Plain]
         data = read_yaml(directory / file)
         if not isinstance(data, dict):
             raise FileError(f"{directory / file}: is no problem file")
-        found.append((Path(file).stem, data))
+        found.append((Path(file).stem, _with_outlines(data, (directory / file).parent)))
     if not found:
         raise InputError("problem", [], "at least one problem", "name a problem file")
     return found
+
+
+def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
+    """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
+
+    Workers elsewhere need no drawings then, and digests depend on what these show.
+    """
+    objects = problem.get("objects")
+    if not isinstance(objects, dict):
+        return problem
+    inlined: dict[str, Plain] = {}
+    for name, each in objects.items():
+        inlined[name] = each
+        if isinstance(each, dict) and isinstance(each.get("file"), str):
+            from hitchopt.outlines.outline_file import read_outline  # heavy: readers of drawings
+
+            rest = {key: value for key, value in each.items() if key != "file"}
+            inlined[name] = rest | {"outline": read_outline(folder / str(each["file"])).tolist()}
+    return problem | {"objects": inlined}

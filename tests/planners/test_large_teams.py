@@ -53,6 +53,7 @@ def test_legs_roll_more_half_way_and_end_as_they_are() -> None:
     raised = [each.roll for each in rolled_more(path)]
     assert raised
     for one, more in zip([path.roll, *raised], raised, strict=False):
+        assert one is not None
         assert more is not None
         np.testing.assert_allclose(more.at(s)[[0, -1]], before[[0, -1]], atol=1e-12)
         assert np.all(np.abs(more.at(s)[1:-1]) > np.abs(one.at(s)[1:-1]))
@@ -66,7 +67,7 @@ def test_the_raise_is_the_same_on_a_path_in_pieces() -> None:
     c = path.roll.coefficients
     middle = c.mean(axis=-1)
     halves = np.concatenate([np.stack([c[..., 0], middle], -1), np.stack([middle, c[..., 1]], -1)])
-    cut = ho.PiecewisePolynomial([0.0, 0.5, 1.0], halves)
+    cut = ho.PiecewisePolynomial(np.array([0.0, 0.5, 1.0]), halves)
     pieces = ShapePath(path.team, path.vertices, path.legs, roll=cut)
     s = np.linspace(0.0, 1.0, 33)
     for whole, parted in zip(rolled_more(path), rolled_more(pieces), strict=True):
@@ -77,7 +78,7 @@ def test_the_raise_is_the_same_on_a_path_in_pieces() -> None:
 
 def test_level_legs_are_not_rolled_on_the_way() -> None:
     team = ho.Team(3, 2.4)
-    start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]])
+    start = ho.Hitch.spread(team, np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]))
     assert not list(rolled_more(ShapePath.straight(start, start)))
 
 

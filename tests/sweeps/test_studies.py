@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -121,3 +122,26 @@ def test_cases_are_told_apart_by_all_that_counts(tmp_path: Path) -> None:
         {"team.tension": 0.3},
         {"team.tension": 0.4},
     ]
+
+
+def test_drawings_of_objects_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
+    """Of a problem in the study as of one in a file beside it, from wherever it is read."""
+    (tmp_path / "problems").mkdir()
+    shape = '<rect x="0" y="0" width="0.4" height="0.3"/>'
+    svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1">{shape}</svg>'
+    (tmp_path / "box.svg").write_text(svg)
+    (tmp_path / "problems" / "box.svg").write_text(svg.replace("0.4", "0.6"))
+    box = {"file": "box.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
+    problem = PROBLEM | {"objects": {"box": box}}
+    (tmp_path / "problems" / "problem.yaml").write_text(json.dumps(problem))
+    (tmp_path / "here.yaml").write_text(json.dumps({"problem": problem}))
+    (tmp_path / "there.yaml").write_text(json.dumps({"problem": "problems/problem.yaml"}))
+    for name, width in (("here", 0.4), ("there", 0.6)):
+        ((_, found),) = load_study(tmp_path / f"{name}.yaml").problems
+        objects = found["objects"]
+        assert isinstance(objects, dict)
+        made = objects["box"]
+        assert isinstance(made, dict)
+        assert "file" not in made
+        points = np.array(made["outline"], dtype=np.float64)
+        np.testing.assert_allclose(np.ptp(points, axis=0), [width, 0.3], atol=1e-9)

@@ -17,7 +17,7 @@ from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 RAISES = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0))
-"""[rad] By how much legs are rolled more half way, tried in turn."""
+"""[rad] Rolls that are added half way, tried in turn."""
 
 STEEPEST = math.radians(60.0)
 """[rad] Largest roll tried, up to which clasps hold in simulated ropes."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.planners.separation.curve_evaluation import Evaluation, check_ends, evaluate
@@ -63,6 +64,13 @@ UNCLEAR, LATE = 1e9, 1e6
 REACH = 1.0
 """Excess of the separation [1] up to which pairs of pieces get a plane."""
 
+LARGE = 256
+"""Number of drones from which on only those that are too close are moved, until curves are clear,
+which ends the search."""
+
+CLOSE = 0.1
+"""Excess of the separation [1] below which drones are too close in this sense."""
+
 NEARLY = 1.15
 """Duration over that of single flights at which one round without a gain ends the search."""
 
@@ -117,12 +125,20 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
     known: ClosePieces | None = None
     idle = 0
     for round_number in range(ROUNDS):
+        if best.clear and _large(setting):
+            break
         around = _around(setting, here, known)
         known = around.planes.between
         built = build_program(setting, around)
-        first = np.zeros(len(built.program.q))  # unknowns are changes
+        moving = _moving(setting, here, around)
         try:
-            solution = solver.solve(built.program, first, built.common_rows)
+            if np.all(moving):
+                first = np.zeros(len(built.program.q))  # unknowns are changes
+                solution = solver.solve(built.program, first, built.common_rows)
+            else:
+                part = built.among(moving)
+                first = np.zeros(len(part.kept))
+                solution = part.whole(solver.solve(part.program, first, 0))
         except ProgramError:
             break
         here = evaluate(setting, built.moved(solution))
@@ -150,6 +166,30 @@ def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Ar
     walls = walls_before(pieces, task.requirements.keep_out, radius, radius + 2.0 * trust)
     planes = planes_between(scaled, close)
     return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
+
+
+def _moving(setting: Setting, here: Evaluation, around: Around) -> NDArray[np.bool_]:
+    """Return which drones (N,) the next program moves.
+
+    All of them, but of crowds that are LARGE only those that are too close to others, as long as
+    there are any: a program of all is coupled by so many planes that its factors fill.
+    """
+    everyone = np.ones(setting.task.drones, dtype=np.bool_)
+    if here.clear or not _large(setting):
+        return everyone
+    planes = around.planes
+    close = np.min(planes.gaps, axis=1) < 1.0 + MARGIN + CLOSE
+    moving = ~everyone
+    moving[planes.between.first[close]] = True
+    moving[planes.between.second[close]] = True
+    return moving if np.any(moving) else everyone
+
+
+def _large(setting: Setting) -> bool:
+    """Return whether a crowd is LARGE, nothing but drones in its way, and may take its time."""
+    task = setting.task
+    bound = task.tethers or task.requirements.keep_out or task.duration is not None
+    return task.drones >= LARGE and not bound
 
 
 def _enough(setting: Setting, here: Evaluation, best: Evaluation, idle: int) -> bool:

@@ -70,6 +70,25 @@ class Built:
     setting: Setting
     around: Around
 
+    def among(self, moving: NDArray[np.bool_]) -> Part:
+        """Return the program of the drones that are ``moving`` (N,) while the others stay.
+
+        For tasks without tethers and prisms.
+        """
+        between = self.around.planes.between
+        free = self.setting.grid.count - 2 * HELD
+        touched = moving[between.first] | moving[between.second]
+        which = np.concatenate([np.repeat(moving, 3 * free), moving, touched])
+        kept = np.flatnonzero(which)
+        whole = self.program
+        A = sp.csr_array(whole.A[:, kept])
+        rows = np.flatnonzero(np.diff(A.indptr))
+        P = sp.csc_array(whole.P[:, kept][kept])
+        part = QuadraticProgram(
+            P, whole.q[kept], sp.csc_array(A[rows]), whole.lower[rows], whole.upper[rows]
+        )
+        return Part(part, kept, len(which))
+
     def moved(self, x: Array) -> Array:
         """Return the coefficients (N, count, 3) [m] that a solution stands for."""
         coefficients = self.around.coefficients.copy()
@@ -79,6 +98,28 @@ class Built:
         if arena is not None:  # exactly, where OSQP has a tolerance
             inner[...] = inside(arena, inner)
         return coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A program in some of the unknowns of another, in which the rest is zero.
+
+    Attributes
+    ----------
+    program: for the solver.
+    kept: (m,), which unknowns these are.
+    unknowns: number of unknowns of the whole.
+    """
+
+    program: QuadraticProgram
+    kept: Indices
+    unknowns: int
+
+    def whole(self, x: Array) -> Array:
+        """Return what a solution (m,) is in all unknowns."""
+        found = np.zeros(self.unknowns)
+        found[self.kept] = x
+        return found
 
 
 def build_program(setting: Setting, around: Around) -> Built:

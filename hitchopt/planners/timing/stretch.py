@@ -48,8 +48,8 @@ def needed_stretch(
     factors = []
     for first in range(0, len(h), size):  # a thousand robots fill the memory
         span = slice(first, first + size)
-        sampled = (_sampled(part, span, inner) for part in (drones, vertices, pulls))
-        forces = cable_forces(team, *sampled, np.ones(team.robots))
+        x, p, pull = (_sampled(part, span, inner) for part in (drones, vertices, pulls))
+        forces = cable_forces(team, x, p, pull, np.ones(team.robots))
         demands = Demands(
             np.stack([_rates(drones, span, order) for order in range(4)], axis=-1),
             np.max(length(_rates(vertices, span, 1)), axis=1),

@@ -1,0 +1,98 @@
+"""Crowds of single drones: programs of those that are too close, the others staying."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from hitchopt import separate
+from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.swarm_problem import SwarmProblem
+from hitchopt.planners.separation.curve_evaluation import evaluate
+from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
+from hitchopt.planners.separation.separation_program import build_program
+from hitchopt.planners.separation.setting import Setting, setting_of
+from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.requirements import Requirements
+from problems.swarm import antipodal_circle, random_crowd
+
+search = import_module("hitchopt.planners.separation.separate")
+
+
+def crowd(drones: int, seed: int = 3) -> SwarmProblem:
+    problem = any_problem_from_dict(random_crowd(drones, seed))
+    assert isinstance(problem, SwarmProblem)
+    return problem
+
+
+def setting(drones: int) -> Setting:
+    problem = crowd(drones)
+    return setting_of(SeparationTask(problem.start, problem.goal, Requirements()))
+
+
+def test_a_part_is_the_whole_with_the_others_at_rest() -> None:
+    here = setting(12)
+    found = evaluate(here, pushed_apart(here, PriorityRule(0.5)))
+    built = build_program(here, search._around(here, found, None))
+    moving = np.zeros(12, dtype=np.bool_)
+    moving[[1, 4, 5]] = True
+    part, whole = built.among(moving), built.program
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        x = rng.uniform(-1.0, 1.0, len(part.kept))
+        y = part.whole(x)
+        assert 0.5 * x @ part.program.P @ x + part.program.q @ x == pytest.approx(
+            0.5 * y @ whole.P @ y + whole.q @ y
+        )
+        values, rest = np.asarray(part.program.A @ x), np.asarray(whole.A @ y)
+        rows = np.flatnonzero(np.abs(rest) > 0.0)
+        np.testing.assert_allclose(np.sort(values[values != 0.0]), np.sort(rest[rows]))
+        moved = built.moved(y)
+        np.testing.assert_array_equal(moved[~moving], found.coefficients[~moving])
+    assert len(part.program.lower) < len(whole.lower)
+
+
+def test_what_is_among_all_is_the_whole() -> None:
+    here = setting(6)
+    found = evaluate(here, pushed_apart(here, PriorityRule(0.5)))
+    built = build_program(here, search._around(here, found, None))
+    part = built.among(np.ones(6, dtype=np.bool_))
+    np.testing.assert_array_equal(part.kept, np.arange(len(built.program.q)))
+    used = np.flatnonzero(np.diff(built.program.A.tocsr().indptr))
+    np.testing.assert_array_equal(part.program.A.toarray(), built.program.A.toarray()[used])
+
+
+def test_drones_that_nobody_meets_stay(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(search, "LARGE", 40)
+    monkeypatch.setattr("hitchopt.planners.separation.guess.ROUNDS", 2)  # guesses are not clear
+    moved: list[int] = []
+    moving = search._moving
+
+    def counting(*given: object) -> object:
+        found = moving(*given)
+        moved.append(int(np.sum(found)))
+        return found
+
+    monkeypatch.setattr(search, "_moving", counting)
+    ring = antipodal_circle(12)
+    x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
+    away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)]).tolist()
+    data = ring | {
+        "team": {"drones": 42}, "start": ring["start"] + away, "goal": ring["goal"] + away
+    }  # fmt: skip
+    problem = any_problem_from_dict(data)
+    assert isinstance(problem, SwarmProblem)
+    plan = separate(problem)
+    plan.certificate.raise_if_violated()
+    assert moved
+    assert max(moved) <= 12
+    drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
+    i, j = np.triu_indices(42, 1)
+    apart = (drones[:, i] - drones[:, j]) / [0.24, 0.24, 0.6]
+    assert np.min(np.linalg.norm(apart, axis=-1)) >= 1.0
+    np.testing.assert_allclose(drones[:, 12:], np.broadcast_to(away, (300, 30, 3)), atol=1e-12)
+    np.testing.assert_allclose(drones[-1], problem.goal, atol=1e-9)
