@@ -150,9 +150,10 @@ def test_every_check_has_a_section_of_three_parts() -> None:
     sections = dict(
         re.findall(r"^### `(\w+)`\n(.*?)(?=^\(check-|\Z)", text, re.DOTALL | re.MULTILINE)
     )
-    assert list(sections) == [rule.name for rule in (*RULES, *REPORTS)]
+    names = [rule.name for rule in (*RULES, *REPORTS)]
+    assert list(sections) == [*names, "survivable"]  # which is computed on request only
     for name, words in sections.items():
-        assert f"generated/{name}.md" in words
+        assert name not in names or f"generated/{name}.md" in words
         for part in ("What it says.", "How it is computed.", "What it does not say."):
             assert f"**{part}**" in words, f"{name}: {part}"
 
