@@ -21,6 +21,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.image import imread
@@ -30,6 +31,9 @@ from benchmarks.environment import busy, environment
 from hitchopt.mission.memory import VARIABLE
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.view.editing_session import Editing, Stage
+
+if TYPE_CHECKING:
+    from playwright.sync_api import FloatRect, Page
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 
@@ -86,13 +90,7 @@ def first_frame(file: str) -> Row:
             assert served.stdout is not None
             words = next(line for line in served.stdout if "http://" in line and "plan is" in line)
             ready = time.monotonic() - before
-            page.goto(re.findall(r"http://\S+?(?=;)", words)[0], wait_until="commit")
-            page.wait_for_selector("canvas")
-            while (
-                coloured(page.screenshot(clip={"x": 0, "y": 200, "width": 800, "height": 600}))
-                < DRAWN
-            ):
-                page.wait_for_timeout(20)
+            open_until_drawn(page, re.findall(r"http://\S+?(?=;)", words)[0])
             shown = time.monotonic() - before
         finally:
             served.terminate()
@@ -100,6 +98,34 @@ def first_frame(file: str) -> Row:
     processor = children() - used
     value = f"{shown:.2f} s (served after {ready:.2f} s; {processor:.2f} s of processor for both)"
     return Row(f"first frame of {file} in Chromium", value, "3 s", busy())
+
+
+def one_box() -> Row:
+    """Return the time from a page's opening to the picture of one box, by viser alone."""
+    import viser
+    from generators.headless_page import opened_page
+
+    server = viser.ViserServer(port=8471, verbose=False)
+    try:
+        server.scene.add_box("/box", dimensions=(2.0, 2.0, 2.0), color=(255, 0, 0))
+        with opened_page() as page:
+            page.set_default_timeout(LONGEST)
+            before = time.monotonic()
+            open_until_drawn(page, "http://127.0.0.1:8471")
+            shown = time.monotonic() - before
+    finally:
+        server.stop()
+    what = "one box, served by viser alone, in the same Chromium, without the server's start"
+    return Row(what, f"{shown:.2f} s", "-", busy())
+
+
+def open_until_drawn(page: Page, address: str) -> None:
+    """Open an address and wait until colours are seen there."""
+    page.goto(address, wait_until="commit")
+    page.wait_for_selector("canvas")
+    clip: FloatRect = {"x": 0, "y": 200, "width": 800, "height": 600}
+    while coloured(page.screenshot(clip=clip)) < DRAWN:
+        page.wait_for_timeout(20)
 
 
 def film(file: str) -> Row:
@@ -164,7 +190,7 @@ def main() -> None:
     parser.add_argument("--drags", type=int, default=15)
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    rows = [first_frame("form_twelve_gon.yaml"), film("tie_carry_untie.yaml")]
+    rows = [first_frame("form_twelve_gon.yaml"), one_box(), film("tie_carry_untie.yaml")]
     rows += [drags(*case, given.drags) for case in EDITED]
     table = [f"| {row.what} | {row.value} | {row.goal} | {row.load:.1f} |" for row in rows]
     lines = [
