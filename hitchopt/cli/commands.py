@@ -153,7 +153,7 @@ def _next_steps(place: Path, motion: Motion) -> str:
     lines = [f"next: look at {place / SUMMARY}"]
     if motion.team.has_cables:
         lines.append(f"      hitchopt simulate {name}")
-    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2"])
+    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2 --stretch 1.01"])
 
 
 def _leave_diagnosis(

@@ -95,7 +95,7 @@ def test_a_solve_says_what_to_do_next() -> None:
     assert result.stderr.splitlines() == [
         "next: look at my out/summary.png",
         "      hitchopt simulate 'my out'",
-        "      hitchopt export 'my out' --format crazyswarm2",
+        "      hitchopt export 'my out' --format crazyswarm2 --stretch 1.01",
     ]
 
 
