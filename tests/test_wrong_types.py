@@ -216,12 +216,13 @@ def test_what_no_argument_of_fit_may_be_is_refused_by_its_name(name: str) -> Non
 
 
 def test_what_no_file_may_be_is_refused_by_its_name(tmp_path: Path) -> None:
-    for wrong in NEVER:
+    for wrong in (*NEVER, np.array(1.0)):
         calls: list[tuple[Callable[[Any], object], str]] = [
             (PLAN.report, "directory"),
             (lambda x: PLAN.save(tmp_path / "out", report=x), "report"),
             (PLAN.view, "save"),
             (lambda x: PLAN.view(ghost=x, browser=False), "ghost"),
+            (lambda x: PLAN.abort(0.0, x), "how"),
             (lambda x: ho.certify(PLAN.motion, reports=x), "reports"),
             (lambda x: ho.certify(PLAN.motion, reports=[x]), "reports[0]"),
         ]
