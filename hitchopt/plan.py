@@ -25,7 +25,7 @@ from hitchopt.motion.states import States, states_at
 from hitchopt.one_line import OneLine, short
 from hitchopt.storage.atomic import replace_files
 from hitchopt.time_limit import Progress
-from hitchopt.values import instance, path, text, whole
+from hitchopt.values import flag, instance, path, text, whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -177,7 +177,7 @@ class Plan(OneLine):
         """
         from hitchopt.view.summary import save_summary
 
-        motion = self.motion
+        motion, report = self.motion, flag("report", report)
 
         def draw(file: Path) -> None:
             save_summary(file, motion, self.certificate, self.title)
@@ -216,7 +216,7 @@ class Plan(OneLine):
         ------
         FileError: the directory cannot be written to.
         """
-        place = Path(directory)
+        place = path("directory", directory)
         writers = {REPORT: lambda path: self._write_report(path, place)}
         return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
 
@@ -255,14 +255,14 @@ class Plan(OneLine):
             from hitchopt.view.saved_view import save_view
 
             shown = (self.motion, self.certificate, self.title, self.problem)
-            save_view(Path(save), *shown, progress)
+            save_view(path("save", save), *shown, progress)
             return None
         import webbrowser
 
         from hitchopt.view.ghost_scene import ghost_scene
         from hitchopt.view.live_view import LiveView
 
-        other = None if ghost is None else ghost_scene(Path(ghost), self.motion)
+        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
         live = LiveView(
             self.motion, self.certificate, self.title, ghost=other, host=host, port=port
         )

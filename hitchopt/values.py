@@ -43,6 +43,12 @@ def path(key: str, value: object) -> Path:
     return Path(value)
 
 
+def choice(key: str, value: object, names: Sequence[str]) -> None:
+    """Raise InputError unless ``value`` is one of ``names``."""
+    if not isinstance(value, str) or value not in names:
+        raise InputError(key, value, f"one of {', '.join(names)}", f"write {names[0]!r}")
+
+
 def text(key: str, value: object) -> str:
     """Return ``value``, or raise InputError unless it is a text."""
     if not isinstance(value, str):

@@ -23,6 +23,12 @@ START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
 PLAN = ho.hold(START, 1.0)
 PAIR = ho.Swarm(2)
 LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
+SECTION = ho.Section(radius=0.1)
+CRATE = ho.Mission(TEAM, START, objects={"crate": ho.SolidObject(SECTION, at=[1.5, 0.0, 0.0])})
+ENCLOSED = CRATE.enclose("crate")
+HELD = ENCLOSED.grasp("crate", by="grip")
+VERTICES = PLAN.at(0.0).vertices
+FEEDBACK, PLAYER = ho.Feedback(PLAN), ho.Player(PLAN)
 REST: dict[str, Any] = {"limits": None, "separation": None, "arena": None}
 RECORDS: dict[str, Any] = {
     "limits": ho.Limits(),
@@ -102,6 +108,37 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
     (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),
     (ho.Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
+    (ho.Section, {"outline": TRIANGLE}),
+    (ho.Section, {"radius": 0.1}),
+    (ho.Rim, {"section": SECTION, "height": 0.2}),
+    (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
+    (ho.SolidObject, {"section": SECTION, "friction": 0.5, "at": [0, 0, 0], "yaw": 0.0}),
+    (ho.SolidObject, {"section": SECTION, "rim": None, "fixed": False}),
+    (CRATE.enclose, {"object": "crate", "duration": None}),
+    (ENCLOSED.grasp, {"object": "crate", "by": "rest", "tension": None, "duration": None}),
+    (HELD.lift, {"by": 0.5, "duration": None}),
+    (HELD.lift(0.1).carry, {"object": "crate", "to": [0.0, 0.0, 1.0], "yaw": 0.0}),
+    (HELD.lift(0.1).set_down, {"object": "crate", "duration": None}),
+    (CRATE.transport_object, {"object": "crate", "to": [0, 0, 1], "by": None, "lift": 0.3}),
+    (CRATE.transport_object, {"object": "crate", "to": [0, 0, 1], "tension": None, "yaw": 0.0}),
+    (CRATE.then, {"step": ho.Hold(1.0)}),
+    (ho.Feedback, {"plan": PLAN, "rate": 0.1, "reserve": 0.01, "delay": 0.05, "stiffness": None}),
+    (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": None, "drones": None}),
+    (
+        FEEDBACK.step,
+        {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None, "clock": [1, 0, 0]},
+    ),
+    (ho.Replanner, {"team": TEAM, "start": START, **REST}),
+    (ho.Player, {"plan": PLAN, "time": 0.0, "rate": 1.0, "stops": None}),
+    (PLAYER.step, {"seconds": 0.01}),
+    (PLAYER.rate, {"rate": 1.0}),
+    (PLAYER.seek, {"time": 0.5}),
+    (PLAYER.path, {"time": 0.5, "goal": 0.5}),
+    (ho.run_sweep, {"study": NOWHERE, "directory": NOWHERE, "workers": 1, "scheduler": ""}),
+    (ho.load_sweep, {"directory": NOWHERE}),
+    (ho.read_problem, {"path": NOWHERE}),
+    (ho.load_problem, {"path": NOWHERE}),
+    (ho.load_swarm, {"path": NOWHERE}),
     (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
 ]
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
@@ -116,7 +153,13 @@ JUNK = st.sampled_from(
 NEVER = [object(), 1j, len]
 """What no argument may be."""
 
-SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}
+SYNONYMS = {
+    "q_legs": "legs",
+    "breaks": "coefficients",
+    "coefficients": "breaks",
+    "lower": "from",
+    "upper": "to",
+}
 """Arguments whose messages name another key."""
 
 
@@ -162,6 +205,31 @@ def test_whatever_is_given_is_accepted_or_told(
             function(**{**values, name: value})
 
     tried()
+
+
+@pytest.mark.parametrize("name", ["robots", "quadrotor", "limits", "separation"])
+def test_what_no_argument_of_fit_may_be_is_refused_by_its_name(name: str) -> None:
+    for wrong in NEVER:
+        with pytest.raises(ho.InputError) as caught:
+            ho.fit(-1.0, **{"robots": 3, name: wrong})  # type: ignore[arg-type]
+        assert caught.value.key == name
+
+
+def test_what_no_file_may_be_is_refused_by_its_name(tmp_path: Path) -> None:
+    for wrong in (*NEVER, np.array(1.0)):
+        calls: list[tuple[Callable[[Any], object], str]] = [
+            (PLAN.report, "directory"),
+            (lambda x: PLAN.save(tmp_path / "out", report=x), "report"),
+            (PLAN.view, "save"),
+            (lambda x: PLAN.view(ghost=x, browser=False), "ghost"),
+            (lambda x: PLAN.abort(0.0, x), "how"),
+            (lambda x: ho.certify(PLAN.motion, reports=x), "reports"),
+            (lambda x: ho.certify(PLAN.motion, reports=[x]), "reports[0]"),
+        ]
+        for call, name in calls:
+            with pytest.raises(ho.InputError) as caught:
+                call(wrong)
+            assert caught.value.key == name
 
 
 def as_sequences(value: Any) -> Iterator[Any]:

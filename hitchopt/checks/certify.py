@@ -9,8 +9,9 @@ from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Found, ReportRule
 from hitchopt.checks.tracking_radius import GAMMA
+from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
-from hitchopt.values import instance, not_negative
+from hitchopt.values import instance, not_negative, sequence
 
 
 def certify(
@@ -48,6 +49,9 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
+    for i, report in enumerate(reports := sequence("reports", reports)):
+        if not isinstance(report, ReportRule):
+            raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
     found: dict[str, tuple[Found, ...]] = {}
     names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
     reports = [report for report in reports if not (part and report.whole)]

@@ -9,7 +9,7 @@ import click
 
 from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET
-from hitchopt.cli.output import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 
 HOWS = ("hold", "back", "release_and_land", "land")
@@ -54,6 +54,13 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
     save_aborts(path.parent, table)
+    record(
+        directory=str(path.parent),
+        how=table.how,
+        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in table.entries],
+        missing=[list(span) for span in table.missing],
+        longest=table.longest if table.entries else None,
+    )
     say(f"aborts.json and aborts.zip are in {path.parent}")
     if table.entries:
         say(f"at rest {table.longest:.3f} s after any command at the latest")

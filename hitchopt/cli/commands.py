@@ -6,7 +6,7 @@ import math
 import shlex
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -153,7 +153,7 @@ def _next_steps(place: Path, motion: Motion) -> str:
     lines = [f"next: look at {place / SUMMARY}"]
     if motion.team.has_cables:
         lines.append(f"      hitchopt simulate {name}")
-    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2"])
+    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2 --stretch 1.01"])
 
 
 def _leave_diagnosis(
@@ -242,7 +242,10 @@ def check(
     if losses is not None:
         certificate = replace(certificate, checks=(*certificate.checks, losses.check))
     _show("", motion, certificate)
-    for lost in () if losses is None else losses.without:
+    without = [] if losses is None else losses.without
+    if losses is not None:
+        record(without_reaction=[asdict(lost) for lost in without])
+    for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
         _show_closest(Plan(motion, certificate), picture)

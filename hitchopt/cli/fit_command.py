@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.output import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath
 from hitchopt.errors import InputError
 
@@ -56,7 +56,7 @@ def fit(
     from hitchopt.cli.fit_tables import fit_tables
     from hitchopt.cli.progress import LateProgress
     from hitchopt.fitting.fit import fit as fitted
-    from hitchopt.fitting.fit_file import save_fit
+    from hitchopt.fitting.fit_file import fit_as_json, save_fit
     from hitchopt.hitch import Quadrotor
     from hitchopt.requirements import Limits
     from hitchopt.values import positive
@@ -70,9 +70,11 @@ def fit(
     with LateProgress(sys.stderr, "fitting"):
         found = fitted(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         text = fit_tables(found)
+    record(fit=fit_as_json(found))
     say(text)
     if directory is not None:
         save_fit(directory, found)
+        record(directory=str(directory))
         say(f"fit.json and fit.png are in {directory}")
     if mass is not None:
         found.raise_if_too_heavy(mass, by)

@@ -18,7 +18,7 @@ import click
 from hitchopt.cli.abort_command import HOWS
 from hitchopt.cli.commands import main
 from hitchopt.cli.failures import UNMET
-from hitchopt.cli.output import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 
 if TYPE_CHECKING:
@@ -122,6 +122,7 @@ def fly(directory: Path, how: str | None, patience: float, rate: float, **option
                 _stream(flight, 1.0 / rate)
             finally:
                 outlet.close(landed=flight.landed)
+    record(landed=flight.landed, late=flight.late)
     if flight.late:
         say(f"{flight.late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
     say("landed" if flight.landed else "not landed", err=not flight.landed)

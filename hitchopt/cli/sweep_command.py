@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.output import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath
 from hitchopt.errors import InputError
 
@@ -61,7 +62,9 @@ def sweep(
                 progress=lambda count: progress(str(count)),
             )
     rows = load_sweep(place)
-    say(sweep_tables(summary(rows, len(read_study(place)["cases"]))))
+    found = summary(rows, len(read_study(place)["cases"]))
+    record(directory=str(place), summary=asdict(found))
+    say(sweep_tables(found))
     say(f"rows are in {place}; draw them: hitchopt sweep {place} --plot X Y")
 
 
@@ -77,4 +80,5 @@ def _draw(place: Path, x: str, y: str) -> None:
     columns = column_of(rows, x), column_of(rows, y)
     path = place / f"{y.rsplit('.', 1)[-1]}_over_{x.rsplit('.', 1)[-1]}.png"
     save_sweep_picture(path, rows, *columns, read_study(place)["title"])
+    record(file=str(path))
     say(f"the picture is {path}")

@@ -11,7 +11,7 @@ import click
 
 from hitchopt.cli.commands import main, report_suggestions
 from hitchopt.cli.failures import UNMET, complain
-from hitchopt.cli.output import say
+from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import HitchoptError, InfeasibleError
 
@@ -47,6 +47,7 @@ def report(directory: Path) -> None:
     place = plan_path(directory).parent
     with LateProgress(sys.stderr, "certifying and writing"):
         path = load(place).report(place)
+    record(file=str(path))
     say(f"open {path} in a browser")
 
 
@@ -188,4 +189,5 @@ def _save(path: Path, file: Path) -> None:
         if _suggested(path, error)[1]:
             say(f"nothing is written; hitchopt view {path} shows the first change", err=True)
         click.get_current_context().exit(UNMET)
+    record(file=str(file))
     say(f"wrote {file}")

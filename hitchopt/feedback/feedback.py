@@ -22,7 +22,7 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.states import states_at
 from hitchopt.one_line import OneLine
 from hitchopt.stopping.sampler import Sampler, Setpoints
-from hitchopt.values import Array, finite, not_negative, positive
+from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
 """Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
@@ -97,8 +97,8 @@ class Feedback(OneLine):
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), not_negative("delay", delay)
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
-        given = own if stiffness is None else np.broadcast_to(stiffness, (team.drones,))
-        self._stiffness = np.array([positive("stiffness", float(each)) for each in given])
+        given = own if stiffness is None else stiffness
+        self._stiffness = per_robot("stiffness", given, team.drones, owner="drone")
         breaks = cell_breaks(motion)
         covered = covered_set(motion, breaks, not_negative("reserve", reserve))
         states = states_at(motion, 0.5 * (breaks[1:] + breaks[:-1]))
@@ -176,12 +176,14 @@ class Feedback(OneLine):
         """
         seconds = not_negative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
-        planned = self._drones.at(time, *clock)
+        jet = _shaped("clock", clock, (3,), "give a rate and its two derivatives").tolist()
+        planned = self._drones.at(time, *jet)
         here = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)
         if seconds > 0.0:
             if vertices is not None:
-                then = time - clock[0] * self._delay if measured is None else measured
-                self._measure(_shaped("vertices", vertices, self._error.shape), then, clock[0])
+                then = time - jet[0] * self._delay
+                then = then if measured is None else finite("measured", measured)
+                self._measure(_shaped("vertices", vertices, self._error.shape), then, jet[0])
             self._age += seconds
             growing = drones is None or not self._strayed(planned, drones)
             self._correct(time, here, seconds, growing=growing)
@@ -257,10 +259,12 @@ class Feedback(OneLine):
         return 0.0
 
 
-def _shaped(key: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+MISSING = "give a row of nan where one is missing"
+
+
+def _shaped(key: str, values: object, shape: tuple[int, ...], remedy: str = MISSING) -> Array:
     """Return an array of a shape; nan is allowed."""
-    found = np.asarray(values, dtype=np.float64)
+    found = as_array(values)
     if found.shape != shape:
-        remedy = "give a row of nan where one is missing"
-        raise InputError(key, found.shape, f"of shape {shape}", remedy)
+        raise InputError(key, values, f"numbers of shape {shape}", remedy)
     return found

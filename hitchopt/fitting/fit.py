@@ -21,7 +21,7 @@ from hitchopt.holding.resting_mass import rest_capacity
 from hitchopt.objects import Section
 from hitchopt.one_line import OneLine
 from hitchopt.requirements import Limits, Requirements, Separation
-from hitchopt.values import Array, not_negative, positive
+from hitchopt.values import Array, instance, not_negative, positive, whole
 
 SAFETY = 1.5
 """Least slip load over load."""
@@ -234,8 +234,15 @@ def fit(
     InputError: a number out of its range, or an outline that is none.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    if isinstance(robots, bool) or not 3 <= robots <= MOST_ROBOTS or robots % 1:
+    if whole("robots", robots, 3) > MOST_ROBOTS:
         raise InputError("robots", robots, f"a whole number from 3 to {MOST_ROBOTS}", "use three")
+    for key, value, expected in (
+        ("quadrotor", quadrotor, Quadrotor),
+        ("limits", limits, Limits),
+        ("separation", separation, Separation),
+    ):
+        if value is not None:
+            instance(key, value, expected)
     given, section, notes = section_of(outline)
     kind = quadrotor or Quadrotor()
     requirements = Requirements(limits or Limits(), separation or Separation())

@@ -12,6 +12,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.steps import STEPS, FollowVertex, Step
 from hitchopt.steps.hitch_step import MoveStep
 from hitchopt.steps.step import Stage
+from hitchopt.values import text
 
 
 def fitting_steps(
@@ -67,7 +68,7 @@ class _Held:
 
     def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _Held:
         """Return the same after a step, or raise InputError where that does not fit."""
-        name: str = getattr(step, "object", self.name)
+        name = text("object", getattr(step, "object", self.name))
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects)}" if objects else "an object of the file"
             raise InputError("object", name, bound, "list it under objects")

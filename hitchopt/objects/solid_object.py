@@ -11,7 +11,7 @@ from hitchopt.errors import InputError
 from hitchopt.objects.section import Section
 from hitchopt.objects.slab import Slab
 from hitchopt.one_line import OneLine
-from hitchopt.values import Array, coordinate, finite, not_negative, positive
+from hitchopt.values import Array, as_array, coordinate, finite, instance, not_negative, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,7 @@ class Rim(OneLine):
     height: float
 
     def __post_init__(self) -> None:
+        instance("section", self.section, Section)
         object.__setattr__(self, "height", coordinate("height", self.height))
 
 
@@ -73,9 +74,13 @@ class SolidObject(OneLine):
         rim: Rim | None = None,
         fixed: bool = False,
     ) -> None:
-        place = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(np.ravel(at).tolist())])
-        if place.shape != (3,):
+        instance("section", section, Section)
+        if rim is not None:
+            instance("rim", rim, Rim)
+        given = as_array(at)
+        if given.shape != (3,):
             raise InputError("at", at, "a point [x, y, z]", "give three numbers in metres")
+        place = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(given.tolist())])
         place.setflags(write=False)
         if not isinstance(fixed, bool):
             raise InputError("fixed", fixed, "true or false", "write fixed: true of a table")

@@ -70,6 +70,13 @@ class Replanner(OneLine):
     ) -> None:
         instance("team", team, Team)
         instance("start", start, Hitch, Plan)
+        for key, value, kind in (
+            ("limits", limits, Limits),
+            ("separation", separation, Separation),
+            ("arena", arena, Arena),
+        ):
+            if value is not None:
+                instance(key, value, kind)
         own = start.motion.team if isinstance(start, Plan) else start.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")

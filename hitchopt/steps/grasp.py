@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step
-from hitchopt.values import positive
+from hitchopt.values import choice, positive
 
 By = Literal["rest", "grip"]
 """How an object is held."""
@@ -66,6 +66,7 @@ class Grasp(Step):
     duration: Seconds = None
 
     def __post_init__(self) -> None:
+        choice("by", self.by, get_args(By))
         if self.tension is not None:
             object.__setattr__(self, "tension", positive("tension", self.tension))
         super().__post_init__()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from hitchopt.steps.loosen import Loosen
 from hitchopt.steps.set_down import SetDown
 from hitchopt.steps.situation import Situation, StepPlan, StepTask
 from hitchopt.steps.step import Step, numbers
-from hitchopt.values import Array, finite, positive
+from hitchopt.values import Array, choice, finite, positive
 
 LIFT = 0.3
 """[m] An object is lifted this far above the higher of the two places that it stands on."""
@@ -60,6 +60,8 @@ class TransportObject(Step):
         object.__setattr__(self, "to", numbers("to", self.to, (3,), "a point [x, y, z]"))
         object.__setattr__(self, "lift", positive("lift", self.lift))
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))
+        if self.by is not None:
+            choice("by", self.by, get_args(By))
         if self.tension is not None:
             object.__setattr__(self, "tension", positive("tension", self.tension))
         super().__post_init__()

@@ -20,7 +20,7 @@ from hitchopt.motion.retiming import before, followed, resting, retimed
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.stopping.grounding import descended, released
 from hitchopt.stopping.player import Player
-from hitchopt.values import not_negative
+from hitchopt.values import choice, not_negative
 
 How = Literal["hold", "back", "release_and_land", "land"]
 
@@ -107,8 +107,7 @@ class Aborts:
         InputError: a time outside the plan, or another word.
         InfeasibleError: no such continuation was found; says what binds.
         """
-        if how not in WAYS:
-            raise InputError("how", how, f"one of {', '.join(WAYS)}", "choose one of them")
+        choice("how", how, WAYS)
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None

@@ -17,7 +17,7 @@ from hitchopt.stopping.clock_profiles import NOTHING, phases_of, to_rate, to_tim
 from hitchopt.stopping.one_way_spans import earliest_return
 from hitchopt.stopping.sampler import Sampler, Setpoints
 from hitchopt.trajectory.clock_phases import ClockPhases
-from hitchopt.values import Array, finite
+from hitchopt.values import Array, finite, not_negative
 
 WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """[s] Times that a change may wait for."""
@@ -57,13 +57,14 @@ class Player(OneLine):
         motion = getattr(plan, "motion", plan)
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
+        if stops is not None and not isinstance(stops, StopTable):
+            raise InputError("stops", stops, "those of a Player", "leave it out")
         self.motion = motion
         self.limits = ClockLimits(motion)
         self._search = ChangeSearch(self.limits)
         self._sampler = Sampler(motion.drones)
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
-        if not self._begin <= finite("time", time) <= self._end:
-            raise InputError("time", time, f"within [0, {self._end:g}] s", "start within the plan")
+        self._check_within("time", time)
         self._stops = stops
         self._now = 0.0
         self._schedule(np.array([[time, _checked_rate(rate), 0.0, 0.0]]), np.zeros(1))
@@ -95,8 +96,13 @@ class Player(OneLine):
         return self._now >= self._begins[-1] and abs(self._jet()[1]) <= STEADY
 
     def step(self, seconds: float) -> Setpoints:
-        """Let time pass and return the setpoints then."""
-        self._now += seconds
+        """Let time pass [s] and return the setpoints then.
+
+        Raises
+        ------
+        InputError: a time that is negative or not finite.
+        """
+        self._now += not_negative("seconds", seconds)
         return self._sampler.at(*self._jet())
 
     def pause(self) -> float:
@@ -153,8 +159,7 @@ class Player(OneLine):
         InputError: a time outside the plan.
         InfeasibleError: as rate.
         """
-        if not self._begin <= finite("time", time) <= self._end:
-            raise InputError("time", time, f"within [0, {self._end:g}] s", "seek within the plan")
+        self._check_within("time", time)
         return self._adopt(self._way_to(time), f"plan time {time:g} s")
 
     def path(self, time: float, goal: float) -> ClockPhases:
@@ -164,13 +169,19 @@ class Player(OneLine):
 
         Raises
         ------
-        InfeasibleError: as rate.
+        InputError, InfeasibleError: as seek.
         """
+        self._check_within("time", time)
+        self._check_within("goal", goal)
         self._schedule(np.array([[time, 0.0, 0.0, 0.0]]), np.array([self._now]))
         found = self._way_to(goal)
         self._adopt(found, f"plan time {goal:g} s")
         self._schedule(np.array([[goal, 0.0, 0.0, 0.0]]), np.array([self._now]))
         return NOTHING if found is None else found
+
+    def _check_within(self, key: str, time: float) -> None:
+        if not self._begin <= finite(key, time) <= self._end:
+            raise InputError(key, time, f"within [0, {self._end:g}] s", "stay within the plan")
 
     def _way_to(self, time: float) -> ClockPhases | None:
         """Return the first change that ends at rest at a plan time [s]."""

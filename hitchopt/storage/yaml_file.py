@@ -89,7 +89,10 @@ def read_text(path: str | Path) -> tuple[str, str]:
     Raises
     ------
     FileError: no such file, too large, or not UTF-8 text.
+    InputError: neither a path nor a text.
     """
+    if not isinstance(path, str | Path):
+        raise InputError("path", path, "a path", "write its name in quotation marks")
     name = str(path)
     if name == STDIN:
         return _text(sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"), "<stdin>"

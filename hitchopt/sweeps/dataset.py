@@ -19,6 +19,7 @@ from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.storage.strict_json import write_strict_json
 from hitchopt.sweeps.cluster import EXTRA
 from hitchopt.sweeps.work import Outcome, Row
+from hitchopt.values import path as as_path
 
 if TYPE_CHECKING:
     import pandas
@@ -121,7 +122,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     FileError: there is no sweep.
     UnsupportedError: pandas or pyarrow is not installed.
     """
-    place = Path(directory)
+    place = as_path("directory", directory)
     told = read_study(place)
     known = known_rows(place)
     paths = [place / ROWS / f"{d}.parquet" for d in told["cases"] if d in known]

@@ -16,6 +16,7 @@ from hitchopt.sweeps.dataset import known_rows, load_sweep, write_outcome, write
 from hitchopt.sweeps.study import Case, Study
 from hitchopt.sweeps.study_file import load_study, study_from_dict
 from hitchopt.sweeps.work import FAILED, Outcome, Row, outcome_of
+from hitchopt.values import path, text, whole
 
 if TYPE_CHECKING:
     import pandas
@@ -81,13 +82,17 @@ def run_sweep(
     SweepError: the scheduler was lost.
     UnsupportedError: dask.distributed, pandas or pyarrow is not installed.
     """
+    place = path("directory", directory)
+    if workers is not None:
+        whole("workers", workers, 1)
+    if scheduler is not None:
+        text("scheduler", scheduler)
     if isinstance(study, str | Path):
         study = load_study(study)
-    elif not isinstance(study, Study):
+    elif isinstance(study, Mapping):
         study = study_from_dict(study)
-    if workers is not None and workers < 1:
-        raise InputError("workers", workers, "at least 1", "leave it out for all processors")
-    place = Path(directory)
+    elif not isinstance(study, Study):
+        raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
     write_study(place, study.title, [p.key for p in study.parameters], list(cases))
     known = known_rows(place)

@@ -53,6 +53,14 @@ def test_results_are_one_object() -> None:
     assert exported["parts"][0]["files"] == ["setpoints_enu.csv"]
     linted = strict(run("lint", "out-csv", "--json").stdout)
     assert linted["reports"][0]["sound"] is True
+    assert strict(run("report", "out", "--json").stdout)["file"] == "out/report.html"
+    saved = strict(run("view", "out", "--save", "plan.png", "--json").stdout)
+    assert saved["file"] == "plan.png"
+    aborts = strict(run("abort", "out", "--how", "hold", "--json").stdout)
+    assert (aborts["how"], aborts["missing"], aborts["directory"]) == ("hold", [], "out")
+    assert len(aborts["entries"]) == len(json.loads(Path("out/aborts.json").read_text())["entries"])
+    fitted = strict(run("fit", "circle:0.15", "--robots", "3", "-o", "fit", "--json").stdout)
+    assert fitted["fit"] == json.loads(Path("fit/fit.json").read_text())
     settled = strict(run("statics", "out", "--samples", "1", "--json").stdout)
     assert settled["statics"] == json.loads(Path("out/statics.json").read_text())
 
@@ -87,7 +95,7 @@ def test_a_solve_says_what_to_do_next() -> None:
     assert result.stderr.splitlines() == [
         "next: look at my out/summary.png",
         "      hitchopt simulate 'my out'",
-        "      hitchopt export 'my out' --format crazyswarm2",
+        "      hitchopt export 'my out' --format crazyswarm2 --stretch 1.01",
     ]
 
 
