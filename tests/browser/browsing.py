@@ -13,6 +13,9 @@ from matplotlib.image import imread
 import hitchopt as ho
 from hitchopt.values import Array
 
+SETTLE = 1500
+"""Least time for which a page draws what it was sent [ms]; software draws slowly."""
+
 NEAR = 5.0
 """Largest distance of a drawn drone to its place in the plan [pixels]."""
 
@@ -55,6 +58,31 @@ def changed_place(picture: Callable[[], bytes], change: Callable[[], None]) -> A
     rows, columns = np.nonzero(np.max(np.abs(after - before), axis=-1) > 0.1)
     assert len(rows) > 20, "nothing has changed"
     return np.array([np.mean(columns) + 0.5, np.mean(rows) + 0.5])
+
+
+def drawn(page: Any) -> None:
+    """Wait until a live view's scene is there, its camera too."""
+
+    def coloured() -> bool:
+        levels = _levels(page.screenshot(clip={"x": 0, "y": 200, "width": 800, "height": 600}))
+        return float(np.mean(np.ptp(levels, axis=-1) > 0.2)) > 0.002
+
+    waited(page, coloured)
+    page.wait_for_timeout(SETTLE)
+    settled(page)
+
+
+def settled(page: Any) -> None:
+    """Wait until a page has shown the same picture three times; busy machines draw late."""
+    page.wait_for_timeout(SETTLE)
+    last, same = b"", 0
+    for _ in range(30):
+        picture = page.screenshot()
+        same = same + 1 if picture == last else 0
+        if same == 2:
+            return
+        last = picture
+        page.wait_for_timeout(300)
 
 
 def waited(page: Any, holds: Callable[[], bool]) -> None:

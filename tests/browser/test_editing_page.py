@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import projected, waited
+from browsing import drawn, projected, settled, waited
 from generators.headless_page import opened_page
 
 import hitchopt as ho
@@ -26,9 +26,6 @@ mission:
   - morph: {polygon: [[1.0, -0.3], [0.6, 1.0], [1.4, 1.0]]}  # one vertex
   - hold: {seconds: 1.0}
 """
-
-SETTLE = 1500
-"""Time after which the page has drawn what it was sent [ms]; software draws slowly."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +46,7 @@ def page(panel: EditingPanel) -> Iterator[Any]:
         page.goto(panel.live.url)
         page.wait_for_selector("canvas")
         page.get_by_text("the plan of this problem").wait_for()
-        page.wait_for_timeout(2 * SETTLE)
+        drawn(page)
         yield page
 
 
@@ -61,9 +58,9 @@ def planned(page: Any, editing: Editing) -> None:
 def test_a_typed_number_is_planned_undone_and_saved(page: Any, panel: EditingPanel) -> None:
     editing = panel.editing
     panel.choose(1)
-    page.wait_for_timeout(SETTLE)
+    settled(page)
     page.locator("input[value='1.0']").fill("1.5")
-    page.wait_for_timeout(SETTLE)
+    settled(page)
     page.get_by_role("button", name="Plan with these values").click()
     waited(page, lambda: "1.5" in editing.text)
     planned(page, editing)
@@ -77,7 +74,7 @@ def test_a_typed_number_is_planned_undone_and_saved(page: Any, panel: EditingPan
 
 def test_a_vertex_is_dragged(page: Any, panel: EditingPanel) -> None:
     panel.choose(0, "vertex 0")
-    page.wait_for_timeout(2 * SETTLE)
+    settled(page)
     (camera,) = (client.camera for client in panel.live.server.get_clients().values())
     box = page.locator("canvas").first.bounding_box()
 
@@ -89,7 +86,7 @@ def test_a_vertex_is_dragged(page: Any, panel: EditingPanel) -> None:
     page.mouse.move(*seen([1.0 + 0.6 * REACH, -0.3, 1.2]))
     page.mouse.down()
     page.mouse.move(*seen([1.05 + 0.6 * REACH, -0.3, 1.2]), steps=8)
-    page.wait_for_timeout(SETTLE)
+    settled(page)
     page.mouse.up()
     waited(page, lambda: panel.editing.text != TEXT)
     planned(page, panel.editing)

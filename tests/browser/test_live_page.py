@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import NEAR, changed_place, projected, tied_plan, vividness, waited
+from browsing import NEAR, changed_place, drawn, projected, settled, tied_plan, vividness, waited
 from generators.headless_page import opened_page
 
 from hitchopt.view.live_view import LiveView
 from hitchopt.view.scene import Concerned
-
-SETTLE = 1500
-"""Time after which the page has drawn what it was sent [ms]; software draws slowly."""
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +28,7 @@ def page(live: LiveView) -> Iterator[Any]:
         page.goto(live.url)
         page.wait_for_selector("canvas")
         page.get_by_text("certified for all t").wait_for()
-        page.wait_for_timeout(2 * SETTLE)
+        drawn(page)
         yield page
 
 
@@ -45,18 +42,20 @@ def test_q0_is_seen_where_the_plan_has_it(page: Any, live: LiveView, share: floa
     time = share * plan.duration
     live.live.mark(Concerned())
     live.seek(time)
-    page.wait_for_timeout(SETTLE)
+    settled(page)
     (camera,) = (client.camera for client in live.server.get_clients().values())
     box = page.locator("canvas").first.bounding_box()
     size = (box["width"], box["height"])
     point = plan.at(time).positions[0]
     expected = projected(point, camera.position, camera.look_at, camera.fov, size)
 
-    def mark() -> None:
-        live.live.mark(Concerned(drones=(0,)))
-        page.wait_for_timeout(SETTLE)
+    def mark(*drones: int) -> None:
+        live.live.mark(Concerned(drones=drones))
+        settled(page)
 
-    seen = changed_place(lambda: page.screenshot(clip=box), mark)
+    mark(0)  # software may draw what it was sent with what is sent next
+    mark()
+    seen = changed_place(lambda: page.screenshot(clip=box), lambda: mark(0))
     assert np.linalg.norm(seen - expected) < NEAR
 
 
@@ -72,7 +71,7 @@ def test_scrubbing_shows_the_phase(page: Any, live: LiveView) -> None:
     phase = tied_plan().phases[2]
     middle = round(0.5 * (phase.start + phase.end), 3)
     live.seek(0.0)
-    page.wait_for_timeout(SETTLE)
+    settled(page)
     number = page.locator("input.mantine-NumberInput-input").first
     number.fill(str(middle))
     number.press("Tab")
@@ -105,7 +104,7 @@ def test_an_old_plan_is_pale_until_it_is_the_plan_again(page: Any, live: LiveVie
     box = page.locator("canvas").first.bounding_box()
 
     def colour() -> float:
-        page.wait_for_timeout(SETTLE)
+        settled(page)
         return vividness(page.screenshot(clip=box))
 
     before = colour()
