@@ -60,6 +60,10 @@ AWAY, BY, ALTITUDE = 2.2, 1.5, 1.3
 TIED, STARTS = 0.4, 1.0
 """Radius of the hitch that is tied, and distance of the starts' rows from its centre [m]."""
 
+TIED_AROUND = {3: 0.56, 4: 0.46}
+"""The same where it is to grip [m]: as large as around the object, since acute clasps with friction
+are not opened by legs."""
+
 
 def tray(n: int) -> dict[str, Any]:
     """Return the problem of n robots and a tray, with the keys of a problem file."""
@@ -71,16 +75,21 @@ def gripped(n: int) -> dict[str, Any]:
     """Return the problem of three robots and a drum, or four and a box."""
     drum = {"circle": 0.2, "mass": 0.1, "friction": 0.5}
     box = {"outline": SIDES, "mass": 0.06, "friction": 0.8}
-    problem = carried(n, GRIPPED[n], drum if n == 3 else box)
+    problem = carried(n, GRIPPED[n], drum if n == 3 else box, TIED_AROUND[n])
     problem["team"]["cable_friction"] = FRICTION
     problem["mission"][1]["transport_object"]["tension"] = PULL
     return problem
 
 
-def carried(n: int, cable: float, body: dict[str, Any]) -> dict[str, Any]:
-    """Return the problem of n robots with cables of a length [m] that carry an object."""
+def carried(n: int, cable: float, body: dict[str, Any], tied: float = TIED) -> dict[str, Any]:
+    """Return the problem of n robots with cables of a length [m] that carry an object.
+
+    Parameters
+    ----------
+    tied: radius of the hitch that is tied [m].
+    """
     angles = -2.0 * np.pi * np.arange(n) / n
-    polygon = TIED * np.column_stack([np.cos(angles), np.sin(angles)])
+    polygon = tied * np.column_stack([np.cos(angles), np.sin(angles)])
     onward = np.roll(polygon, -1, axis=0)
     along = (onward - polygon) / np.linalg.norm(onward - polygon, axis=1, keepdims=True)
     outward = (onward + polygon) / np.linalg.norm(onward + polygon, axis=1, keepdims=True)

@@ -202,9 +202,8 @@ def ended_holding(
     if held is not None:
         altitude = float(place[2]) + float(held.places[0, 2]) - below
         polygon = polygon_at(body, held.places[:, :2])
-        hitch = Hitch(
-            held.team, polygon, altitude, held.fractions * cable_slack(held.team, polygon)
-        )
+        q_legs = held.fractions * cable_slack(held.team, polygon)
+        hitch = Hitch(held.team, polygon, altitude, q_legs, held.roll)
     drones = motion.drones.at(float(motion.drones.breaks[-1]))
     situation = replace(task.before, drones=drones, hitch=hitch, holding=after, objects=objects)
     return StepPlan(motion, situation)
