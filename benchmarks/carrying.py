@@ -41,7 +41,7 @@ COLUMNS = (
     "seconds",
 )
 
-CABLES = {3: 2.2, 4: 1.8, 6: 1.4}
+CABLES = {3: 2.2, 4: 1.8, 6: 1.8}
 """Cable lengths [m] by number of robots, for trays."""
 
 GRIPPED = {3: 1.6, 4: 1.3}

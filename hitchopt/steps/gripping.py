@@ -113,24 +113,21 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
 def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
     """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
 
-    The team's tensions come back on the last part of the way, on which nothing is touched.
+    The team's tensions come back when it is open: legs that pull harder do not close clasps.
 
     Where they never do, those with the least tension follow all the same.
     """
     holding, team = task.holding, task.before.team
-    free = 0.5 * float(np.min(held.events(1.0)))  # half way from where edges part from the object
-    length = free * held.farthest
-    last = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
-    last = last.slowed(max(1.0, PRELOAD / last.duration))
     found: list[list[Move]] = []
     for value in LOOSE:
         loose = np.minimum(holding.tension, value)
         lax = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
         moves = [
             *(changed_move(task, law, tension=T) for law, T in _pulls(holding.tension, loose)),
-            *_closing(lax, 1.0, free),
-            changed_move(task, last, tension=(loose, team.tension), closed=(free, 0.0)),
+            *_closing(lax, 1.0, 0.0),
         ]
+        for law, T in _pulls(loose, team.tension):
+            moves.append(changed_move(task, law, tension=T, closed=(0.0, 0.0)))
         if all(_apart(held, move, task.requirements.separation, NEAREST) for move in moves):
             yield moves
         found.append(moves)
