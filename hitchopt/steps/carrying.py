@@ -242,13 +242,17 @@ def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Mot
 
 
 def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = None) -> Motion:
-    """Return a motion as one phase of a step, in which an object may be held."""
+    """Return a motion as one phase of a step, in which an object may be held.
+
+    It has the remarks of all of the motion's own phases.
+    """
     tension = None
     pulls = motion.tensions.coefficients
     least, most = float(np.min(pulls)), float(np.max(pulls))
     if np.any(pulls != task.before.team.tension[:, None]):
         tension = (least, most)
-    phase = Phase(name, task.index, 0.0, motion.duration, tension=tension, hold=hold)
+    remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
+    phase = Phase(name, task.index, 0.0, motion.duration, remark, tension=tension, hold=hold)
     return replace(motion, requirements=task.requirements, phases=(phase,))
 
 
