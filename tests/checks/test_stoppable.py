@@ -145,7 +145,7 @@ def freed(motion: Motion, name: str, factor: float) -> Motion:
         jerk=factors["jerk"] * limits.jerk,
         tilt=min(factors["tilt"] * limits.tilt, 1.5),
     )
-    kinds = [replace(q, max_thrust=factors["thrust"] * q.max_thrust) for q in team.quadrotor]
+    kinds = tuple(replace(q, max_thrust=factors["thrust"] * q.max_thrust) for q in team.quadrotor)
     requirements = replace(motion.requirements, limits=limits)
     return replace(motion, team=replace(team, quadrotor=kinds), requirements=requirements)
 
