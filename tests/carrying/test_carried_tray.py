@@ -13,6 +13,7 @@ import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects.placing import in_frame
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -138,6 +139,43 @@ def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) 
     check = RULE_OF["support"].check(changed)
     assert check is not None
     assert not check.holds
+
+
+@pytest.mark.parametrize("by", list(HoldBy))
+@pytest.mark.parametrize("rim", [False, True])
+def test_a_claimed_hold_lets_no_cable_through_an_object(by: HoldBy, rim: bool) -> None:
+    """A hitch that flies across a pole cuts it, whatever its phase says that it holds."""
+    team = ho.Team(3, 2.4)
+    start = ho.Hitch.spread(team, ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [3.0, 0.0, 1.0]).motion
+    top = ho.Rim(ho.Section(radius=2.0), 1.2) if rim else None
+    pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[1.5, 0.0, 0.0], rim=top)
+    held = tuple(replace(p, hold=Hold("pole", by, (0, 1, 2))) for p in flight.phases)
+    requirements = replace(flight.requirements, objects={"pole": pole})
+    check = RULE_OF["object_clearance"].check(
+        replace(flight, phases=held, requirements=requirements)
+    )
+    assert check is not None
+    assert not check.holds
+
+
+@pytest.mark.parametrize(
+    ("x", "rim", "holds"), [(0.0, 1.4, True), (0.0, 1.1, False), (5.0, 1.4, False)]
+)
+def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
+    x: float, rim: float, holds: bool
+) -> None:
+    """Clasps that rise from 1 m to 1.3 m may claim a pole between them with a rim above."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [0.0, 0.0, 1.3]).motion
+    top = ho.Rim(ho.Section(radius=0.5), rim)
+    pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[x, 0.0, 0.0], rim=top)
+    held = tuple(replace(p, hold=Hold("pole", HoldBy.REST, (0, 1, 2))) for p in flight.phases)
+    requirements = replace(flight.requirements, objects={"pole": pole})
+    changed = replace(flight, phases=held, requirements=requirements)
+    for name, passes in (("support", holds), ("object_clearance", True)):
+        check = RULE_OF[name].check(changed)
+        assert check is None or check.holds == passes
 
 
 def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
