@@ -34,7 +34,11 @@ def path_segments(curves: Array, tolerance: float) -> tuple[Array, NDArray[np.in
         stray = _to_chords(points, inner) + np.maximum(strays[inner - 1], strays[inner])
         out = inner[stray <= tolerance]
         strays[out - 1] = stray[stray <= tolerance]
-        points, owners, strays = (np.delete(each, out, axis=0) for each in (points, owners, strays))
+        points, owners, strays = (
+            np.delete(points, out, 0),
+            np.delete(owners, out),
+            np.delete(strays, out),
+        )
         idle = 0 if len(out) else idle + 1
         parity = 1 - parity
     together = np.flatnonzero(owners[1:] == owners[:-1])
