@@ -59,7 +59,7 @@ def test_a_typed_number_is_planned_undone_and_saved(page: Any, panel: EditingPan
     editing = panel.editing
     panel.choose(1)
     settled(page)
-    page.locator("input[value='1.0']").fill("1.5")
+    page.locator("input.mantine-TextInput-input[value='1.0']").fill("1.5")
     settled(page)
     page.get_by_role("button", name="Plan with these values").click()
     waited(page, lambda: "1.5" in editing.text)

@@ -11,10 +11,9 @@ def wound(n: int, count: int, seed: int = 3) -> Array:
     """Return n smooth curves (n, count, 3) [m] off the origin."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 1.0, count)[:, None, None]
-    waves = [
-        rng.normal(size=(n, 3)) * np.sin(2.0 * k * t + rng.normal(size=(n, 3))) for k in (1, 3)
-    ]
-    return np.moveaxis(5.0 + sum(waves), 1, 0)
+    sizes, shifts = rng.normal(size=(2, 2, n, 3))
+    waves = np.array([sizes[k] * np.sin((2.0 + 4.0 * k) * t + shifts[k]) for k in range(2)])
+    return np.moveaxis(5.0 + np.sum(waves, axis=0), 1, 0)
 
 
 def distances(points: Array, segments: Array) -> Array:
