@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time as clock
 from typing import Any
@@ -17,6 +18,9 @@ from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
 
 FRAME = 1.0 / 30.0
 """Time between two frames [s]."""
+
+STEP, DECIMALS = 0.001, 3
+"""Step of the time's slider [s], and its decimals."""
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -134,7 +138,7 @@ class LiveView:
                     self._ghost.show(self.time)
             self._show_phase()
             if abs(self.scrub.value - self.time) > 0.5 * FRAME:
-                self.scrub.value = round(self.time, 3)
+                self.scrub.value = round(self.time, DECIMALS)
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
@@ -209,9 +213,8 @@ class LiveView:
         self.head = gui.add_markdown(self._words())
         self.panel.append(self.head)
         self.now = gui.add_markdown("")
-        self.scrub = gui.add_slider(
-            "time [s]", 0.0, max(self.motion.duration, FRAME), 0.001, self.time
-        )
+        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
+        self.scrub = gui.add_slider("time [s]", 0.0, round(longest, DECIMALS), STEP, self.time)
         self.player = gui.add_button("Play")
         speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
         self.found = gui.add_markdown("", visible=False)
