@@ -383,3 +383,19 @@ def test_an_object_with_a_rim_is_not_gripped() -> None:
 def test_an_object_without_a_rim_does_not_rest() -> None:
     steps = [{"enclose": {"object": "drum"}}, {"grasp": {"object": "drum"}}]
     refused({**drum(), "mission": steps}, "grasp it by: grip")
+
+
+def test_edges_pull_harder_than_legs_until_a_grip_is_open(motion: Motion) -> None:
+    """Clasps move outward against friction, and what legs pull changes only while they stand."""
+    loosen = next(p for p in motion.phases if p.name == "loosen")
+    t = np.linspace(loosen.start, loosen.end, 801)
+    speed = np.max(np.linalg.norm(motion.vertices.differentiated(1).at(t), axis=-1), axis=-1)
+    assert motion.leg_tensions is not None
+    legs = motion.leg_tensions.at(t)
+    ratio = motion.tensions.at(t)[..., None] / legs
+    moving = speed > 5e-3
+    assert np.min(ratio[moving]) > 1.02
+    assert np.max(ratio[moving]) < math.exp(CLASPS * math.pi)
+    change = np.max(np.abs(motion.leg_tensions.differentiated(1).at(t)), axis=(-1, -2))
+    assert np.max(change[moving]) < 1e-6
+    assert np.max(change) > 0.1
