@@ -92,7 +92,9 @@ def describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
 
 def _feet(each: SolidObject) -> Array:
     """Return the centres (feet, 3) [m] of balls that end at floor and ceiling of object and rim."""
-    slabs = [(each.section, each.lower, each.upper, RINGS)]
+    slabs: list[tuple[Section, float, float, tuple[float, ...]]] = [
+        (each.section, each.lower, each.upper, RINGS)
+    ]
     if each.rim is not None:
         height = each.rim.height
         slabs.append((each.rim.section, height, height + RIM, RINGS[:1]))
