@@ -13,7 +13,7 @@ from hitchopt.cli.commands import main, report_suggestions
 from hitchopt.cli.failures import UNMET, complain
 from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.checks import Certificate
@@ -79,6 +79,9 @@ def view(
     summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
     """
     if save is not None:
+        if ghost is not None:
+            words = "no ghost where a plan is written to a file"
+            raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
         _save(path, save)
         return
     import threading
