@@ -100,13 +100,16 @@ def first_frame(file: str) -> Row:
     return Row(f"first frame of {file} in Chromium", value, "3 s", busy())
 
 
-def one_box() -> Row:
+def one_box(*, lit_by_photograph: bool) -> Row:
     """Return the time from a page's opening to the picture of one box, by viser alone."""
     import viser
     from generators.headless_page import opened_page
 
     server = viser.ViserServer(port=8471, verbose=False)
     try:
+        if not lit_by_photograph:
+            server.scene.configure_environment_map(None)
+            server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_box("/box", dimensions=(2.0, 2.0, 2.0), color=(255, 0, 0))
         with opened_page() as page:
             page.set_default_timeout(LONGEST)
@@ -115,8 +118,25 @@ def one_box() -> Row:
             shown = time.monotonic() - before
     finally:
         server.stop()
-    what = "one box, served by viser alone, in the same Chromium, without the server's start"
+    light = "as it is" if lit_by_photograph else "without its environment map and shadows"
+    what = f"one box in the same Chromium, viser {light}, its server's start not counted"
     return Row(what, f"{shown:.2f} s", "-", busy())
+
+
+def report_frame(file: str) -> Row:
+    """Return the time from a report's opening to its picture."""
+    from generators.headless_page import opened_page
+
+    with tempfile.TemporaryDirectory() as place, opened_page() as page:
+        run("solve", "-q", PROBLEMS / file, "-o", place, "--report")
+        page.set_default_timeout(LONGEST)
+        page.goto("about:blank")
+        before = time.monotonic()
+        open_until_drawn(page, (Path(place) / "report.html").as_uri())
+        shown = time.monotonic() - before
+    return Row(
+        f"first frame of the report of {file} in the same Chromium", f"{shown:.2f} s", "-", busy()
+    )
 
 
 def open_until_drawn(page: Page, address: str) -> None:
@@ -190,7 +210,11 @@ def main() -> None:
     parser.add_argument("--drags", type=int, default=15)
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    rows = [first_frame("form_twelve_gon.yaml"), one_box(), film("tie_carry_untie.yaml")]
+    rows = [
+        first_frame("form_twelve_gon.yaml"), one_box(lit_by_photograph=False),
+        one_box(lit_by_photograph=True), report_frame("form_twelve_gon.yaml"),
+        film("tie_carry_untie.yaml"),
+    ]  # fmt: skip
     rows += [drags(*case, given.drags) for case in EDITED]
     table = [f"| {row.what} | {row.value} | {row.goal} | {row.load:.1f} |" for row in rows]
     lines = [

@@ -33,8 +33,8 @@ FROM = np.array([-0.35, -0.8, 0.5])
 FILLED = 0.85
 """Part of the picture that the paths fill."""
 
-ASPECT, NARROW_ASPECT = 1.1, 0.75
-"""Width over height of what the panel leaves of usual windows, and of what that for editing leaves
+ASPECT, NARROW_ASPECT = 1.1, 0.62
+"""Width over height of what the panel leaves of a small window, and of what that for editing leaves
 as well."""
 
 NEAREST = 1.5

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -144,3 +148,20 @@ def test_an_old_plan_is_pale_until_it_is_the_plan_again(page: Any, live: LiveVie
     assert colour() < 0.5 * before
     live.note("")
     assert colour() == pytest.approx(before, rel=0.05)
+
+
+def test_the_command_serves_a_plan_and_its_certificate(tmp_path: Path) -> None:
+    tied_plan().save(tmp_path, rate=5.0)
+    command = [sys.executable, "-m", "hitchopt", "view", str(tmp_path), "--no-browser"]
+    options = ["--port", "8251"]
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True) as served:
+        try:
+            assert served.stdout is not None
+            words = next(line for line in served.stdout if line.startswith("the plan is at "))
+            with opened_page() as page:
+                page.goto(words.split()[4].rstrip(";") + SHARP)
+                page.get_by_text("certified for all t").wait_for()
+                drawn(page)
+        finally:
+            served.send_signal(signal.SIGINT)
+            assert served.wait(timeout=30) == 130
