@@ -89,12 +89,29 @@ def test_the_camera_sees_all_paths_in_a_narrow_picture() -> None:
 
 def test_a_certificate_that_is_late_keeps_the_panel() -> None:
     view = LiveView(make_motion(3), None, port=8396)
-    head, phases = view.head, list(view.phases)
-    assert "being certified" in head.content
+    assert "being certified" in view.head.content
+    assert view.checks.labels == []
     view.show_certificate(made_certificate())
-    assert "certified for all t" in head.content
+    assert "certified for all t" in view.head.content
+    assert len(view.checks.labels) == len(made_certificate().checks)
+    view.close()
+
+
+def test_another_plan_keeps_panel_and_switches() -> None:
+    view = LiveView(make_motion(3), made_certificate(), port=8397)
+    view.live.switch("thrusts", on=True)
+    view.play(on=True)
+    head = view.head
+    view.show_plan(make_motion(4), None, "another")
     assert view.head is head
-    assert view.phases == phases
+    assert "another" in head.content
+    assert view.live.shown["thrusts"]
+    assert view.player.label == "Pause"
+    assert view.checks.labels == []
+    assert [label.split(":")[0] for label in view.phases.labels] == [
+        phase.name for phase in view.motion.phases
+    ]
+    assert view.scrub.max >= view.motion.duration
     view.close()
 
 
