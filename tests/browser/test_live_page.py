@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +20,6 @@ from browsing import (
 )
 from generators.headless_page import opened_page
 
-from hitchopt.view.live_server import open_server, server_address
 from hitchopt.view.live_view import LiveView
 from hitchopt.view.scene import Concerned
 
@@ -45,28 +40,6 @@ def page(live: LiveView) -> Iterator[Any]:
         page.get_by_text("certified for all t").wait_for()
         drawn(page)
         yield page
-
-
-def test_a_page_opened_before_the_plan_is_read_shows_it() -> None:
-    plan = tied_plan()
-    server = open_server(port=8241)
-    with opened_page() as page:
-        page.goto(server_address(server) + SHARP)
-        page.wait_for_selector("canvas")
-        waited(page, lambda: len(server.get_clients()) == 1)
-        view = LiveView(plan.motion, None, "late", server=server)
-        page.get_by_text("being certified").wait_for()
-        view.show_certificate(plan.certificate)
-        page.get_by_text("certified for all t").wait_for()
-        drawn(page)
-        (client,) = server.get_clients().values()
-        wanted = server.initial_camera.position
-        np.testing.assert_allclose(client.camera.position, wanted, atol=1e-3)
-        page.get_by_role("tab", name="Certificate").click()
-        check = plan.certificate["separation"]
-        page.get_by_role("button", name="✓ separation:").click()
-        waited(page, lambda: abs(view.time - check.time) < 1e-3)
-    view.close()
 
 
 def test_it_listens_on_this_machine_only(live: LiveView) -> None:
@@ -148,20 +121,3 @@ def test_an_old_plan_is_pale_until_it_is_the_plan_again(page: Any, live: LiveVie
     assert colour() < 0.5 * before
     live.note("")
     assert colour() == pytest.approx(before, rel=0.05)
-
-
-def test_the_command_serves_a_plan_and_its_certificate(tmp_path: Path) -> None:
-    tied_plan().save(tmp_path, rate=5.0)
-    command = [sys.executable, "-m", "hitchopt", "view", str(tmp_path), "--no-browser"]
-    options = ["--port", "8251"]
-    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True) as served:
-        try:
-            assert served.stdout is not None
-            words = next(line for line in served.stdout if line.startswith("the plan is at "))
-            with opened_page() as page:
-                page.goto(words.split()[4].rstrip(";") + SHARP)
-                page.get_by_text("certified for all t").wait_for()
-                drawn(page)
-        finally:
-            served.send_signal(signal.SIGINT)
-            assert served.wait(timeout=30) == 130
