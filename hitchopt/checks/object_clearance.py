@@ -1,6 +1,8 @@
 """Check ``object_clearance``: cables and held objects keep off objects.
 
 Taut cables are straight. One that hangs lies in the plane of its chord, or on the ground below it.
+Cables that hold an object come as close as they like, but not into it; where edges that grip are
+wrapped, check ``grip`` says.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from hitchopt.checks.bounds.solid_gaps import TALL, carried_gap
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
+from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE, HoldBy
 from hitchopt.objects import Slab
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Cells, Estimate, Search
@@ -30,6 +32,9 @@ from hitchopt.values import Array
 NOTHING = Finding(math.inf, 0.0)
 """Stands for the distance of what is not there."""
 
+CONTACT = 2e-5
+"""[m] Cables that hold an object and are no closer to its body enter it."""
+
 TOLERANCE = 1e-3
 """[m] How closely the distance of a hanging cable is found: its links are off by that much."""
 
@@ -37,8 +42,8 @@ TOLERANCE = 1e-3
 def _to_taut(motion: Motion, limit: float) -> Finding:
     """Return the smallest distance of a taut cable to an object that it does not hold.
 
-    Or of an object that is carried to another one. ``where`` names the cable or object, and the
-    object.
+    Or of an object that is carried to another one; zero where a cable enters what it holds.
+    ``where`` names the cable or object, and the object.
     """
     parts = cable_parts(motion)
     cables = parts.part // 3
@@ -48,6 +53,12 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
     for index, (name, each) in enumerate(motion.requirements.objects.items()):
         counted = ~_holding(motion, name)[:, cables]
         seen = seen_from(poses[:, index], parts.corners)
+        body, outside = each.slabs[0], _beside(motion, name) | (parts.part % 3 != 1)
+        margin = seen.error + ROUNDING * (size + body.size)
+        aimed = 2.0 * CONTACT
+        found = smallest_gap(breaks, seen.points, body, margin, aimed, outside & ~counted)
+        if found.worst < CONTACT < best.worst:
+            best = Finding(0.0, found.time, (f"cable {cables[found.item]}", name), size)
         for slab in each.slabs:
             margin = seen.error + ROUNDING * (size + slab.size)
             found = smallest_gap(breaks, seen.points, slab, margin, aim, counted)
@@ -65,6 +76,16 @@ def _holding(motion: Motion, name: str) -> NDArray[np.bool_]:
         if phase.hold is not None and phase.hold.object == name:
             held[np.ix_(index == i, list(phase.hold.cables))] = True
     return held
+
+
+def _beside(motion: Motion, name: str) -> NDArray[np.bool_]:
+    """Return (pieces, 1) where edges stay out of an object by themselves: where none grips it."""
+    gripping = [
+        phase.hold is not None and phase.hold.object == name and phase.hold.by is HoldBy.GRIP
+        for phase in motion.phases
+    ]
+    found: NDArray[np.bool_] = ~np.array(gripping)[motion.phase_of_piece][:, None]
+    return found
 
 
 def _to_hanging(motion: Motion, _: float) -> Finding:

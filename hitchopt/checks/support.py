@@ -33,8 +33,9 @@ def _find(motion: Motion, _: float) -> Finding:
     The line of weight and inertia through the centre of mass meets the clasps' plane within their
     polygon, at least that far from its edges. What contradicts the phases' holds counts as minus
     infinity: an object that moves, or is borne in part, where nothing holds it; one off the ground
-    that is not borne as a whole; clasps that are not below the rim, beside the body and at one
-    place; an acceleration at which it would slide off them. ``where`` names the object.
+    that is not borne as a whole; clasps of a hold that are above the rim, or not around the body;
+    clasps that bear it and are not at the rim, beside the body and at one place; an acceleration at
+    which it would slide off them. ``where`` names the object.
     """
     best = Finding(math.inf, 0.0)
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
@@ -55,6 +56,7 @@ def _of_object(motion: Motion, index: int, name: str, body: SolidObject) -> Find
     lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
     lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
     lost |= carried & ((by == "") | ~motion.formed | body.fixed)
+    lost |= (by == HoldBy.REST) & _apart(motion, index, body)
     bearing = carried & (by == HoldBy.REST)
     if np.any(bearing):
         lost |= bearing & _out_of_place(motion, index, body)
@@ -89,6 +91,25 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
         gaps.append(abs(float(each[index, 2]) + objects[name].lower - surface))
     floating[still] = np.array(gaps)[which.ravel()] > TOUCH
     return floating
+
+
+def _apart(motion: Motion, index: int, body: SolidObject) -> Mask:
+    """Return (pieces,) where clasps are above a rim, or not around the body.
+
+    They are around it all of a piece if they are when it begins: edges do not enter the body (check
+    ``object_clearance``).
+    """
+    if body.rim is None or not motion.team.layout.closed:
+        return np.ones(motion.drones.pieces, dtype=np.bool_)
+    poses = motion.object_poses.coefficients
+    seen = seen_from(poses[:, index], motion.vertices.coefficients[:, :, None])
+    points = seen.points[:, :, 0]
+    above = np.max(points[:, :, 2], axis=(1, 2)) > body.rim.height + CONTACT
+    level = points[..., :2, 0]
+    edge, to = np.roll(level, -1, axis=1) - level, body.section.centroid - level
+    right = edge[..., 1] * to[..., 0] - edge[..., 0] * to[..., 1]
+    found: Mask = above | np.any(right <= 0.0, axis=1)
+    return found
 
 
 def _out_of_place(motion: Motion, index: int, body: SolidObject) -> Mask:

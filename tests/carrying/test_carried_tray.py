@@ -13,6 +13,7 @@ import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects.placing import in_frame
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -140,6 +141,43 @@ def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) 
     assert not check.holds
 
 
+@pytest.mark.parametrize("by", list(HoldBy))
+@pytest.mark.parametrize("rim", [False, True])
+def test_a_claimed_hold_lets_no_cable_through_an_object(by: HoldBy, rim: bool) -> None:
+    """A hitch that flies across a pole cuts it, whatever its phase says that it holds."""
+    team = ho.Team(3, 2.4)
+    start = ho.Hitch.spread(team, ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [3.0, 0.0, 1.0]).motion
+    top = ho.Rim(ho.Section(radius=2.0), 1.2) if rim else None
+    pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[1.5, 0.0, 0.0], rim=top)
+    held = tuple(replace(p, hold=Hold("pole", by, (0, 1, 2))) for p in flight.phases)
+    requirements = replace(flight.requirements, objects={"pole": pole})
+    check = RULE_OF["object_clearance"].check(
+        replace(flight, phases=held, requirements=requirements)
+    )
+    assert check is not None
+    assert not check.holds
+
+
+@pytest.mark.parametrize(
+    ("x", "rim", "holds"), [(0.0, 1.4, True), (0.0, 1.1, False), (5.0, 1.4, False)]
+)
+def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
+    x: float, rim: float, holds: bool
+) -> None:
+    """Clasps that rise from 1 m to 1.3 m may claim a pole between them with a rim above."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [0.0, 0.0, 1.3]).motion
+    top = ho.Rim(ho.Section(radius=0.5), rim)
+    pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[x, 0.0, 0.0], rim=top)
+    held = tuple(replace(p, hold=Hold("pole", HoldBy.REST, (0, 1, 2))) for p in flight.phases)
+    requirements = replace(flight.requirements, objects={"pole": pole})
+    changed = replace(flight, phases=held, requirements=requirements)
+    for name, passes in (("support", holds), ("object_clearance", True)):
+        check = RULE_OF[name].check(changed)
+        assert check is None or check.holds == passes
+
+
 def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
     objects = dict(motion.requirements.objects)
     objects["tray"] = replace(objects["tray"], mass=1.1 * MASS)
@@ -179,3 +217,34 @@ def test_a_narrow_rim_is_refused() -> None:
 )
 def test_steps_in_a_wrong_order_are_refused(steps: list[dict[str, Any]], text: str) -> None:
     refused({**tray(), "mission": steps}, text)
+
+
+def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
+    """Legs of one cable pass each other; with a load they would touch at the least roll."""
+    x, y = 0.3, -0.2
+    angles = -2.0 * np.pi * np.arange(6) / 6
+    polygon = np.column_stack([x + 0.45 * np.cos(angles), y + 0.45 * np.sin(angles)])
+    body = {"circle": 0.1, "to": 0.3, "mass": MASS, "rim": {"circle": 0.3, "at": 0.25}}
+    steps = ("enclose", "grasp", "set_down", "loosen", "leave")
+    mission: list[dict[str, Any]] = [{name: {"object": "tray"}} for name in steps]
+    mission.insert(2, {"lift": {"by": 0.1}})
+    problem = {
+        "team": {"robots": 6, "cable_length": 1.4, "tension": 1.0, "cable_density": 0.01},
+        "limits": {"tilt_deg": 60},
+        "objects": {"tray": {**body, "at": [x, y, 0.0]}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 0.8}},
+        "mission": mission,
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert plan.certificate.certified
+    t = lifted(plan.motion)
+    p, drones = plan.motion.vertices.at(t), plan.motion.drones.at(t)
+    legs = drones - p[:, plan.motion.team.layout.anchors]
+    rise = legs[..., 2] / np.linalg.norm(legs, axis=-1)
+    assert np.all(np.abs(rise[:, 0::2] - rise[:, 1::2]) > 0.05)
+    shares = np.linspace(0.0, 1.0, 201)[:, None]
+    for k in range(6):
+        one = p[150, k] + shares * legs[150, 2 * k]
+        other = p[150, (k + 1) % 6] + shares * legs[150, 2 * k + 1]
+        gaps = np.linalg.norm(one[:, None] - other[None], axis=-1)
+        assert np.min(gaps) > 0.05

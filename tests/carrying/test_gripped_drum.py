@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import binom
 
 import hitchopt as ho
 from hitchopt.checks.certify import certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.objects.placing import in_frame
 from hitchopt.trajectory import PiecewisePolynomial
@@ -184,6 +186,104 @@ def test_no_sample_is_below_the_bound_of_grip(name: str, request: pytest.Fixture
     assert found.bound > 0.95 * least  # what turns the drum is counted in its load
 
 
+def changed_piece(part: PiecewisePolynomial, piece: int, power: Array) -> PiecewisePolynomial:
+    """A part whose last entries are powers (entries, degree + 1) of the share of one piece."""
+    raised = part.elevated(max(part.degree, power.shape[-1] - 1))
+    made = raised.coefficients.copy()
+    nodes = np.linspace(0.0, 1.0, raised.degree + 1)
+    basis = binom(raised.degree, np.arange(raised.degree + 1)) * (
+        nodes[:, None] ** np.arange(raised.degree + 1)
+        * (1.0 - nodes[:, None]) ** np.arange(raised.degree, -1, -1)
+    )
+    values = np.polynomial.polynomial.polyval(nodes, power.T)
+    entries = made[piece].reshape(-1, raised.degree + 1)  # a view
+    entries[-len(power) :] = np.linalg.solve(basis, values.T).T
+    return PiecewisePolynomial(part.breaks, made)
+
+
+def shortest_of_carrying(motion: Motion) -> tuple[int, Array]:
+    """The shortest piece of the flight with the drum, and times in it."""
+    carry = next(p for p in motion.phases if p.name == "carry")
+    breaks = motion.drones.breaks
+    inside = (breaks[:-1] >= carry.start - 1e-9) & (breaks[1:] <= carry.end + 1e-9)
+    piece = int(np.argmin(np.where(inside, np.diff(breaks), np.inf)))
+    return piece, np.linspace(breaks[piece], breaks[piece + 1], 201)[1:-1]
+
+
+def test_turning_faster_loads_the_grip(motion: Motion) -> None:
+    """A uniform drum that is turned needs friction sideways, at half of its radius."""
+    piece, t = shortest_of_carrying(motion)
+    duration = float(np.diff(motion.drones.breaks)[piece])
+    pushed = 40.0  # rad/s²
+    angle_ = 0.5 * pushed * duration**2
+    powers = np.zeros((2, 11))  # cosine and sine
+    powers[0, [0, 4, 8]] = 1.0, -(angle_**2) / 2.0, angle_**4 / 24.0
+    powers[1, [2, 6, 10]] = angle_, -(angle_**3) / 6.0, angle_**5 / 120.0
+    assert angle_ < 0.5
+    placed = replace(motion, poses=changed_piece(motion.object_poses, piece, powers))
+    level = 0.5 * RADIUS * pushed
+    least = np.min(ratios(motion, t)) * GRAVITY / math.hypot(GRAVITY, level)
+    assert 0.5 * least < check(placed, "grip").bound <= least
+    assert check(motion, "grip").bound > least
+
+
+def test_the_weaker_end_of_a_piece_counts(motion: Motion) -> None:
+    piece, t = shortest_of_carrying(motion)
+    powers = np.zeros((motion.tensions.coefficients.shape[1], 2))
+    powers[:] = [1.3, -0.5]
+    weaker = replace(motion, tensions=changed_piece(motion.tensions, piece, powers))
+    if motion.leg_tensions is not None:
+        ends = changed_piece(motion.leg_tensions, piece, np.repeat(powers, 2, axis=0))
+        weaker = replace(weaker, leg_tensions=ends)
+    least = float(np.min(ratios(weaker, t)))
+    assert check(weaker, "grip").bound <= least < check(motion, "grip").bound
+
+
+@pytest.mark.parametrize(
+    ("size", "upper", "holds"), [(0.8, 1.5, False), (1.1, 1.5, True), (1.1, 0.9, False)]
+)
+def test_only_an_edge_that_the_section_bends_is_wrapped(
+    size: float, upper: float, holds: bool
+) -> None:
+    """Tangents from both ends touch a drum beside a straight edge too, in the wrong order.
+
+    And one that ends below the edges is beside none of them.
+    """
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [0.0, 0.0, 1.05]).motion
+    p = start.polygon.vertices
+    around = np.roll(p, -1, axis=0) - p
+    radius = size * float(np.linalg.norm(p[0] + 0.5 * around[0]))
+    towards = []
+    for ends, sense in ((p, 1.0), (np.roll(p, -1, axis=0), -1.0)):
+        away = np.linalg.norm(ends, axis=1)
+        bend = sense * np.arcsin(radius / away)
+        x, y = -ends.T / away
+        along = np.column_stack(
+            [np.cos(bend) * x - np.sin(bend) * y, np.sin(bend) * x + np.cos(bend) * y]
+        )
+        towards.append(ends + np.sqrt(away**2 - radius**2)[:, None] * along)
+    touching = np.zeros((3, 2, 3))
+    touching[..., :2] = np.stack(towards, axis=1)
+    rising = flight.vertices.coefficients[:, 0, 2]
+    contacts = np.repeat(touching[None, ..., None], len(rising), axis=0)
+    contacts = np.repeat(contacts, rising.shape[-1], axis=-1)
+    contacts[:, :, :, 2] = rising[:, None, None]
+    drum_ = ho.SolidObject(ho.Section(radius=radius), 0.0, upper)
+    poses = np.zeros((len(rising), 1, 5, rising.shape[-1]))
+    poses[:, 0, 2], poses[:, 0, 3] = rising - 1.0, 1.0  # it rises with the hitch
+    changed = replace(
+        flight,
+        poses=PiecewisePolynomial(flight.drones.breaks, poses),
+        contacts=PiecewisePolynomial(flight.drones.breaks, contacts),
+        requirements=replace(flight.requirements, objects={"drum": drum_}),
+        phases=tuple(
+            replace(phase, hold=Hold("drum", HoldBy.GRIP, (0, 1, 2))) for phase in flight.phases
+        ),
+    )
+    assert check(changed, "grip").holds == holds
+
+
 def test_grip_does_not_depend_on_where_north_is(motion: Motion) -> None:
     turned = ho.solve(ho.problem_from_dict(drum(0.7, (-3.0, 2.0)))).motion
     assert turned.duration == pytest.approx(motion.duration, rel=1e-5)
@@ -283,3 +383,19 @@ def test_an_object_with_a_rim_is_not_gripped() -> None:
 def test_an_object_without_a_rim_does_not_rest() -> None:
     steps = [{"enclose": {"object": "drum"}}, {"grasp": {"object": "drum"}}]
     refused({**drum(), "mission": steps}, "grasp it by: grip")
+
+
+def test_edges_pull_harder_than_legs_until_a_grip_is_open(motion: Motion) -> None:
+    """Clasps move outward against friction, and what legs pull changes only while they stand."""
+    loosen = next(p for p in motion.phases if p.name == "loosen")
+    t = np.linspace(loosen.start, loosen.end, 801)
+    speed = np.max(np.linalg.norm(motion.vertices.differentiated(1).at(t), axis=-1), axis=-1)
+    assert motion.leg_tensions is not None
+    legs = motion.leg_tensions.at(t)
+    ratio = motion.tensions.at(t)[..., None] / legs
+    moving = speed > 5e-3
+    assert np.min(ratio[moving]) > 1.02
+    assert np.max(ratio[moving]) < math.exp(CLASPS * math.pi)
+    change = np.max(np.abs(motion.leg_tensions.differentiated(1).at(t)), axis=(-1, -2))
+    assert np.max(change[moving]) < 1e-6
+    assert np.max(change) > 0.1
