@@ -29,6 +29,9 @@ PROBLEM = "problem.yaml"
 PROBLEM_ENDINGS = (".yaml", ".yml")
 """Endings of the names of problem files."""
 
+PATIENCE = 3.0
+"""Time for which the processor is left to the browser, until it has loaded the page [s]."""
+
 SEARCH = 60.0
 """Time limit of the search for changes that make a problem feasible [s]."""
 
@@ -139,6 +142,7 @@ def _serve(
     if certificate is None:
         from hitchopt.checks import certify
 
+        live.wait_for_page(PATIENCE)
         certificate = certify(motion)
         live.show_certificate(certificate)
     _edit(live, text, path, certificate, status)

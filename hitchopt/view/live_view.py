@@ -94,6 +94,12 @@ class LiveView:
         """Address of the page."""
         return server_address(self.server)
 
+    def wait_for_page(self, seconds: float) -> bool:
+        """Wait until a browser has loaded the page; return whether one has in that time [s]."""
+        loaded = threading.Event()
+        self.server.on_client_connect(lambda _: loaded.set())
+        return loaded.wait(seconds)
+
     def close(self) -> None:
         """Stop serving."""
         self._open = False

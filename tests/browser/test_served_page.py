@@ -24,6 +24,7 @@ def test_a_page_opened_before_the_plan_is_read_shows_it() -> None:
         waited(page, lambda: len(server.get_clients()) == 1)
         view = LiveView(plan.motion, None, "late", server=server)
         page.get_by_text("being certified").wait_for()
+        assert view.wait_for_page(10.0)
         view.show_certificate(plan.certificate)
         page.get_by_text("certified for all t").wait_for()
         drawn(page)

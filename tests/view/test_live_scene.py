@@ -91,6 +91,7 @@ def test_a_certificate_that_is_late_keeps_the_panel() -> None:
     view = LiveView(make_motion(3), None, port=8396)
     assert "being certified" in view.head.content
     assert view.checks.labels == []
+    assert not view.wait_for_page(0.0)  # nobody has opened it
     view.show_certificate(made_certificate())
     assert "certified for all t" in view.head.content
     assert len(view.checks.labels) == len(made_certificate().checks)
