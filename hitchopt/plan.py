@@ -253,6 +253,9 @@ class Plan(OneLine):
         UnsupportedError: viser, or what writes films, is not installed.
         """
         if save is not None:
+            if ghost is not None:
+                words = "None where a plan is written to a file"
+                raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.saved_view import save_view
 
             shown = (self.motion, self.certificate, self.title, self.problem)
