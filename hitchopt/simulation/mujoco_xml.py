@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from hitchopt.objects import SolidObject
 from hitchopt.simulation.object_xml import (
     CONTACT_SOLVER,
+    GROUND,
     OBJECTS,
     describe_objects,
     number_text,
@@ -29,9 +30,9 @@ EDGE_STEPS = 2.5
 """Least time constant of the lengths in time steps; also what it is where there are objects: ropes
 that hold them pull harder, and short segments would yield by a per cent."""
 
-ROPES, GROUND = 1, 2
-"""Collision groups besides OBJECTS: ropes meet ropes and the ground, drones the ground and objects,
-the ropes' nodes objects."""
+ROPES = 1
+"""Collision group besides GROUND and OBJECTS: ropes meet ropes and the ground, drones the ground
+and objects, the ropes' nodes objects."""
 
 FIRM = 100
 """Ratio of frictional to normal stiffness where there are objects: held ones creep by 7 mm/s at 1,
@@ -106,7 +107,7 @@ def describe(
         <asset>{meshes}</asset>
         <worldbody>
             <geom type="plane" size="0 0 1" pos="0 0 {number_text(ground)}" contype="{GROUND}"
-                conaffinity="{OBJECTS}" friction="{ground_friction} 0 0"/>
+                conaffinity="0" friction="{ground_friction} 0 0"/>
             {bodies}{things}
         </worldbody>
         <deformable>{flexes}</deformable>

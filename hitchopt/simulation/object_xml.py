@@ -13,13 +13,14 @@ from hitchopt.simulation.object_wires import outline_points
 
 Array = NDArray[np.float64]
 
-OBJECTS = 4
-"""Collision group of objects, which meet ropes, drones, the ground and one another."""
+GROUND, OBJECTS = 2, 4
+"""Collision groups of the ground, and of objects, which meet ropes, drones and others' feet."""
 
 FEET, RINGS = 8, (0.98, 0.4)
 """Least number of feet in a ring below and on top of an object, and the rings' sizes over that of
-its outline. Objects stand on each other by these small balls: between cylinders and meshes that
-merely touch, MuJoCo at times finds contacts as deep as the bodies."""
+its outline. Objects stand on the ground and on each other by these small balls: between cylinders
+and meshes that merely touch, MuJoCo at times finds contacts as deep as the bodies, and a cylinder
+that has been tilted rolls along the edge of its floor for ever, a degree or more a second."""
 
 FOOT = 0.002
 """Radius of a foot [m]; it does not protrude."""
@@ -75,8 +76,8 @@ def describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
                 f'priority="1" friction="{number_text(each.friction)} 0 0" {CONTACT_SOLVER}/>'
             )
         geoms += "".join(
-            f'<geom size="{FOOT}" pos="{number_text(foot)}" contype="0" conaffinity="{OBJECTS}" '
-            f'condim="3" priority="{1 if each.fixed else 2}" '
+            f'<geom size="{FOOT}" pos="{number_text(foot)}" contype="0" '
+            f'conaffinity="{GROUND | OBJECTS}" condim="3" priority="{1 if each.fixed else 2}" '
             f'friction="{number_text(each.friction)} 0 0" {CONTACT_SOLVER}/>'
             for foot in _feet(each)
         )
@@ -90,17 +91,23 @@ def describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
 
 
 def _feet(each: SolidObject) -> Array:
-    """Return the centres (feet, 3) [m] of balls that end at an object's floor and ceiling."""
-    section, centre = each.section, each.section.centroid
-    corners = 1 if section.outline is None else len(section.outline)
-    ring = outline_points(section, corners * math.ceil(FEET / corners))[:-1] - centre
-    level = np.concatenate([centre + size * ring for size in RINGS])
-    return np.concatenate(
-        [
-            np.column_stack([level, np.full(len(level), height)])
-            for height in (each.lower + FOOT, each.upper - FOOT)
-        ]
-    )
+    """Return the centres (feet, 3) [m] of balls that end at floor and ceiling of object and rim."""
+    slabs: list[tuple[Section, float, float, tuple[float, ...]]] = [
+        (each.section, each.lower, each.upper, RINGS)
+    ]
+    if each.rim is not None:
+        height = each.rim.height
+        slabs.append((each.rim.section, height, height + RIM, RINGS[:1]))
+    feet = []
+    for section, lower, upper, rings in slabs:
+        corners = 1 if section.outline is None else len(section.outline)
+        count = corners * math.ceil(FEET / corners)
+        ring = outline_points(section, count)[:-1] - section.centroid
+        for size in rings:
+            for height in (lower + FOOT, upper - FOOT):
+                level = section.centroid + size * ring
+                feet.append(np.column_stack([level, np.full(len(level), height)]))
+    return np.concatenate(feet)
 
 
 def _box(section: Section, lower: float, upper: float) -> str | None:

@@ -34,9 +34,6 @@ from hitchopt.values import Array
 LEVEL = 1e-6
 """[m] Heights that differ by less are the same."""
 
-BESIDE = 0.02
-"""[m] Room around an object without a rim besides, for its place: no rim is to be reached below."""
-
 OVER = 0.10
 """[m] Room between drones' lowest places and objects below, besides ``separation.radius``."""
 
@@ -64,7 +61,7 @@ class Enclose(Step):
         requirements, hitch = task.requirements, task.hitch
         body, gap = object_of(task, self.object), gap_around(requirements)
         if body.rim is None:
-            found = grip_polygons(self.object, body, task.before.team, requirements, gap + BESIDE)
+            found = grip_polygons(self.object, body, task.before.team, requirements, gap)
             inside = float(body.at[2] + body.centre_of_mass[2])
         else:
             found = rest_polygons(self.object, body, len(hitch.polygon), gap)

@@ -399,3 +399,12 @@ def test_edges_pull_harder_than_legs_until_a_grip_is_open(motion: Motion) -> Non
     change = np.max(np.abs(motion.leg_tensions.differentiated(1).at(t)), axis=(-1, -2))
     assert np.max(change[moving]) < 1e-6
     assert np.max(change) > 0.1
+
+
+def test_remarks_say_how_far_legs_lean(motion: Motion, box: Motion) -> None:
+    """The box's cables have no friction."""
+    remarks = {phase.name: phase.remark for phase in motion.phases}
+    assert re.fullmatch(r"legs lean against \d+% of clasp friction", remarks["grasp"])
+    assert remarks["loosen"] == "legs lean against 90% of clasp friction"
+    assert "friction" not in remarks["lift"] + remarks["carry"]
+    assert not any("friction" in phase.remark for phase in box.phases)

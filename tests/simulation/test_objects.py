@@ -18,7 +18,7 @@ from hitchopt.simulation.object_wires import wires
 from hitchopt.simulation.object_xml import _second_moments
 from hitchopt.simulation.ropes import Ropes
 from hitchopt.simulation.simulate import Simulation, simulate
-from hitchopt.simulation.simulation_settings import CALM, FAST, USUAL, Settings
+from hitchopt.simulation.simulation_settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
 
 TABLE = Section([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]])
 BOX = Section([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])
@@ -162,3 +162,22 @@ def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
     np.testing.assert_array_equal(np.flatnonzero(cargo.aloft[:, 0]), [3, 4])
     ends_aloft = replace(cargo, poses=poses[:5], borne=borne[:5], held=borne[:5] > 0.0)
     np.testing.assert_array_equal(np.flatnonzero(ends_aloft.aloft[:, 0]), [3, 4])
+
+
+@pytest.mark.parametrize("section", [Section(radius=0.2), Section(radius=0.1)])
+@pytest.mark.parametrize("preset", [FAST, ACCURATE])
+def test_a_cylinder_that_was_tilted_comes_to_rest(section: Section, preset: Preset) -> None:
+    """It neither wobbles nor rolls along its edge: what turns it afterwards is friction alone."""
+    drum = SolidObject(section, 0.0, 0.3, 0.1, 0.5)
+    ropes = Ropes(np.array([1.0]), 0.01, 0.1, preset)
+    world = World(ropes, np.array([0.1, 0.1]), objects={"drum": drum})
+    away = np.zeros((ropes.segments[0] + 1, 3))
+    away[:, 0], away[:, 2] = np.linspace(2.0, 3.0, len(away)), 0.1
+    world.place([away])
+    joint = world.model.body_dofadr[world.object_bodies[0]]
+    world.data.qvel[joint + 3 : joint + 6] = [0.6, 0.2, 1.0]
+    world.step(round(1.0 / preset.time_step))
+    before = world.poses[0].copy()
+    world.step(round(0.5 / preset.time_step))
+    np.testing.assert_allclose(world.poses[0], before, atol=1e-5)
+    assert np.hypot(*before[4:6]) < 1e-4

@@ -11,8 +11,9 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.values import Array
 
-ROOM = 0.025
-"""[m] Room for noise besides the distance to be kept: the most that edges have been seen to err."""
+ROOM = 0.045
+"""[m] Room besides the distance to be kept: 25 mm, the most that edges have been seen to err, and
+20 mm for where the object really is."""
 
 INSET = 0.04
 """[m] Clasps are this far inside of a rim, and edges off the body, where there is as much room."""
