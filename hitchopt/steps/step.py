@@ -85,12 +85,14 @@ class Step(OneLine, ABC):
         ------
         InputError: one that does not fit the team.
         """
-        changes: dict[str, Any] = {}
-        if getattr(self, "polygon", None) is not None:
-            changes["polygon"] = fitting_polygon(team, vars(self)["polygon"])
-        if getattr(self, "legs", None) is not None:
-            changes["legs"] = slack_split(vars(self)["legs"], team)
-        return replace(self, **changes) if changes else self
+        given = {key: vars(self).get(key) for key in ("polygon", "legs")}
+        fitted: dict[str, Any] = {
+            key: fitting_polygon(team, value) if key == "polygon" else slack_split(value, team)
+            for key, value in given.items()
+            if value is not None
+        }
+        changed = any(value is not given[key] for key, value in fitted.items())
+        return replace(self, **fitted) if changed else self
 
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
         """Return the outline after the step; None where there is no hitch.

@@ -355,6 +355,40 @@ def test_a_result_that_can_be_changed_does_not_change_the_next_one() -> None:
         values.append(3.0)
 
 
+def test_results_of_kinds_that_cannot_be_copied_are_worked_out_every_time() -> None:
+    done = []
+
+    def work(progress: Progress | None, value: float) -> tuple[set[float], ...]:
+        done.append((progress, value))
+        return ({value},)
+
+    found = remembered(work, Memory())
+    first, again = found(None, 2.0), found(None, 2.0)
+    assert first == again == ({2.0},)
+    assert first[0] is not again[0]
+    assert len(done) == 2
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_copies_share_nothing_but_what_nobody_can_change(name: str) -> None:
+    one, other = ho.solve(PROBLEMS[name]), ho.solve(PROBLEMS[name])
+    mine, theirs = ({id(part): part for part in parts_of(plan)} for plan in (one, other))
+    assert len(mine) == len(theirs) > 20
+    assert not mine.keys() & theirs.keys()
+    for array in arrays_in(other):
+        array.shape = (1, *array.shape)
+    assert bits(ho.solve(PROBLEMS[name])) == bits(one) != bits(other)
+
+
+def parts_of(value: Any) -> Iterator[object]:
+    """All records, dicts and arrays that a plan holds."""
+    if is_dataclass(value) or isinstance(value, dict | np.ndarray):
+        yield value
+    items = vars(value) if is_dataclass(value) else value if isinstance(value, dict) else {}
+    for part in value if isinstance(value, tuple) else items.values():
+        yield from parts_of(part)
+
+
 @given(
     st.lists(st.tuples(st.integers(0, 9), st.integers(1, 40), st.booleans()), max_size=40),
     st.integers(1, 5),
