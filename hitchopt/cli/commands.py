@@ -24,12 +24,28 @@ if TYPE_CHECKING:
     from hitchopt.losing.survivable import Survivable
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
-    from hitchopt.mission.repair import Suggestion
+    from hitchopt.mission.repair.change import Suggestion
     from hitchopt.motion.motion import Motion
     from hitchopt.plan import Plan
 
 HELP = {"help_option_names": ["-h", "--help"], "show_default": True}
 """Settings of all commands' help texts."""
+
+MODULES = {
+    "abort": "abort_command",
+    "calibrate": "calibrate_command",
+    "export": "fleet_commands",
+    "fit": "fit_command",
+    "fly": "fly_command",
+    "init": "init_command",
+    "lint": "fleet_commands",
+    "report": "view_commands",
+    "simulate": "simulate_command",
+    "statics": "statics_command",
+    "sweep": "sweep_command",
+    "view": "view_commands",
+}
+"""Where the other commands are; a module is imported when its command runs."""
 
 MAX_ROWS = 5e8
 """Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
@@ -48,7 +64,7 @@ def _version() -> str:
         return "(not installed)"
 
 
-@click.group(cls=SafeGroup, context_settings=HELP)
+@click.group(cls=SafeGroup, modules=MODULES, context_settings=HELP)
 @click.version_option(version=_version(), prog_name="hitchopt")
 def main() -> None:
     """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
@@ -189,7 +205,8 @@ def report_suggestions(
     The error has a note if the time limit has ended the search.
     """
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+    from hitchopt.mission.repair.change import NO_CHANGE
+    from hitchopt.mission.repair.suggest import find_suggestions
     from hitchopt.time_limit import time_left, time_limit
 
     found: tuple[Suggestion, ...] = ()

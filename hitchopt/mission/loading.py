@@ -14,7 +14,6 @@ from hitchopt.mission.file_models import ProblemKeys
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys
-from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
 from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, read_text
 
@@ -109,6 +108,8 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
             return built_swarm(SwarmKeys.model_validate(values), folder)
         return built_problem(ProblemKeys.model_validate(values), folder)
     except ValidationError as error:
+        from hitchopt.mission.wording import translated
+
         raise translated(error, SwarmKeys if single else ProblemKeys) from None
 
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.steps.carrying import carried_move, held_plan, lasting_moves, place_of
 from hitchopt.steps.keys import OBJECT, YAW, Key, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step, numbers
@@ -48,6 +47,8 @@ class Carry(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
+        from hitchopt.steps.carrying import carried_move, held_plan, lasting_moves, place_of
+
         start = place_of(task.requirements.objects[self.object])
         to = np.append(self.to, start[3] + self.yaw)
         moves = [carried_move(task, start, to, task.requirements.limits.speed)]

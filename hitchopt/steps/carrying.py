@@ -18,7 +18,6 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
-from hitchopt.planners.carrying.rest_capacity import suggestion
 from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import check_duration
@@ -255,6 +254,8 @@ def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = Non
 
 def check_hold(task: StepTask, holding: Holding) -> None:
     """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
+    from hitchopt.planners.carrying.rest_capacity import suggestion
+
     held = holding.held
     assert isinstance(held, HeldHitch)
     bearing = replace(holding, borne=True)

@@ -11,7 +11,6 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.grip_polygon import grip_polygons
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
@@ -64,6 +63,8 @@ class Enclose(Step):
         requirements, hitch = task.requirements, task.hitch
         body, gap = object_of(task, self.object), gap_around(requirements)
         if body.rim is None:
+            from hitchopt.planners.carrying.grip_polygon import grip_polygons
+
             found = grip_polygons(self.object, body, task.before.team, requirements, gap + BESIDE)
             inside = float(body.at[2] + body.centre_of_mass[2])
         else:

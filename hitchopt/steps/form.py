@@ -14,7 +14,6 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.forming.tying_stages import Stage, tied
 from hitchopt.requirements import Requirements
@@ -184,6 +183,8 @@ def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
     ------
     InfeasibleError: none; says what binds on the first of them.
     """
+    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+
     asked = task.before.team, task.before.drones, goal, task.requirements
 
     def motion_of(stages: list[Stage]) -> Motion:

@@ -12,7 +12,6 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
-from hitchopt.planners.carrying.grip_polygon import check_pull, grip_suggestion
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
@@ -66,6 +65,8 @@ def grip_closed(
     InputError: an object with a rim.
     InfeasibleError: the object cannot be gripped, with what binds and what to change.
     """
+    from hitchopt.planners.carrying.grip_polygon import check_pull
+
     body, team = object_of(task, name), task.before.team
     if body.rim is not None:
         bound = "rest where the object has a rim, which the hitch is below"
@@ -204,6 +205,8 @@ def check_grip(task: StepTask) -> None:
     bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
 
     def suggested() -> str:
+        from hitchopt.planners.carrying.grip_polygon import grip_suggestion
+
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
         capacity, ways = grip_suggestion(*given)

@@ -204,7 +204,7 @@ def test_the_diagnosis_is_there_when_the_search_is_interrupted(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hitchopt.mission.repair.find_suggestions", interrupted)
+    monkeypatch.setattr("hitchopt.mission.repair.suggest.find_suggestions", interrupted)
     path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
     assert run("solve", path, "-o", "out").exit_code == 130
     found = json.loads((place / "out" / "diagnosis.json").read_text())

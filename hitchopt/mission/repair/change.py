@@ -10,6 +10,12 @@ from hitchopt.errors import InputError
 from hitchopt.mission.problem import Problem
 from hitchopt.one_line import OneLine
 
+BUDGET = 15.0
+"""Time [s] after which no further plan is begun: a user waits for it."""
+
+NO_CHANGE = "no single change was found that makes it feasible"
+"""Message where there is no suggestion."""
+
 DIGITS = 3
 """Significant digits of a suggested value: what a person would type."""
 

@@ -8,15 +8,12 @@ from collections.abc import Iterable, Sequence
 
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair.change import Change, Kind, Suggestion
+from hitchopt.mission.repair.change import BUDGET, Change, Kind, Suggestion
 from hitchopt.mission.repair.constraints import broken_constraints
 from hitchopt.mission.repair.kinds import last_resorts, likely_kinds
 from hitchopt.mission.repair.spreading import spread_changes
 from hitchopt.mission.solving import solve_problem
 from hitchopt.time_limit import Progress, TimeIsUp, time_left
-
-BUDGET = 15.0
-"""Time [s] after which no further plan is begun: a user waits for it."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes tried in turn, those of all kinds before the next size."""
@@ -29,10 +26,6 @@ FAR = 4.0
 
 ENOUGH = 3
 """Most suggestions: more would not be read."""
-
-
-NO_CHANGE = "no single change was found that makes it feasible"
-"""Message where there is no suggestion."""
 
 
 Verdict = Suggestion | frozenset[str]
