@@ -192,7 +192,7 @@ def follow_vertex(
     start: the hitch at t = 0.
     vertex: which, from 0.
     path: (J, 3), rows ``t, x, y`` [s, m, m], t increasing from 0 or later; at rest before the
-        first and after the last, and between equal points in a row.
+        first and after the last, and between equal points that follow each other.
     legs, limits, separation, arena: as of move_vertex.
 
     Raises

@@ -77,17 +77,16 @@ class Enclose(Step):
             Morph(polygon),
         ]
         motions: list[Motion] = []
-        situation = task.before
+        here = task
         for step in steps:
-            if isinstance(step, Transport) and _there(step, situation):
+            if isinstance(step, Transport) and _there(step, here.before):
                 continue
-            planned = step.plan(task.within(requirements, situation))
+            planned = self.part(step, here)
             motions.append(planned.motion)
-            situation = planned.after
+            here = task.within(requirements, planned.after)
         down = Transport(np.append(polygon.centroid, inside))
-        planned = down.plan(task.within(slowly(requirements), situation))
-        motions.append(planned.motion)
-        motion = one_phase(joined_motions(motions), task, self.name)
+        planned = self.part(down, task.within(slowly(requirements), here.before))
+        motion = one_phase(joined_motions([*motions, planned.motion]), task, self.name)
         holding = Holding(self.object, polygons, task.before.team.tension)
         after = replace(planned.after, holding=holding)
         return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
@@ -124,20 +123,20 @@ def _there(step: Transport, situation: Situation) -> bool:
 def _numbered(
     found: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
-    """Return the polygons numbered so that vertices have the shortest ways, and that around."""
+    """Return the polygons numbered so that vertices have the shortest paths, and that around."""
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
         found = _turned(found, body, here)
     around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
-    ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
-    best = int(np.argmin(ways))
+    lengths = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
+    best = int(np.argmin(lengths))
     shifted = HoldPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.closed)))
     return shifted, around.renumbered(best)
 
 
 def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
-    """Return polygons around a circle, turned so that vertices have the shortest ways.
+    """Return polygons around a circle, turned so that vertices have the shortest paths.
 
     Parameters
     ----------

@@ -12,21 +12,18 @@ from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import held_flight
-from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
-    LIFT_SPEED,
-    PRELOAD,
-    changed_move,
     check_hold,
     ended_holding,
     gap_below,
-    gentle_rates,
     held_motion,
     object_of,
     one_phase,
     place_of,
     polygon_at,
+    rim_move,
+    tension_moves,
 )
 from hitchopt.steps.enclose import slowly
 from hitchopt.steps.free_cables import lasting
@@ -80,7 +77,8 @@ class Grasp(Step):
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
         below = polygon_at(body, task.holding.polygons.closed)
-        closing = Morph(below).plan(task.within(slowly(without(task, self.object)), task.before))
+        slow = slowly(without(task, self.object))
+        closing = self.part(Morph(below), task.within(slow, task.before))
         hitch = closing.after.hitch
         assert hitch is not None
         heights = np.full(team.robots, body.rim.height)
@@ -91,12 +89,7 @@ class Grasp(Step):
         here = replace(task, before=replace(closing.after, holding=holding))
         check_hold(replace(here, requirements=requirements), holding)
         gap = gap_below(requirements)
-        speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
-        moves = [changed_move(here, speed, below=(gap, 0.0))]
-        if np.any(asked != team.tension):
-            law = SmoothLaw(0.5 * PRELOAD)
-            tension = team.tension, asked
-            moves.insert(0, changed_move(here, law, tension=tension, below=(gap, gap)))
+        moves = [*tension_moves(here, team.tension, asked, gap), rim_move(here, gap, 0.0)]
         touching = held_motion(
             replace(here, requirements=requirements),
             [held_flight(held, move) for move in moves],

@@ -114,7 +114,7 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
 def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
     """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
 
-    The team's tensions come back on the last part of the way, on which nothing is touched.
+    The team's tensions come back on the last part of the path, on which nothing is touched.
 
     Where they never do, those with the least tension follow all the same.
     """
@@ -161,7 +161,7 @@ def _closing(task: StepTask, start: float, end: float) -> list[Move]:
 
 
 def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
-    """Yield the moves from one share of the way to the grip to another, legs leaning."""
+    """Yield the moves from one share of the path to the grip to another, legs leaning."""
     held = task.holding.held
     assert isinstance(held, GrippedHitch)
     turning = SmoothLaw(0.5 * PRELOAD)
@@ -209,8 +209,8 @@ def check_grip(task: StepTask) -> None:
 
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
-        capacity, ways = grip_suggestion(*given)
-        return f"{ways} ({capacity.binding} binds)"
+        capacity, remedies = grip_suggestion(*given)
+        return f"{remedies} ({capacity.binding} binds)"
 
     try:
         flight = held_flight(held, resting_move(bearing, 1.0))

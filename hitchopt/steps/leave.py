@@ -35,7 +35,8 @@ class Leave(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
         over = np.append(task.hitch.polygon.centroid, altitude_over(task))
-        planned = Transport(over).plan(task.within(slowly(task.requirements), task.before))
+        slow = task.within(slowly(task.requirements), task.before)
+        planned = self.part(Transport(over), slow)
         motion = one_phase(planned.motion, task, self.name)
         after = replace(planned.after, holding=None)
         return StepPlan(lasting(motion, self.duration, task.index, self.name), after)

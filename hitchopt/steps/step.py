@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
@@ -128,6 +128,15 @@ class Step(OneLine, ABC):
         InfeasibleError: the end breaks a limit at rest, or no route was found.
         HitchoptError: a planner failed.
         """
+
+    def part(self, step: Step, task: StepTask) -> StepPlan:
+        """Return the plan of another step as a part of this one, which refusals name."""
+        try:
+            return step.plan(task)
+        except InfeasibleError as error:
+            inner, own = (f"step {task.index} ({kind.name})" for kind in (step, self))
+            told = [replace(v, when=v.when.replace(inner, own)) for v in error.violations]
+            raise InfeasibleError(told, error.note) from None
 
     def advice(self, check: str) -> str:  # noqa: ARG002
         """Return what to change in the step where it breaks a check; nothing if that is unknown."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
@@ -93,7 +93,7 @@ class TransportObject(Step):
         motions: list[Motion] = []
         situation = task.before
         for step in steps:
-            planned = step.plan(replace(task, **_within(task, situation)))
+            planned = step.plan(task.within(situation.at_objects(task.requirements), situation))
             motions.append(planned.motion)
             situation = planned.after
             if isinstance(step, SetDown):
@@ -111,8 +111,3 @@ class TransportObject(Step):
                 f"on what is below it, which is at {height:.6g} m",
                 f"write {[*self.to[:2].tolist(), round(height, 9)]}",
             )
-
-
-def _within(task: StepTask, situation: Situation) -> dict[str, Any]:
-    """Return the changes of a task in another situation, objects where they are by then."""
-    return {"before": situation, "requirements": situation.at_objects(task.requirements)}

@@ -217,3 +217,11 @@ def test_a_narrow_rim_is_refused() -> None:
 )
 def test_steps_in_a_wrong_order_are_refused(steps: list[dict[str, Any]], text: str) -> None:
     refused({**tray(), "mission": steps}, text)
+
+
+def test_refusals_name_the_step_that_the_file_has() -> None:
+    low = tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.51]}}
+    low["start"]["hitch"]["altitude"] = 0.5
+    low["mission"] = [{"enclose": {"object": "tray"}}]
+    with pytest.raises(ho.InfeasibleError, match=r"at the end of step 0 \(enclose\)"):
+        ho.solve(ho.problem_from_dict(low))
