@@ -220,7 +220,7 @@ def test_steps_in_a_wrong_order_are_refused(steps: list[dict[str, Any]], text: s
 
 
 def test_refusals_name_the_step_that_the_file_has() -> None:
-    low = tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.51]}}
+    low = tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.53]}}
     low["start"]["hitch"]["altitude"] = 0.5
     low["mission"] = [{"enclose": {"object": "tray"}}]
     with pytest.raises(ho.InfeasibleError, match=r"at the end of step 0 \(enclose\)"):
