@@ -14,7 +14,7 @@ from hitchopt.mission.faults import Collector
 from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
 from hitchopt.mission.object_keys import objects_of
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fitting_start
-from hitchopt.mission.schema import Keys, MotionLimitsKeys, StartKeys, TeamKeys
+from hitchopt.mission.schema import Keys, StartKeys, TeamKeys
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
 from hitchopt.requirements import Arena, Limits, Prism, Separation
@@ -65,7 +65,7 @@ def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str,
     box = keys.arena
     parts = {
         "title": faults.attempt("", partial(_title, keys.title)),
-        "limits": faults.attempt("limits", lambda: _limits(keys.limits)),
+        "limits": faults.attempt("limits", lambda: Limits(**keys.limits.model_dump())),
         "separation": faults.attempt(
             "separation", lambda: Separation(**keys.separation.model_dump())
         ),
@@ -92,11 +92,6 @@ def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
             found.append(Quadrotor(**kind))
     values["quadrotor"] = found[0] if one else found
     return values
-
-
-def _limits(keys: MotionLimitsKeys) -> Limits:
-    """Return the limits that ``keys`` describe."""
-    return Limits(**keys.model_dump())
 
 
 def _start(keys: StartKeys, team: Team, faults: Collector) -> Start | None:
