@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
-import numpy as np
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.console_tables import new_table, rendered
 from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InputError
 
 CIRCLE = "circle:"
 
@@ -55,6 +53,7 @@ def fit(
     OUTLINE is a drawing (SVG, DXF, GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in
     metres unless a drawing states its unit.
     """
+    from hitchopt.cli.fit_tables import fit_tables
     from hitchopt.cli.progress import LateProgress
     from hitchopt.fitting.fit import fit as fitted
     from hitchopt.fitting.fit_file import fit_as_json, save_fit
@@ -97,54 +96,3 @@ def _outline(text: str) -> object:
         except ValueError:
             raise InputError("OUTLINE", text, "[[x, y], …]", "write it as JSON") from None
     return Path(text)
-
-
-if TYPE_CHECKING:
-    from hitchopt.fitting.fit import Fit
-    from hitchopt.holding.capacity import Capacity
-
-
-def fit_tables(fit: Fit) -> str:
-    """Return the polygons of a fit, and what each number of robots holds at most."""
-    return "\n\n".join([*(f"note: {note}" for note in fit.notes), _polygons(fit), _masses(fit)])
-
-
-def _polygons(fit: Fit) -> str:
-    from hitchopt.holding.grip_statics import Grip
-
-    holding = fit.holding
-    title = f"Polygons of {holding.robots} cables of {holding.cable_length:.2f} m"
-    wraps = isinstance(holding.grip, Grip)
-    numbers = ["enclosing [m]", "gripping [m]", "wrap [°]", "resting [m]"]
-    table = new_table(title, ["vertex"], numbers)
-    for k in range(holding.robots):
-        grip, wrap, rest = "–", "–", "–"
-        if wraps and isinstance(holding.grip, Grip):
-            grip = _point(holding.grip.vertices[k, :2])
-            wrap = f"{np.degrees(holding.grip.wraps.angles[k]):.1f}"
-        if not isinstance(holding.rest, InfeasibleError):
-            rest = _point(holding.rest.vertices[k])
-        table.add_row(f"p{k}", _point(holding.enclosing.vertices[k]), grip, wrap, rest)
-    return rendered(table)
-
-
-def _masses(fit: Fit) -> str:
-    words = ["robots", "grip", "limit", "change for more", "rest", "limit", "change for more"]
-    table = new_table("Largest mass", words, [])
-    grips, rests = fit.capacities("grip"), fit.capacities("rest")
-    for n in fit.others:
-        cells = [cell for each in (grips[n], rests[n]) for cell in _cells(each)]
-        table.add_row(str(n), *cells)
-    return rendered(table)
-
-
-def _cells(found: Capacity | InfeasibleError) -> tuple[str, str, str]:
-    if isinstance(found, InfeasibleError):
-        broken = found.violations[0]
-        return "–", broken.constraint, broken.remedy
-    mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "–"
-    return mass, found.binding, found.suggested
-
-
-def _point(point: np.ndarray) -> str:
-    return ", ".join(f"{x + 0.0:.3f}" for x in np.round(point, 3))

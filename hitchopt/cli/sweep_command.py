@@ -5,12 +5,10 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from hitchopt.cli.commands import main
-from hitchopt.cli.console_tables import new_table, rendered
 from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath
 from hitchopt.errors import InputError
@@ -43,6 +41,7 @@ def sweep(
     DIR of a sweep, and nothing is computed.
     """
     from hitchopt.cli.progress import LateProgress
+    from hitchopt.cli.sweep_tables import sweep_tables
     from hitchopt.sweeps.dataset import load_sweep, read_study
     from hitchopt.sweeps.running import run_sweep
     from hitchopt.sweeps.sweep_summary import summary
@@ -83,27 +82,3 @@ def _draw(place: Path, x: str, y: str) -> None:
     save_sweep_picture(path, rows, *columns, read_study(place)["title"])
     record(file=str(path))
     say(f"the picture is {path}")
-
-
-if TYPE_CHECKING:
-    from hitchopt.sweeps.sweep_summary import Summary
-
-MOST_ROWS = 8
-"""Reasons that are listed."""
-
-
-def sweep_tables(found: Summary) -> str:
-    """Return what a sweep comes to."""
-    lines = [f"{found.planned.rows} of {found.cases} rows; planned: {found.planned}"]
-    if found.succeeded is not None:
-        lines.append(f"simulated flights that succeeded: {found.succeeded}")
-    tables = []
-    if found.binding:
-        reasons = new_table("What bound", ["limit"], ["rows"])
-        for name, count in found.binding[:MOST_ROWS]:
-            reasons.add_row(name, str(count))
-        tables.append(rendered(reasons))
-    figures = new_table("Figures", ["column"], ["median", "smallest", "largest"])
-    for name, values in found.medians.items():
-        figures.add_row(name, *(f"{value:.4g}" for value in values))
-    return "\n\n".join([*tables, rendered(figures), "\n".join(lines)])
