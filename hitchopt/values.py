@@ -64,10 +64,12 @@ def sequence(key: str, value: object) -> tuple[Any, ...]:
         raise InputError(key, value, "a list", "write [ ] around it") from None
 
 
-def whole(key: str, value: object, least: int) -> int:
-    """Return ``value``, or raise InputError unless it is a whole number from ``least`` on."""
+def whole(key: str, value: object, least: int, most: int | None = None) -> int:
+    """Return ``value``, or raise InputError unless it is a whole number of at least ``least``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(key, value, f"a whole number, at least {least}", "count them")
+    if most is not None and value > most:
+        raise InputError(key, value, f"at most {most}", "take fewer")
     return int(value)
 
 

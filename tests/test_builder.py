@@ -212,3 +212,5 @@ def test_hanging_cables_are_computed_at_once_and_none_is_stretched() -> None:
         assert points == pytest.approx(ho.hanging_cable([0.0, 0.0, 0.0], end, 2.0, points=7))
     with pytest.raises(ho.InputError, match=r"at least the distance of its ends, 2 m"):
         ho.hanging_cable([0.0, 0.0, 0.0], ends, 1.9)
+    with pytest.raises(ho.InputError, match=r"points = 1.*: must be at most 1000000"):
+        ho.hanging_cable([0.0, 0.0, 0.0], ends, 2.0, points=10**30)

@@ -157,8 +157,6 @@ SYNONYMS = {
     "q_legs": "legs",
     "breaks": "coefficients",
     "coefficients": "breaks",
-    "lower": "from",
-    "upper": "to",
 }
 """Arguments whose messages name another key."""
 

@@ -9,6 +9,9 @@ from hitchopt.errors import InputError
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.values import MAX_COORDINATE, Array, as_array, positive, whole
 
+MAX_POINTS = 1_000_000
+"""Points of one cable."""
+
 
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
     """Return points (…, points, 3) [m] of a cable that hangs between two ends, in order.
@@ -20,7 +23,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     ----------
     first, second: its ends (…, 3) [m]; of several cables at once if there are further axes.
     length: of the cable [m], at least the distance of its ends.
-    points: how many, both ends among them.
+    points: how many, both ends among them; at most MAX_POINTS.
 
     Raises
     ------
@@ -38,7 +41,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
     size = positive("length", length)
-    count = whole("points", points, 2)
+    count = whole("points", points, 2, MAX_POINTS)
     apart = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
     if size < apart:
         bound = f"at least the distance of its ends, {apart:.6g} m"

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from hitchopt.errors import InputError
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.schema import Keys, NotNegative, Number, Point2, Point3, Positive, fault, key
 from hitchopt.objects import Rim, Section, SolidObject
@@ -23,6 +24,9 @@ MAX_CORNERS = 1000
 
 SHAPES = ("outline", "circle", "file")
 """Keys of which an object has exactly one; a rim the first or the second."""
+
+KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at"}
+"""Keys of files for the arguments of ``SolidObject`` that have other names."""
 
 Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
 
@@ -101,4 +105,8 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
         rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
     yaw = math.radians(values.pop("yaw_deg"))
     lower, upper = values.pop("from_"), values.pop("to")
-    return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
+    try:
+        return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
+    except InputError as error:
+        key = KEYS.get(error.key, error.key)
+        raise InputError(key, error.value, error.bound, error.remedy) from None

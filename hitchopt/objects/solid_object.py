@@ -86,8 +86,8 @@ class SolidObject(OneLine):
             raise InputError("fixed", fixed, "true or false", "write fixed: true of a table")
         values = {
             "section": section,
-            "lower": coordinate("from", lower),
-            "upper": coordinate("to", upper),
+            "lower": coordinate("lower", lower),
+            "upper": coordinate("upper", upper),
             "mass": positive("mass", mass),
             "friction": not_negative("friction", friction),
             "at": place,
@@ -98,11 +98,11 @@ class SolidObject(OneLine):
         for name, value in values.items():
             object.__setattr__(self, name, value)
         if self.lower >= self.upper:
-            bound, remedy = f"above from, {self.lower:g} m", "exchange the heights"
-            raise InputError("to", self.upper, bound, remedy)
+            bound, remedy = f"above its floor, {self.lower:g} m", "exchange the heights"
+            raise InputError("upper", self.upper, bound, remedy)
         if rim is not None and not self.lower < rim.height <= self.upper:
-            bound = f"above from, {self.lower:g} m, and at most to, {self.upper:g} m"
-            raise InputError("rim.at", rim.height, bound, "put the rim on the body")
+            bound = f"above the body's floor, {self.lower:g} m, and at most {self.upper:g} m"
+            raise InputError("rim.height", rim.height, bound, "put the rim on the body")
 
     @property
     def slabs(self) -> tuple[Slab, ...]:

@@ -69,6 +69,7 @@ class Study(OneLine):
     limit: time limit of every plan [s].
     simulate, settle, export: keys of these sections of a study file, or None.
     title: title.
+    drawings: outlines of the drawings that parameters ``objects.NAME.file`` name, by file.
     """
 
     problems: tuple[tuple[str, dict[str, Plain]], ...]
@@ -80,6 +81,7 @@ class Study(OneLine):
     settle: Section | None = None
     export: Section | None = None
     title: str = ""
+    drawings: Mapping[str, Plain] = field(default_factory=dict)
     _points: list[Point] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
@@ -94,7 +96,7 @@ class Study(OneLine):
     def _cases_at(self, name: str, problem: Mapping[str, Plain], point: Point) -> Iterator[Case]:
         sections = {key: getattr(self, key) for key in ("simulate", "settle", "export")}
         own = {key: keys for key, keys in sections.items() if keys is not None}
-        whole = with_values({**problem, **own}, point)
+        whole = with_values({**problem, **own}, self._outlined(point))
         done: dict[str, Any] = {key: whole.pop(key, None) for key in sections}
         flown = done["simulate"]
         seeds: list[int | None] = [None]
@@ -104,6 +106,16 @@ class Study(OneLine):
             done["simulate"] = {k: v for k, v in flown.items() if k not in {"seed", "seeds"}}
         for seed in seeds:
             yield Case(name, point, whole, **done, seed=seed, limit=self.limit)
+
+    def _outlined(self, point: Point) -> Point:
+        """Return a point with outlines in place of drawings, as problems have them."""
+        made: Point = {}
+        for key, value in point.items():
+            if names_drawing(key) and isinstance(value, str):
+                made[key.removesuffix("file") + "outline"] = self.drawings.get(value, value)
+            else:
+                made[key] = value
+        return made
 
     def check(self, keys_of: Callable[[str, Plain], Section]) -> None:
         """Raise InputError for paths and values that no problem or section can have.
@@ -133,6 +145,12 @@ class Study(OneLine):
                 for name in ("simulate", "settle", "export"):
                     if getattr(case, name) is not None:
                         keys_of(name, getattr(case, name))
+
+
+def names_drawing(key: str) -> bool:
+    """Return whether a key path is that of an object's drawing."""
+    section, *_, last = key_parts(key)
+    return section == "objects" and last == "file"
 
 
 @cache

@@ -14,7 +14,7 @@ from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.sweeps.parameters import Drawn, Listed, Parameter
-from hitchopt.sweeps.study import Study
+from hitchopt.sweeps.study import Study, names_drawing
 
 MAX_SAMPLES = 100_000
 """Largest number of samples of the parameters that are drawn."""
@@ -170,9 +170,11 @@ def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> 
     parts: dict[str, Any] = {
         name: _section(keys, name) for name in ("simulate", "settle", "export")
     }
+    parameters = tuple(each.parameter(key) for key, each in keys.parameters.items())
     study = Study(
         problems=tuple(_problems(values["problem"], Path(directory))),
-        parameters=tuple(each.parameter(key) for key, each in keys.parameters.items()),
+        parameters=parameters,
+        drawings=_drawings(parameters, Path(directory)),
         samples=keys.samples,
         seed=keys.seed,
         limit=keys.limit,
@@ -216,6 +218,25 @@ def _problems(given: Plain, directory: Path) -> list[tuple[str, dict[str, Plain]
     return found
 
 
+def _drawings(parameters: tuple[Parameter, ...], folder: Path) -> dict[str, Plain]:
+    """Return the outlines of all drawings that parameters list, relative to the study's folder."""
+    files = {
+        value
+        for p in parameters
+        if isinstance(p, Listed) and names_drawing(p.key)
+        for value in p.values
+        if isinstance(value, str)
+    }
+    return {file: _outline(folder / file) for file in files}
+
+
+def _outline(path: Path) -> Plain:
+    from hitchopt.outlines.outline_file import read_outline  # heavy: readers of drawings
+
+    found: Plain = read_outline(path).tolist()
+    return found
+
+
 def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
@@ -228,8 +249,6 @@ def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
     for name, each in objects.items():
         inlined[name] = each
         if isinstance(each, dict) and isinstance(each.get("file"), str):
-            from hitchopt.outlines.outline_file import read_outline  # heavy: readers of drawings
-
             rest = {key: value for key, value in each.items() if key != "file"}
-            inlined[name] = rest | {"outline": read_outline(folder / str(each["file"])).tolist()}
+            inlined[name] = rest | {"outline": _outline(folder / str(each["file"]))}
     return problem | {"objects": inlined}

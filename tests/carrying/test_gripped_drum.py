@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import binom
 
 import hitchopt as ho
 from hitchopt.checks.certify import certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.objects.placing import in_frame
 from hitchopt.trajectory import PiecewisePolynomial
@@ -182,6 +184,97 @@ def test_no_sample_is_below_the_bound_of_grip(name: str, request: pytest.Fixture
     assert found.holds
     assert found.bound <= least + 1e-9
     assert found.bound > 0.95 * least  # what turns the drum is counted in its load
+
+
+def changed_piece(part: PiecewisePolynomial, piece: int, power: Array) -> PiecewisePolynomial:
+    """A part whose piece is replaced by a polynomial of its share: powers (entries, degree + 1)."""
+    raised = part.elevated(max(part.degree, power.shape[-1] - 1))
+    made = raised.coefficients.copy()
+    nodes = np.linspace(0.0, 1.0, raised.degree + 1)
+    basis = binom(raised.degree, np.arange(raised.degree + 1)) * (
+        nodes[:, None] ** np.arange(raised.degree + 1)
+        * (1.0 - nodes[:, None]) ** np.arange(raised.degree, -1, -1)
+    )
+    values = np.polynomial.polynomial.polyval(nodes, power.T)
+    made[piece] = np.linalg.solve(basis, values.T).T.reshape(made[piece].shape)
+    return PiecewisePolynomial(part.breaks, made)
+
+
+def shortest_of_carrying(motion: Motion) -> tuple[int, Array]:
+    """The shortest piece of the flight with the drum, and times in it."""
+    carry = next(p for p in motion.phases if p.name == "carry")
+    breaks = motion.drones.breaks
+    inside = (breaks[:-1] >= carry.start - 1e-9) & (breaks[1:] <= carry.end + 1e-9)
+    piece = int(np.argmin(np.where(inside, np.diff(breaks), np.inf)))
+    return piece, np.linspace(breaks[piece], breaks[piece + 1], 201)[1:-1]
+
+
+def test_turning_faster_loads_the_grip(motion: Motion) -> None:
+    """A uniform drum that is turned needs friction sideways, at half of its radius."""
+    piece, t = shortest_of_carrying(motion)
+    duration = float(np.diff(motion.drones.breaks)[piece])
+    pushed = 40.0  # rad/s²
+    angle_ = 0.5 * pushed * duration**2
+    powers = np.zeros((5, 11))
+    powers[:3, 0] = motion.object_poses.coefficients[piece, 0, :3, 0]
+    powers[3, [0, 4, 8]] = 1.0, -(angle_**2) / 2.0, angle_**4 / 24.0
+    powers[4, [2, 6, 10]] = angle_, -(angle_**3) / 6.0, angle_**5 / 120.0
+    assert angle_ < 0.5
+    placed = replace(motion, poses=changed_piece(motion.object_poses, piece, powers))
+    level = 0.5 * RADIUS * pushed
+    least = np.min(ratios(motion, t)) * GRAVITY / math.hypot(GRAVITY, level)
+    assert check(placed, "grip").bound <= least
+    assert check(motion, "grip").bound > least
+
+
+def test_the_weaker_end_of_a_piece_counts(motion: Motion) -> None:
+    piece, t = shortest_of_carrying(motion)
+    powers = np.zeros((motion.tensions.coefficients.shape[1], 2))
+    powers[:] = [1.3, -0.5]
+    weaker = replace(motion, tensions=changed_piece(motion.tensions, piece, powers))
+    if motion.leg_tensions is not None:
+        ends = changed_piece(motion.leg_tensions, piece, np.repeat(powers, 2, axis=0))
+        weaker = replace(weaker, leg_tensions=ends)
+    least = float(np.min(ratios(weaker, t)))
+    assert check(weaker, "grip").bound <= least < check(motion, "grip").bound
+
+
+@pytest.mark.parametrize(("size", "holds"), [(0.8, False), (1.1, True)])
+def test_only_an_edge_that_the_section_bends_is_wrapped(size: float, holds: bool) -> None:
+    """Tangents from both ends touch a drum beside a straight edge too, in the wrong order."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
+    flight = ho.transport(start, [0.0, 0.0, 1.05]).motion
+    p = start.polygon.vertices
+    around = np.roll(p, -1, axis=0) - p
+    radius = size * float(np.linalg.norm(p[0] + 0.5 * around[0]))
+    towards = []
+    for ends, sense in ((p, 1.0), (np.roll(p, -1, axis=0), -1.0)):
+        away = np.linalg.norm(ends, axis=1)
+        bend = sense * np.arcsin(radius / away)
+        x, y = -ends.T / away
+        along = np.column_stack(
+            [np.cos(bend) * x - np.sin(bend) * y, np.sin(bend) * x + np.cos(bend) * y]
+        )
+        towards.append(ends + np.sqrt(away**2 - radius**2)[:, None] * along)
+    touching = np.zeros((3, 2, 3))
+    touching[..., :2] = np.stack(towards, axis=1)
+    rising = flight.vertices.coefficients[:, 0, 2]
+    contacts = np.repeat(touching[None, ..., None], len(rising), axis=0)
+    contacts = np.repeat(contacts, rising.shape[-1], axis=-1)
+    contacts[:, :, :, 2] = rising[:, None, None]
+    drum_ = ho.SolidObject(ho.Section(radius=radius), 0.0, 1.5)
+    poses = np.zeros((len(rising), 1, 5, rising.shape[-1]))
+    poses[:, 0, 2], poses[:, 0, 3] = rising - 1.0, 1.0  # it rises with the hitch
+    changed = replace(
+        flight,
+        poses=PiecewisePolynomial(flight.drones.breaks, poses),
+        contacts=PiecewisePolynomial(flight.drones.breaks, contacts),
+        requirements=replace(flight.requirements, objects={"drum": drum_}),
+        phases=tuple(
+            replace(phase, hold=Hold("drum", HoldBy.GRIP, (0, 1, 2))) for phase in flight.phases
+        ),
+    )
+    assert check(changed, "grip").holds == holds
 
 
 def test_grip_does_not_depend_on_where_north_is(motion: Motion) -> None:

@@ -121,6 +121,35 @@ def test_bounds_by_nodes_refuse_what_clocks_cut_at_breaks_break(tight: float) ->
     assert 20 < np.sum(whole) < 380
 
 
+@pytest.mark.parametrize("name", ["acceleration", "jerk", "thrust", "tilt"])
+def test_a_limit_just_below_its_largest_sample_is_refused(name: str) -> None:
+    """Each quantity by itself, the others being free; one a twentieth higher is kept."""
+    motion, rng = motion_of(), np.random.default_rng(8)
+    starts = rng.uniform(0.0, 0.9 * motion.duration, 24)
+    durations = np.geomspace(0.2, 2.0, 24)[rng.permutation(24)]
+    for start, duration in zip(starts, durations, strict=True):
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        share = flown(motion, clock, 4000)[name]
+        for factor, kept in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
+            found = StopBounds(ClockLimits(freed(motion, name, factor)))
+            assert bool(found.keep(np.array([start]), np.array([duration]))[0]) == kept
+
+
+def freed(motion: Motion, name: str, factor: float) -> Motion:
+    """A motion with one limit multiplied by a factor, and others that nothing reaches."""
+    limits, team = motion.requirements.limits, motion.team
+    factors = {"acceleration": 50.0, "jerk": 50.0, "thrust": 3.0, "tilt": 3.0, name: factor}
+    limits = replace(
+        limits,
+        acceleration=factors["acceleration"] * limits.acceleration,
+        jerk=factors["jerk"] * limits.jerk,
+        tilt=min(factors["tilt"] * limits.tilt, 1.5),
+    )
+    kinds = tuple(replace(q, max_thrust=factors["thrust"] * q.max_thrust) for q in team.quadrotor)
+    requirements = replace(motion.requirements, limits=limits)
+    return replace(motion, team=replace(team, quadrotor=kinds), requirements=requirements)
+
+
 def test_sizes_between_nodes_hold_samples() -> None:
     motion = motion_of()
     grid = DerivativeGrid(ClockLimits(motion))

@@ -149,8 +149,19 @@ def test_floating_and_overlapping_objects_are_refused(at: list[float], text: str
         check_placed(objects, 0.0)
 
 
+def test_faults_of_objects_in_files_name_the_keys_of_files() -> None:
+    given = {
+        "team": {"robots": 3, "cable_length": 1.2, "tension": 0.5},
+        "objects": {"box": {"circle": 0.1, "from": 0.2, "to": 0.1, "mass": 0.1, "at": [5, 0, 0]}},
+        "start": {"hitch": {"polygon": [[0.0, 0.5], [0.5, -0.3], [-0.5, -0.3]], "altitude": 1.0}},
+        "mission": [{"hold": {"seconds": 1.0}}],
+    }
+    with pytest.raises(ho.InputError, match=r"objects.box.to = 0.1: must be above its floor"):
+        ho.problem_from_dict(given)
+
+
 def test_wrong_objects_are_refused() -> None:
-    with pytest.raises(ho.InputError, match=r"to = 0.1: must be above from, 0.2 m"):
+    with pytest.raises(ho.InputError, match=r"upper = 0.1: must be above its floor, 0.2 m"):
         solid([0, 0, 0], lower=0.2, upper=0.1)
     with pytest.raises(ho.InputError, match="put the rim on the body"):
         solid([0, 0, 0], rim=ho.Rim(ho.Section(radius=1.0), 0.9))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from study_cases import PROBLEM
 
-from hitchopt.errors import HitchoptError, InputError
+from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.storage.plain import key_path
 from hitchopt.sweeps.parameters import Drawn, Listed, key_parts, points, with_values
 from hitchopt.sweeps.study_file import load_study, study_from_dict
@@ -145,3 +145,29 @@ def test_drawings_of_objects_are_relative_to_the_file_that_names_them(tmp_path: 
         assert "file" not in made
         points = np.array(made["outline"], dtype=np.float64)
         np.testing.assert_allclose(np.ptp(points, axis=0), [width, 0.3], atol=1e-9)
+
+
+def test_drawings_can_be_a_parameter(tmp_path: Path) -> None:
+    """Cases hold their outlines, and digests depend on these."""
+    for name, width in (("a", 0.4), ("b", 0.6)):
+        shape = f'<rect x="0" y="0" width="{width}" height="0.3"/>'
+        svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1">{shape}</svg>'
+        (tmp_path / f"{name}.svg").write_text(svg)
+    box = {"file": "a.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
+    study = {
+        "problem": PROBLEM | {"objects": {"box": box}},
+        "parameters": {"objects.box.file": ["a.svg", "b.svg"]},
+    }
+    first, second = study_from_dict(study, tmp_path).cases()
+    assert [first.point, second.point] == [{"objects.box.file": f} for f in ("a.svg", "b.svg")]
+    for case, width in ((first, 0.4), (second, 0.6)):
+        made: Any = case.problem["objects"]
+        assert "file" not in made["box"]
+        points = np.array(made["box"]["outline"], dtype=np.float64)
+        np.testing.assert_allclose(np.ptp(points, axis=0), [width, 0.3], atol=1e-9)
+    (tmp_path / "b.svg").write_text((tmp_path / "a.svg").read_text())
+    again = list(study_from_dict(study, tmp_path).cases())
+    assert again[0].digest == first.digest
+    assert again[1].digest != second.digest
+    with pytest.raises(FileError, match=r"c\.svg"):
+        study_from_dict({**study, "parameters": {"objects.box.file": ["c.svg"]}}, tmp_path)
