@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -38,12 +37,6 @@ class Carry(Step):
         object.__setattr__(self, "to", numbers("to", self.to, (3,), "a point [x, y, z]"))
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))
         super().__post_init__()
-
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        given = dict(values)
-        return cls(yaw=math.radians(given.pop("yaw_deg")), **given)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""

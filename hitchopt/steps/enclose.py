@@ -22,7 +22,6 @@ from hitchopt.steps.carrying import (
     one_phase,
     polygon_at,
 )
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.keys import OBJECT, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, Situation, StepPlan, StepTask
@@ -89,7 +88,7 @@ class Enclose(Step):
         motion = one_phase(joined_motions([*motions, planned.motion]), task, self.name)
         holding = Holding(self.object, polygons, task.before.team.tension)
         after = replace(planned.after, holding=holding)
-        return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
+        return StepPlan(self.lasting(task, motion), after)
 
 
 def altitude_over(task: StepTask) -> float:

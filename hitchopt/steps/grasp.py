@@ -26,7 +26,6 @@ from hitchopt.steps.carrying import (
     tension_moves,
 )
 from hitchopt.steps.enclose import slowly
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
@@ -98,7 +97,7 @@ class Grasp(Step):
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         closed = one_phase(closing.motion, task, self.name, hold)
         motion = one_phase(joined_motions([closed, touching]), task, self.name, hold)
-        motion = lasting(motion, self.duration, task.index, self.name)
+        motion = self.lasting(task, motion)
         return ended_holding(task, holding, motion, place_of(body))
 
 

@@ -21,7 +21,6 @@ from hitchopt.steps.carrying import (
     tension_moves,
 )
 from hitchopt.steps.enclose import slowly
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.grasp import without
 from hitchopt.steps.gripping import grip_opened
 from hitchopt.steps.keys import OBJECT, Seconds
@@ -65,6 +64,6 @@ class Loosen(Step):
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         opened = one_phase(opening.motion, task, self.name, hold)
         motion = one_phase(joined_motions([sinking, opened]), task, self.name, hold)
-        motion = lasting(motion, self.duration, task.index, self.name)
+        motion = self.lasting(task, motion)
         after = replace(opening.after, holding=replace(freed, held=None))
         return StepPlan(motion, after)

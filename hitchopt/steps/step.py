@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,8 +15,10 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
+from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
+from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
 from hitchopt.units import DURATION, check_unit
@@ -59,13 +62,18 @@ class Step(OneLine, ABC):
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file, its polygon and legs fitting a team.
+        """Return the step with the values of a problem file, in which angles are in degrees.
 
         Raises
         ------
         InputError: values that do not go together; its key is the step's own.
         """
-        return cls(**values)
+        return cls(
+            **{
+                key.removesuffix("_deg"): math.radians(value) if key.endswith("_deg") else value
+                for key, value in values.items()
+            }
+        )
 
     @property
     def given_duration(self) -> float | None:
@@ -128,6 +136,10 @@ class Step(OneLine, ABC):
         InfeasibleError: the end breaks a limit at rest, or no route was found.
         HitchoptError: a planner failed.
         """
+
+    def lasting(self, task: StepTask, motion: Motion) -> Motion:
+        """Return the motion slowed to last as long as the step was given, if it was."""
+        return lasting(motion, self.given_duration, task.index, self.name)
 
     def part(self, step: Step, task: StepTask) -> StepPlan:
         """Return the plan of another step as a part of this one, which refusals name."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self, get_args
+from typing import Annotated, ClassVar, get_args
 
 import numpy as np
 
@@ -65,12 +64,6 @@ class TransportObject(Step):
         if self.tension is not None:
             object.__setattr__(self, "tension", positive("tension", self.tension))
         super().__post_init__()
-
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        given = dict(values)
-        return cls(yaw=math.radians(given.pop("yaw_deg")), **given)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps.
