@@ -109,7 +109,7 @@ def test_an_overstretched_start_is_refused_before_any_search(
     def searched(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("hitchopt.mission.solving.assigned", searched)
+    monkeypatch.setattr("hitchopt.planners.forming.assigning.assigned", searched)
     monkeypatch.setattr("hitchopt.steps.form.Form.plan", searched)
     path = next(path for path in INFEASIBLE if path.stem == "overstretched_start")
     result = run("solve", path, "-o", "out", "--no-repair")

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from problem_cases import INFEASIBLE
 
 import hitchopt as ho
-from hitchopt.mission import solving
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.memory import VARIABLE, Memory, Progress, remembered
-from hitchopt.steps import STEPS
+from hitchopt.steps import STEPS, blending
 from hitchopt.steps.blending import plan_blended
 from hitchopt.steps.situation import StepPlan, StepTask
 from problems.random_morph import random_morph
@@ -150,7 +149,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     for kind in STEPS:
         monkeypatch.setattr(kind, "plan", counted(kind.plan))
-    monkeypatch.setattr(solving, "plan_blended", counted(plan_blended))
+    monkeypatch.setattr(blending, "plan_blended", counted(plan_blended))
     return asked
 
 
