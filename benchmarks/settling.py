@@ -10,7 +10,8 @@ Mean tensions and vertices are compared with those that ``settle`` says for the 
 the stiffness, the offsets and the effective lengths of the simulated ropes. Ropes are those of the
 accurate preset, since segments longer than the ropes are thick catch on each other by centimetres,
 and drones measure their places with noise, which shakes them loose: it displaces drones as errors
-of their set points would, and statics are told of its mean.
+of their set points would, and statics are told of its mean. Ropes are longer than the cables whose
+effective length they have: what their bends use up hangs at the clasps as a load.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task, read_task
 from hitchopt.simulation.rope_flight import CONTROL, REST, fly
 from hitchopt.simulation.rope_flight import SETTLE as SETTLE_ROPES
+from hitchopt.simulation.rope_thickness import bend_lengths
 from hitchopt.simulation.simulation_settings import ACCURATE, Perturbations, Settings
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
@@ -49,7 +51,8 @@ from problems.random_morph import random_convex_polygon
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 10 mm, without friction; point masses; one flight "
     "each; noise of 1 cm, whose mean statics are told; means over 4 s; statics are told of the "
-    "ropes' thickness by drones that stand up to 12 mm aside, as planned bends do"
+    "ropes' thickness by drones that stand up to 12 mm aside, as planned bends do, and by the "
+    "weight of what rope the bends use up"
 )
 
 EDGE, JITTER = 1.3, 0.15
@@ -220,8 +223,13 @@ def compared(name: str, motion: Motion, flight: Flight, offsets: Array, k: float
     vertices[there] = np.nanmean(seen[:, there], axis=0)
     lengths = effective_lengths(flight)
     lengths = np.where(np.isfinite(lengths), lengths, flight.task.team.cable_length)
+    bends = 2.0 * bend_lengths(flight.task, ACCURATE.diameter, ACCURATE.segment)
     conditions = Conditions(
-        cable_length=lengths, cable_density=flight.density, stiffness=k, offsets=offsets
+        cable_length=lengths,
+        cable_density=flight.density,
+        load=team.load + flight.density * bends,
+        stiffness=k,
+        offsets=offsets,
     )
     try:
         found = settle_motion(motion, motion.duration, conditions)
@@ -325,7 +333,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for seed in range(given.first, given.first + given.cases)
         ),
         *(partial(formed, n) for n in given.formed),
-        *(partial(flown, seed, loose=True) for seed in range(given.slack)),
+        *(
+            partial(flown, seed, loose=True)
+            for seed in range(given.first, given.first + given.slack)
+        ),
     ]
     found = []
     with ProcessPoolExecutor(given.processes) as pool:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.directory import PLAN, REPORT, SUMMARY, save_plan
+from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.final_hitch import final_hitch
@@ -21,6 +21,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
 from hitchopt.motion.states import States, states_at
 from hitchopt.one_line import OneLine, short
+from hitchopt.storage.archive import PLAN
 from hitchopt.storage.atomic import replace_files
 from hitchopt.time_limit import Progress
 from hitchopt.values import flag, instance, path, text, whole

@@ -68,7 +68,7 @@ def take(shown: Shown) -> None:
     live = plan.view(browser=False)
     assert live is not None
     with opened_page(SIZE) as page:
-        page.goto(live.url)
+        page.goto(f"{live.url}/?fixedDpr=1")  # as sharp as on a graphics card
         page.wait_for_selector("canvas")
         live.seek(time)
         page.wait_for_timeout(SETTLED)

@@ -31,7 +31,7 @@ class GivenPath(click.Path):
 
 def plan_path(given: Path) -> Path:
     """Return the path of the plan in a directory; the path of a plan is returned unchanged."""
-    from hitchopt.exports.directory import PLAN
+    from hitchopt.storage.archive import PLAN
 
     own = given.name == PLAN and not given.is_dir()
     return given if own or given.is_file() else given / PLAN

@@ -152,11 +152,11 @@ def _lost(
     InputError: no such drone, or a time after the flight.
     InfeasibleError: there is no reaction to its loss.
     """
-    from hitchopt.exports.directory import PLAN
     from hitchopt.losing.flown_reaction import reacting
     from hitchopt.losing.reaction import Reactions
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.lost_drones import Loss
+    from hitchopt.storage.archive import PLAN
 
     loss = Loss.parsed(text)
     settings = replace(settings, lost=loss)
@@ -191,11 +191,11 @@ def _simulate_one(
     """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.cli.progress import LateProgress
     from hitchopt.cli.simulation_tables import flight_tables, headline
-    from hitchopt.exports.directory import PLAN
     from hitchopt.motion.plan_file import read_plan, read_title
     from hitchopt.simulation.flight_outcome import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.run_report import save_simulation, summary
     from hitchopt.simulation.simulate import simulate as simulated
+    from hitchopt.storage.archive import PLAN
 
     with LateProgress(sys.stderr, "building ropes") as progress:
         done = simulated(task, settings, progress)

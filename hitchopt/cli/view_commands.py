@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -84,12 +84,45 @@ def view(
     import threading
     import webbrowser
 
-    from hitchopt.view.ghost_scene import ghost_scene
-    from hitchopt.view.live_view import LiveView
+    from hitchopt.view.live_server import open_server, server_address
 
-    certificate, text, status = None, "", None
-    if path.suffix in PROBLEM_ENDINGS:
-        plan, status = shown_plan(path)
+    plan, status = shown_plan(path) if path.suffix in PROBLEM_ENDINGS else (None, None)
+    if plan is None:
+        _refuse_damaged(plan_path(path))
+    server = open_server(host, port)
+    address = server_address(server)
+    say(f"the plan is at {address}; Ctrl-C ends this")
+    if browser:  # it loads the page while the plan is read; some browsers return late
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    close = server.stop
+    try:
+        close = _serve(server, path, plan, status, ghost).close
+        threading.Event().wait()
+    finally:
+        close()
+
+
+def _refuse_damaged(file: Path) -> None:
+    """Raise FileError for a file that holds no plan, before a page is opened for it."""
+    from hitchopt.storage.archive import BROKEN, read_arrays
+
+    try:
+        read_arrays(file, ("settings", "breaks", "drones"))
+    except BROKEN:
+        from hitchopt.motion.plan_file import read_plan  # slow to import, and says what is wrong
+
+        read_plan(file)
+
+
+def _serve(
+    server: Any, path: Path, plan: Plan | None, status: Status | None, ghost: Path | None
+) -> LiveView:
+    """Show a plan, or that in a directory, in the page of a server, to be edited there."""
+    from hitchopt.view.ghost_scene import ghost_scene
+    from hitchopt.view.live_view import ASPECT, NARROW_ASPECT, LiveView
+
+    certificate = None
+    if plan is not None:
         motion, certificate, title, text = plan.motion, plan.certificate, plan.title, plan.problem
     else:
         from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
@@ -98,20 +131,15 @@ def view(
         motion, title, text = read_plan(file), read_title(file), read_problem_text(file)
         path = file.with_name(PROBLEM)
     other = None if ghost is None else ghost_scene(ghost, motion)
-    live = LiveView(motion, certificate, title, ghost=other, host=host, port=port)
-    say(f"the plan is at {live.url}; Ctrl-C ends this")
-    if browser:
-        webbrowser.open(live.url)
+    aspect = NARROW_ASPECT if text and motion.team.has_cables else ASPECT
+    live = LiveView(motion, certificate, title, ghost=other, server=server, aspect=aspect)
     if certificate is None:
         from hitchopt.checks import certify
 
         certificate = certify(motion)
-        live.show_certificate(certificate, title)
+        live.show_certificate(certificate)
     _edit(live, text, path, certificate, status)
-    try:
-        threading.Event().wait()
-    finally:
-        live.close()
+    return live
 
 
 def _planned(path: Path) -> Plan:

@@ -13,10 +13,10 @@ from hitchopt.exports.vertices import write_vertices
 from hitchopt.mission.repair.change import Suggestion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.storage.archive import PLAN
 from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
 
-PLAN = "plan.npz"
 SETPOINTS = "setpoints.csv"
 VERTICES = "vertices.csv"
 CERTIFICATE = "certificate.json"

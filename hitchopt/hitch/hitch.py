@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,7 +87,7 @@ class Hitch(OneLine):
         object.__setattr__(self, "q_legs", d)
         object.__setattr__(self, "roll", checked_roll(team, roll))
         if self._loads is not None:
-            self._directions()  # raises where they cannot carry it
+            _ = self._directions  # raises where they cannot carry it
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.robots} robots, {self.team.topology}"
@@ -218,7 +219,7 @@ class Hitch(OneLine):
         lengths = self.team.layout.legs_of(self.q_legs, self.slack)
         if self.team.cable_density == 0.0:
             return lengths
-        steep = np.stack([direction[:, 2] for direction in self._directions()], axis=-1)
+        steep = np.stack([direction[:, 2] for direction in self._directions], axis=-1)
         factors = sag_factors(self.team, self.team.tension)[:, None]
         chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
         return chords
@@ -239,7 +240,7 @@ class Hitch(OneLine):
 
         Where a chain's end has no leg: along its edge, outward.
         """
-        q, r = self._directions()
+        q, r = self._directions
         directions = np.stack([q, r], axis=1).reshape(-1, q.shape[-1])
         if directions.shape[-1] == 2:
             directions = np.column_stack([directions, np.zeros(len(directions))])
@@ -249,6 +250,7 @@ class Hitch(OneLine):
     def _loads(self) -> ClaspLoads | None:
         return clasp_loads(self.team, self.q_legs, self.slack, self.roll)
 
+    @cached_property
     def _directions(self) -> tuple[Array, Array]:
         team = self.team
         return leg_directions(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,9 @@ from hitchopt.values import Array
 
 ROUNDING = 1e-9
 """Relative: a tension that is this close to the least stated one draws its cable taut."""
+
+_KNOWN: WeakKeyDictionary[Motion, Array] = WeakKeyDictionary()
+"""Pulls of legs along their chords, as long as the motions are in use."""
 
 
 def ranged_phases(motion: Motion) -> NDArray[np.intp]:
@@ -67,8 +72,17 @@ def chord_pulls(motion: Motion) -> Array:
 
     Returns
     -------
-    (pieces, 2n, degree + 1): Bernstein coefficients over the motion's pieces.
+    (pieces, 2n, degree + 1): Bernstein coefficients over the motion's pieces, read-only: several
+    checks ask for them.
     """
+    known = _KNOWN.get(motion)
+    if known is None:
+        known = _KNOWN[motion] = _chord_pulls(motion)
+        known.setflags(write=False)
+    return known
+
+
+def _chord_pulls(motion: Motion) -> Array:
     pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
     team = motion.team
     if team.cable_density == 0.0 or not np.any(motion.formed):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
-from hitchopt.exports.directory import PLAN, SETPOINTS, VERTICES
+from hitchopt.exports.directory import SETPOINTS, VERTICES
 from hitchopt.exports.setpoints import HEADER as SETPOINTS_HEADER
 from hitchopt.exports.vertices import HEADER as VERTICES_HEADER
 from hitchopt.hitch import Team
@@ -20,6 +20,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.tensions import tautness
 from hitchopt.simulation.flight_cargo import Cargo
+from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -23,11 +23,7 @@ n = 3, 6 with 10 mm (12 mm thick, 10 g/m at 0.5 N)."""
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     """Return (n,) [m]: the additional length with which thick cables bend around each other.
 
-    Where a cable turns by ``π - φ`` about another, φ the polygon's exterior angle there, its centre
-    line follows a circle of one diameter whose far side is half a diameter from the vertex. That is
-    ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of segments cannot
-    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
-    is the mean over the time in which the plan has a hitch.
+    It is what ``bend_lengths`` says of both clasps of a cable.
 
     Parameters
     ----------
@@ -37,13 +33,34 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     """
     layout = task.team.layout
     allowance = np.zeros(task.team.robots)
-    if task.formed.any():
-        u = unit(layout.edges(task.vertices[task.formed]))
-        cosine = np.sum(u[:, layout.ahead] * u[:, layout.behind], axis=-1)
-        turn = np.arccos(np.clip(cosine, -1.0, 1.0))
-        half = np.cos(0.5 * turn)
-        bends = diameter * (np.pi - turn - half) + COARSENESS * segment**2 / diameter * half
-        longer = np.mean(bends, axis=0)
-        np.add.at(allowance, layout.ahead, longer)
-        np.add.at(allowance, layout.behind, longer)
+    longer = bend_lengths(task, diameter, segment)
+    np.add.at(allowance, layout.ahead, longer)
+    np.add.at(allowance, layout.behind, longer)
     return allowance
+
+
+def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
+    """Return (clasps,) [m]: by how much each of a clasp's two cables is longer for its thickness.
+
+    Where a cable turns by ``π - φ`` about another, φ the polygon's exterior angle there, its centre
+    line follows a circle of one diameter whose far side is half a diameter from the vertex. That is
+    ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of segments cannot
+    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
+    is the mean over the time in which the plan has a hitch; zero where it has none.
+
+    Parameters
+    ----------
+    task: the plan.
+    diameter: of the simulated cables [m].
+    segment: length of their segments [m].
+    """
+    layout = task.team.layout
+    if not task.formed.any():
+        return np.zeros(len(layout.clasps))
+    u = unit(layout.edges(task.vertices[task.formed]))
+    cosine = np.sum(u[:, layout.ahead] * u[:, layout.behind], axis=-1)
+    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
+    half = np.cos(0.5 * turn)
+    bends = diameter * (np.pi - turn - half) + COARSENESS * segment**2 / diameter * half
+    longer: Array = np.mean(bends, axis=0)
+    return longer

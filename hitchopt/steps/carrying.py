@@ -215,9 +215,8 @@ def ended_holding(
     if held is not None:
         altitude = float(place[2]) + float(held.places[0, 2]) - below
         polygon = polygon_at(body, held.places[:, :2])
-        hitch = Hitch(
-            held.team, polygon, altitude, held.fractions * cable_slack(held.team, polygon)
-        )
+        q_legs = held.fractions * cable_slack(held.team, polygon)
+        hitch = Hitch(held.team, polygon, altitude, q_legs, held.roll)
     drones = motion.drones.at(float(motion.drones.breaks[-1]))
     situation = replace(task.before, drones=drones, hitch=hitch, holding=after, objects=objects)
     return StepPlan(motion, situation)
@@ -256,13 +255,17 @@ def held_motion(task: StepTask, flights: Sequence[HeldFlight], name: str) -> Mot
 
 
 def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = None) -> Motion:
-    """Return a motion as one phase of a step, in which an object may be held."""
+    """Return a motion as one phase of a step, in which an object may be held.
+
+    It has the remarks of all of the motion's own phases.
+    """
     tension = None
     pulls = motion.tensions.coefficients
     least, most = float(np.min(pulls)), float(np.max(pulls))
     if np.any(pulls != task.before.team.tension[:, None]):
         tension = (least, most)
-    phase = Phase(name, task.index, 0.0, motion.duration, tension=tension, hold=hold)
+    remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
+    phase = Phase(name, task.index, 0.0, motion.duration, remark, tension=tension, hold=hold)
     return replace(motion, requirements=task.requirements, phases=(phase,))
 
 

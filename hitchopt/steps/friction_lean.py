@@ -51,15 +51,15 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
         if share < 1.0:
             words += f" ({share:.0%} of what would do: limits leave room for no more)"
-        judged = certified(_remarked(found.motion, words))
+        judged = certified(remarked(found.motion, words))
         if judged.certificate.certified:
             return replace(planned, motion=judged.motion, certificate=judged.certificate)
         most = REFUSED * share
-    return replace(planned, motion=_remarked(motion, NO_ROOM))
+    return replace(planned, motion=remarked(motion, NO_ROOM))
 
 
-def _remarked(motion: Motion, words: str) -> Motion:
-    """Return the same, the remarks of its phases with these words at their end."""
+def remarked(motion: Motion, words: str) -> Motion:
+    """Return the same motion, the remarks of its phases with these words at their end."""
     phases = tuple(
         replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
         for phase in motion.phases

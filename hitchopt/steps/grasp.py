@@ -7,9 +7,10 @@ from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import held_flight
 from hitchopt.requirements import Requirements
@@ -30,8 +31,13 @@ from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.steps.slack_split import RolledLegs
 from hitchopt.steps.step import Stage, Step
-from hitchopt.values import choice, positive
+from hitchopt.values import Array, choice, positive
+
+MORE_ROLL = 1.3
+"""Factor of the least roll with which legs without a load keep off each other, where a load brings
+them nearer."""
 
 By = Literal["rest", "grip"]
 """How an object is held."""
@@ -75,30 +81,52 @@ class Grasp(Step):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        below = polygon_at(body, task.holding.polygons.closed)
-        slow = slowly(without(task, self.object))
-        closing = self.part(Morph(below), task.within(slow, task.before))
-        hitch = closing.after.hitch
-        assert hitch is not None
-        heights = np.full(team.robots, body.rim.height)
-        places = np.column_stack([task.holding.polygons.closed, heights])
-        held = HeldHitch(team, body, places, hitch.fractions)
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
-        holding = Holding(self.object, task.holding.polygons, asked, held)
-        here = replace(task, before=replace(closing.after, holding=holding))
-        check_hold(replace(here, requirements=requirements), holding)
+        closing, here = self._closing(task, body, asked)
+        held = here.holding.held
+        assert isinstance(held, HeldHitch)
         gap = gap_below(requirements)
         moves = [*tension_moves(here, team.tension, asked, gap), rim_move(here, gap, 0.0)]
-        touching = held_motion(
-            replace(here, requirements=requirements),
-            [held_flight(held, move) for move in moves],
-            self.name,
-        )
+        touching = held_motion(here, [held_flight(held, move) for move in moves], self.name)
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         closed = one_phase(closing.motion, task, self.name, hold)
         motion = one_phase(joined_motions([closed, touching]), task, self.name, hold)
         motion = self.lasting(task, motion)
-        return ended_holding(task, holding, motion, place_of(body))
+        return ended_holding(task, here.holding, motion, place_of(body))
+
+    def _closing(
+        self, task: StepTask, body: SolidObject, asked: Array, legs: RolledLegs | None = None
+    ) -> tuple[StepPlan, StepTask]:
+        """Return the plan of closing below the rim, and the task of holding the object after it.
+
+        Legs end as near to the current fractions as limits allow, rolled as little; where the
+        hitch with its load breaks a distance then, they are rolled more.
+
+        Parameters
+        ----------
+        body: to be held.
+        asked: (n,) [N], tensions with which it is held.
+        legs: at the end; None for those.
+        """
+        team, polygons = task.before.team, task.holding.polygons
+        below = polygon_at(body, polygons.closed)
+        free = task.within(slowly(without(task, self.object)), task.before)
+        closing = self.part(Morph(below, legs), free)
+        hitch = closing.after.hitch
+        assert body.rim is not None
+        assert hitch is not None
+        places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
+        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+        holding = Holding(self.object, polygons, asked, held)
+        here = replace(task, before=replace(closing.after, holding=holding))
+        try:
+            check_hold(here, holding)
+        except InfeasibleError:
+            if legs is not None or not np.any(hitch.roll):
+                raise
+            more = RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
+            return self._closing(task, body, asked, more)
+        return closing, here
 
 
 def without(task: StepTask, name: str) -> Requirements:

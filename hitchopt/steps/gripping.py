@@ -12,6 +12,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
@@ -32,6 +33,7 @@ from hitchopt.steps.carrying import (
 )
 from hitchopt.steps.certified_motions import certified, infeasible
 from hitchopt.steps.free_cables import lasting
+from hitchopt.steps.friction_lean import NO_ROOM, remarked
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -92,7 +94,7 @@ def grip_closed(
     ]
     moves = [*pulled, *_closing(here, 0.0, 1.0)]
     motion = held_motion(here, [held_flight(held, move) for move in moves], step)
-    motion = lasting(motion, duration, task.index, step)
+    motion = _remarked_lean(lasting(motion, duration, task.index, step), moves)
     return ended_holding(task, holding, motion, place_of(body))
 
 
@@ -103,7 +105,7 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
     assert isinstance(held, GrippedHitch)
     moves = next(_opening(task, held))
     motion = held_motion(task, [held_flight(held, move) for move in moves], step)
-    motion = lasting(motion, duration, task.index, step)
+    motion = _remarked_lean(lasting(motion, duration, task.index, step), moves)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
     freed = replace(holding, tension=team.tension, held=None)
@@ -114,24 +116,21 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
 def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
     """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
 
-    The team's tensions come back on the last part of the path, on which nothing is touched.
+    The team's tensions come back when it is open: legs that pull harder do not close clasps.
 
     Where they never do, those with the least tension follow all the same.
     """
     holding, team = task.holding, task.before.team
-    free = 0.5 * float(np.min(held.events(1.0)))  # half way from where edges part from the object
-    length = free * held.farthest
-    last = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
-    last = last.slowed(max(1.0, PRELOAD / last.duration))
     found: list[list[Move]] = []
     for value in LOOSE:
         loose = np.minimum(holding.tension, value)
         lax = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
         moves = [
             *(changed_move(task, law, tension=T) for law, T in _pulls(holding.tension, loose)),
-            *_closing(lax, 1.0, free),
-            changed_move(task, last, tension=(loose, team.tension), closed=(free, 0.0)),
+            *_closing(lax, 1.0, 0.0),
         ]
+        for law, T in _pulls(loose, team.tension):
+            moves.append(changed_move(task, law, tension=T, closed=(0.0, 0.0)))
         if all(_apart(held, move, task.requirements.separation, NEAREST) for move in moves):
             yield moves
         found.append(moves)
@@ -186,6 +185,16 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
         yield move
     if lean:
         yield changed_move(task, turning, closed=(end, end), lean=(lean, 0.0))
+
+
+def _remarked_lean(motion: Motion, moves: list[Move]) -> Motion:
+    """Return a motion that says against how much of clasp friction its legs lean, if there is."""
+    if not motion.team.cable_friction:
+        return motion
+    share = max(abs(end) for move in moves for end in move.lean)
+    return remarked(
+        motion, f"legs lean against {share:.0%} of clasp friction" if share else NO_ROOM
+    )
 
 
 def _apart(held: GrippedHitch, move: Move, separation: Separation, least: float = KEPT) -> bool:

@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError
 
+PLAN = "plan.npz"
+"""Name of the archive with a plan, in the plan's directory."""
+
 MODEST = 64 * 2**20
 """[bytes] Members of this size altogether are read whatever they were packed into."""
 

@@ -77,6 +77,8 @@ def _product(a: Array, b: Array, pair: Callable[[Array, Array], Array], axes: in
     m, n = degree(a), degree(b)
     if m > n:
         a, b, m, n = b, a, n, m
+    if m == 0:
+        return pair(a[..., 0], b)
     weighted = b * binomials(n)
     shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
     product = np.zeros((*shape, m + n + 1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -118,10 +119,12 @@ class PiecewisePolynomial(OneLine):
         """Shape of a value."""
         return self.coefficients.shape[1:-1]
 
-    @property
+    @cached_property
     def durations(self) -> Array:
-        """(pieces,) [s]."""
-        return np.diff(self.breaks)
+        """(pieces,) [s], read-only."""
+        durations = np.diff(self.breaks)
+        durations.setflags(write=False)
+        return durations
 
     @property
     def duration(self) -> float:

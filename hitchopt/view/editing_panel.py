@@ -22,9 +22,6 @@ from hitchopt.view.live_view import LiveView, plain_words
 WIDTH = 330
 """Width of the panel [pixels]."""
 
-ASPECT = 0.75
-"""Width over height of what the panels leave of usual windows."""
-
 SIZE = 0.04
 """Radius of a handle [m]."""
 
@@ -59,7 +56,6 @@ class EditingPanel:
         self._nodes: list[Any] = []
         self._buttons: list[Any] = []
         self._offered: tuple[Any, ...] = ()
-        live.look(ASPECT)
         gui = live.server.gui
         window = gui.add_panel()
         window.dock_left()

@@ -19,6 +19,7 @@ from hitchopt.view.house_colours import (
 )
 from hitchopt.view.live_surroundings import add_surroundings
 from hitchopt.view.object_shape import object_shape
+from hitchopt.view.path_segments import path_segments
 from hitchopt.view.scene import Concerned, Moment, Scene
 from hitchopt.view.viser_arrays import (
     as_bytes,
@@ -45,7 +46,10 @@ GHOSTLY = 0.4
 """Opacity of objects of a ghost, or of an old plan."""
 
 PATH_POINTS = 60_000
-"""Largest number of points of all paths."""
+"""Largest number of samples of all paths."""
+
+PATH_TOLERANCE = 0.002
+"""Largest distance of a drawn path to its samples [m]; from 1.5 m a pixel is about as much."""
 
 PATH_WIDTH = 1.2
 """Width of a path [pixels]: thinner ones are drawn with gaps."""
@@ -256,9 +260,9 @@ def _paths(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return the segments of the drones' paths and their colours, (m, 2, 3) each."""
     drones = scene.drones
     stride = max(1, drones.shape[0] * drones.shape[1] // PATH_POINTS)
-    picked = np.moveaxis(drones[::stride], 1, 0)
+    ends, owners = path_segments(np.moveaxis(drones[::stride], 1, 0), PATH_TOLERANCE)
     pale = 0.5 * as_bytes(drone_colours(scene.motion.team)) + 120.0
-    return segments(picked), per_segment(pale.astype(np.uint8), picked)
+    return single(ends), np.repeat(pale.astype(np.uint8)[owners][:, None], 2, axis=1)
 
 
 def _sphere() -> Triangles:

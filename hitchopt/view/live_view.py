@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time as clock
 from typing import Any
@@ -9,20 +10,17 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
-from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.house_colours import facts, verdict
 from hitchopt.view.live_scene import SWITCHES, LiveScene
+from hitchopt.view.live_server import FIELD, HOST, PORT, open_server, server_address
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
-
-HOST = "127.0.0.1"
-"""Address that the server listens on unless told otherwise: this machine alone."""
 
 FRAME = 1.0 / 30.0
 """Time between two frames [s]."""
 
-WIDTH = 380
-"""Width of the panel [pixels]."""
+STEP, DECIMALS = 0.001, 3
+"""Step of the time's slider [s], and its decimals."""
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -32,11 +30,12 @@ QUIET = "gray"
 FROM = np.array([-0.35, -0.8, 0.5])
 """Direction from which the scene is seen at first."""
 
-FIELD = 0.6
-"""Vertical field of view [rad]."""
+FILLED = 0.85
+"""Part of the picture that the paths fill."""
 
-FILLED, ASPECT = 0.85, 1.1
-"""Part of the picture that the paths fill, and its width over its height in usual windows."""
+ASPECT, NARROW_ASPECT = 1.1, 0.75
+"""Width over height of what the panel leaves of usual windows, and of what that for editing leaves
+as well."""
 
 NEAREST = 1.5
 """Shortest distance from which the scene is seen at first [m]."""
@@ -51,6 +50,9 @@ class LiveView:
     certificate: its certificate; None while it is being computed.
     ghost: another scene that is shown beside it, pale.
     host, port: where the server listens; if the port is taken the next free one.
+    server: of ``open_server``, which browsers may have opened already, in place of another one.
+    aspect: width over height of the part of the page in which the scene is seen; NARROW_ASPECT
+        where it is edited.
 
     Raises
     ------
@@ -65,38 +67,29 @@ class LiveView:
         *,
         ghost: Scene | None = None,
         host: str = HOST,
-        port: int = 8080,
+        port: int = PORT,
+        server: Any = None,
+        aspect: float = ASPECT,
     ) -> None:
-        try:
-            import viser
-        except ImportError:
-            words = (
-                "the live view needs viser, which is not installed; pip install 'hitchopt[view]'"
-            )
-            raise UnsupportedError(words) from None
-        self.server = viser.ViserServer(host, port, label=title or "hitchopt", verbose=False)
+        self.server = open_server(host, port) if server is None else server
         self.time, self.playing, self.speed = 0.0, False, 1.0
-        self._note, self._title, self._aspect = "", title, ASPECT
+        self._note, self._title, self._aspect = "", title, aspect
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
-        self.server.scene.set_up_direction("+z")
-        # Without the button that shares the page through a server elsewhere.
-        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
-        self.server.gui.main_panel.dock_right()
-        self.server.gui.main_panel.set_width(WIDTH)
-        self.server.initial_camera.fov = FIELD
         self.panel: list[Any] = []
         self.live: LiveScene
-        self.show_plan(motion, certificate, title)
-        if ghost is not None:
-            self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
+        with self.server.atomic():  # pages that are open show all of it at once
+            self.server.gui.set_panel_label(title or "hitchopt")
+            self.show_plan(motion, certificate, title)
+            if ghost is not None:
+                self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
 
     @property
     def url(self) -> str:
         """Address of the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return server_address(self.server)
 
     def close(self) -> None:
         """Stop serving."""
@@ -106,23 +99,24 @@ class LiveView:
 
     def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
         """Show a plan in place of the one that is shown."""
-        with self._lock:
+        with self._lock, self.server.atomic():
             if self.panel:
                 self.live.remove()
-            self.motion = motion
-            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
-            self.look()
-            self.show_certificate(certificate, title)
-
-    def show_certificate(self, certificate: Certificate | None, title: str = "") -> None:
-        """Show the panel of the plan with its certificate, or that it is being computed."""
-        with self._lock:
             for handle in self.panel:
                 handle.remove()
-            self.panel, self.phase, self.certificate = [], -1, certificate
-            self._title = title
+            self.panel, self.phase = [], -1
+            self.motion, self.certificate, self._title = motion, certificate, title
+            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.look()
             self._add_panel()
             self.seek(self.time)
+
+    def show_certificate(self, certificate: Certificate) -> None:
+        """Show the certificate of the plan that is shown, which was being computed."""
+        with self._lock, self.server.atomic():
+            self.certificate = certificate
+            self.head.content = self._words()
+            self._add_checks()
 
     def note(self, words: str) -> None:
         """Say above the certificate what the plan shown is, which is drawn pale then.
@@ -144,7 +138,7 @@ class LiveView:
                     self._ghost.show(self.time)
             self._show_phase()
             if abs(self.scrub.value - self.time) > 0.5 * FRAME:
-                self.scrub.value = round(self.time, 3)
+                self.scrub.value = round(self.time, DECIMALS)
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
@@ -191,9 +185,8 @@ class LiveView:
                         self.play(on=False)
             before = now
 
-    def look(self, aspect: float | None = None) -> None:
-        """Place the camera so that it sees all paths in a picture of an aspect, from now on."""
-        self._aspect = self._aspect if aspect is None else aspect
+    def look(self) -> None:
+        """Place the camera so that it sees all paths, in pages that are opened from now on."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
         back = FROM / np.linalg.norm(FROM)
@@ -220,9 +213,8 @@ class LiveView:
         self.head = gui.add_markdown(self._words())
         self.panel.append(self.head)
         self.now = gui.add_markdown("")
-        self.scrub = gui.add_slider(
-            "time [s]", 0.0, max(self.motion.duration, FRAME), 0.001, self.time
-        )
+        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
+        self.scrub = gui.add_slider("time [s]", 0.0, round(longest, DECIMALS), STEP, self.time)
         self.player = gui.add_button("Play")
         speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
         self.found = gui.add_markdown("", visible=False)
@@ -240,12 +232,19 @@ class LiveView:
                 button = gui.add_button(words, color=QUIET)
                 button.on_click(lambda _, start=phase.start: self.seek(start))
                 self.phases.append(button)
-        with tabs.add_tab("Certificate"):
+        self._checks = tabs.add_tab("Certificate")
+        with self._checks:
             gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
-            for check in self.certificate.checks if self.certificate else ():
-                button = gui.add_button(_words(check), color=QUIET if check.holds else "red")
-                button.on_click(lambda _, check=check: self.show_check(check))
             gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
+        self._add_checks()
+
+    def _add_checks(self) -> None:
+        """Add the checks of the certificate, if it is there, to its tab."""
+        with self._checks:
+            for check in self.certificate.checks if self.certificate else ():
+                color = QUIET if check.holds else "red"
+                button = self.server.gui.add_button(_words(check), color=color)
+                button.on_click(lambda _, check=check: self.show_check(check))
 
     def _add_switches(self) -> None:
         folder = self.server.gui.add_folder("Show", expand_by_default=True)

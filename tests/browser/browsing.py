@@ -16,6 +16,9 @@ from hitchopt.values import Array
 SETTLE = 1500
 """Least time for which a page draws what it was sent [ms]; software draws slowly."""
 
+SHARP = "/?fixedDpr=1"
+"""End of a live view's address: slow graphics do not lower its resolution, which alters all."""
+
 NEAR = 5.0
 """Largest distance of a drawn drone to its place in the plan [pixels]."""
 

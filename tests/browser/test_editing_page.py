@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import drawn, projected, settled, waited
+from browsing import SHARP, drawn, projected, settled, waited
 from generators.headless_page import opened_page
 
 import hitchopt as ho
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.view.editing_panel import REACH, EditingPanel
 from hitchopt.view.editing_session import Editing, Stage
-from hitchopt.view.live_view import LiveView
+from hitchopt.view.live_view import NARROW_ASPECT, LiveView
 
 TEXT = """\
 # A triangle off the origin.
@@ -33,7 +33,7 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
     path: Path = tmp_path_factory.mktemp("edited") / "problem.yaml"
     path.write_text(TEXT)
     plan = ho.solve(path)
-    live = LiveView(plan.motion, plan.certificate, port=8261)
+    live = LiveView(plan.motion, plan.certificate, port=8261, aspect=NARROW_ASPECT)
     editing = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
     yield EditingPanel(live, editing)
     editing.close()
@@ -43,7 +43,7 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
 @pytest.fixture(scope="module")
 def page(panel: EditingPanel) -> Iterator[Any]:
     with opened_page() as page:
-        page.goto(panel.live.url)
+        page.goto(panel.live.url + SHARP)
         page.wait_for_selector("canvas")
         page.get_by_text("the plan of this problem").wait_for()
         drawn(page)
@@ -59,7 +59,7 @@ def test_a_typed_number_is_planned_undone_and_saved(page: Any, panel: EditingPan
     editing = panel.editing
     panel.choose(1)
     settled(page)
-    page.locator("input[value='1.0']").fill("1.5")
+    page.locator("input.mantine-TextInput-input[value='1.0']").fill("1.5")
     settled(page)
     page.get_by_role("button", name="Plan with these values").click()
     waited(page, lambda: "1.5" in editing.text)

@@ -7,9 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import NEAR, changed_place, drawn, projected, settled, tied_plan, vividness, waited
+from browsing import (
+    NEAR,
+    SHARP,
+    changed_place,
+    drawn,
+    projected,
+    settled,
+    tied_plan,
+    vividness,
+    waited,
+)
 from generators.headless_page import opened_page
 
+from hitchopt.view.live_server import open_server, server_address
 from hitchopt.view.live_view import LiveView
 from hitchopt.view.scene import Concerned
 
@@ -25,11 +36,33 @@ def live() -> Iterator[LiveView]:
 @pytest.fixture(scope="module")
 def page(live: LiveView) -> Iterator[Any]:
     with opened_page() as page:
-        page.goto(live.url)
+        page.goto(live.url + SHARP)
         page.wait_for_selector("canvas")
         page.get_by_text("certified for all t").wait_for()
         drawn(page)
         yield page
+
+
+def test_a_page_opened_before_the_plan_is_read_shows_it() -> None:
+    plan = tied_plan()
+    server = open_server(port=8241)
+    with opened_page() as page:
+        page.goto(server_address(server) + SHARP)
+        page.wait_for_selector("canvas")
+        waited(page, lambda: len(server.get_clients()) == 1)
+        view = LiveView(plan.motion, None, "late", server=server)
+        page.get_by_text("being certified").wait_for()
+        view.show_certificate(plan.certificate)
+        page.get_by_text("certified for all t").wait_for()
+        drawn(page)
+        (client,) = server.get_clients().values()
+        wanted = server.initial_camera.position
+        np.testing.assert_allclose(client.camera.position, wanted, atol=1e-3)
+        page.get_by_role("tab", name="Certificate").click()
+        check = plan.certificate["separation"]
+        page.get_by_role("button", name="✓ separation:").click()
+        waited(page, lambda: abs(view.time - check.time) < 1e-3)
+    view.close()
 
 
 def test_it_listens_on_this_machine_only(live: LiveView) -> None:
@@ -49,13 +82,11 @@ def test_q0_is_seen_where_the_plan_has_it(page: Any, live: LiveView, share: floa
     point = plan.at(time).positions[0]
     expected = projected(point, camera.position, camera.look_at, camera.fov, size)
 
-    def mark(*drones: int) -> None:
-        live.live.mark(Concerned(drones=drones))
+    def mark() -> None:
+        live.live.mark(Concerned(drones=(0,)))
         settled(page)
 
-    mark(0)  # software may draw what it was sent with what is sent next
-    mark()
-    seen = changed_place(lambda: page.screenshot(clip=box), lambda: mark(0))
+    seen = changed_place(lambda: page.screenshot(clip=box), mark)
     assert np.linalg.norm(seen - expected) < NEAR
 
 

@@ -225,3 +225,34 @@ def test_refusals_name_the_step_that_the_file_has() -> None:
     low["mission"] = [{"enclose": {"object": "tray"}}]
     with pytest.raises(ho.InfeasibleError, match=r"at the end of step 0 \(enclose\)"):
         ho.solve(ho.problem_from_dict(low))
+
+
+def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
+    """Legs of one cable pass each other; with a load they would touch at the least roll."""
+    x, y = 0.3, -0.2
+    angles = -2.0 * np.pi * np.arange(6) / 6
+    polygon = np.column_stack([x + 0.45 * np.cos(angles), y + 0.45 * np.sin(angles)])
+    body = {"circle": 0.1, "to": 0.3, "mass": MASS, "rim": {"circle": 0.3, "at": 0.25}}
+    steps = ("enclose", "grasp", "set_down", "loosen", "leave")
+    mission: list[dict[str, Any]] = [{name: {"object": "tray"}} for name in steps]
+    mission.insert(2, {"lift": {"by": 0.1}})
+    problem = {
+        "team": {"robots": 6, "cable_length": 1.4, "tension": 1.0, "cable_density": 0.01},
+        "limits": {"tilt_deg": 60},
+        "objects": {"tray": {**body, "at": [x, y, 0.0]}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 0.8}},
+        "mission": mission,
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert plan.certificate.certified
+    t = lifted(plan.motion)
+    p, drones = plan.motion.vertices.at(t), plan.motion.drones.at(t)
+    legs = drones - p[:, plan.motion.team.layout.anchors]
+    rise = legs[..., 2] / np.linalg.norm(legs, axis=-1)
+    assert np.all(np.abs(rise[:, 0::2] - rise[:, 1::2]) > 0.05)
+    shares = np.linspace(0.0, 1.0, 201)[:, None]
+    for k in range(6):
+        one = p[150, k] + shares * legs[150, 2 * k]
+        other = p[150, (k + 1) % 6] + shares * legs[150, 2 * k + 1]
+        gaps = np.linalg.norm(one[:, None] - other[None], axis=-1)
+        assert np.min(gaps) > 0.05

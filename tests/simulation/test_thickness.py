@@ -7,7 +7,7 @@ import pytest
 from scripted import regular_hitch, standing, unformed
 
 from hitchopt.simulation.error_measures import effective_lengths
-from hitchopt.simulation.rope_thickness import COARSENESS, thickness_allowance
+from hitchopt.simulation.rope_thickness import COARSENESS, bend_lengths, thickness_allowance
 from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import Settings
 
@@ -25,6 +25,8 @@ def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
     path = np.array([far, *arc, far.conjugate()])
     longer = np.sum(np.abs(np.diff(path))) - 2.0
     np.testing.assert_allclose(found, 2.0 * longer, atol=2e-4)
+    bends = bend_lengths(standing(regular_hitch(n), 0.1), 0.01, 0.0)
+    np.testing.assert_allclose(bends, longer, atol=1e-4)
     coarse = thickness_allowance(standing(regular_hitch(n), 0.1), 0.01, 0.02)
     np.testing.assert_allclose(
         coarse - found, 2.0 * COARSENESS * 0.02**2 / 0.01 * np.cos(0.5 * turn)
@@ -43,3 +45,4 @@ def test_simulated_cables_are_as_long_as_planned(n: int) -> None:
 def test_no_hitch_no_additional_length() -> None:
     task = unformed(standing(regular_hitch(3), 0.1))
     np.testing.assert_array_equal(thickness_allowance(task, DIAMETER, 0.03), np.zeros(3))
+    np.testing.assert_array_equal(bend_lengths(task, DIAMETER, 0.03), np.zeros(3))

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import leg_vectors
+from hitchopt.checks.bounds.rounding_margins import ROUNDING
+from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
@@ -90,9 +92,10 @@ def _halves_at(others: Array, rows: Array, x: Array) -> Array:
 def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     """Bound the largest product that should be negative where a clasp bears, over its tension.
 
-    Cable k presses with ``C = -(P_q q̂_k + T_k u_k) + W^k ẑ``, ``W^k`` the weight on itself and half
-    of the clasp's load. The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and
-    ``C·u_{k-1} < 0``.
+    Every vector is bounded by a cone that it stays in, which says enough where clasps bear by far,
+    and is halved with its cell elsewhere. Cable k presses with ``C = W^k ẑ - (P_q q̂_k + T_k u_k)``,
+    ``W^k`` the weight on itself and half of the clasp's load. The clasp bears where ``C·q̂_k < 0``,
+    ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
 
     Parameters
     ----------
@@ -102,25 +105,26 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     noise: of positions [m].
     """
     rows, pulls, others, shares, *pressed = blocks
-    vectors = rows.reshape(len(rows), 4, 3, -1)
-    along = enclosure.direction(vectors, noise)
-    pressing = -np.sum(bernstein.multiply(pulls[:, :2, None], along.coefficients[:, :2]), axis=1)
-    weight = _halves(others, shares, noise)[0]
-    order = max(bernstein.degree(pressing), bernstein.degree(weight.coefficients))
+    axes, turn = _cones(rows.reshape(len(rows), 4, 3, -1), noise)
+    pressing = -np.einsum("cij,cid->cdj", pulls[:, :2], axes[:, :2])
+    slop = np.einsum("cij,ci->cj", np.abs(pulls[:, :2]), turn[:, :2])
+    load, whole, half = np.moveaxis(shares[:, :3], 1, 0)
+    other = others[:, :3]
+    along, longest = _cones(other, noise)[0], np.max(np.linalg.norm(other, axis=1), axis=-1)
+    shortest = np.maximum(np.min(np.einsum("cdj,cd->cj", other, along), axis=-1), 0.0)
+    middle, spread = 0.5 * (longest + shortest), 0.5 * (longest - shortest) + 2.0 * noise
+    weight = load + whole - half * middle[:, None]
+    order = max(bernstein.degree(part) for part in (pressing, weight, *pressed))
     pressing = bernstein.elevate(pressing, order)
-    pressing[:, 2] += bernstein.elevate(weight.coefficients, order)
-    for load in pressed:
-        order = max(order, bernstein.degree(load))
-        pressing = bernstein.elevate(pressing, order) - 0.5 * bernstein.elevate(load[:, :3], order)
-    turned = bernstein.elevate(np.abs(pulls[:, :2]), order) * along.radius[:, :2, None]
-    slop = np.sum(turned, axis=1) + bernstein.elevate(weight.radius, order)
-    for load in pressed:
-        slop = slop + load[:, 3, :1]
-    products = bernstein.dot(pressing[:, None], along.coefficients) * CONTACT_SIGNS[:, None]
-    order = bernstein.degree(products)
+    pressing[:, 2] += bernstein.elevate(weight, order)
+    slop = bernstein.elevate(slop, order) + bernstein.elevate(half * spread[:, None], order)
+    for block in pressed:
+        pressing = pressing - 0.5 * bernstein.elevate(block[:, :3], order)
+        slop = slop + block[:, 3, :1]
+    products = np.einsum("cdj,cid->cij", pressing, axes) * CONTACT_SIGNS[:, None]
     # |C·y - c·y'| <= |C - c| |y| + |c| |y - y'|, for unit vectors y.
-    size = bernstein.elevate(np.linalg.norm(pressing, axis=1) + slop, order)
-    error = bernstein.elevate(slop, order)[:, None] + size[:, None] * along.radius[..., None]
+    size = np.linalg.norm(pressing, axis=1) + slop
+    error = slop[:, None] + size[:, None] * turn[..., None]
     tension = np.min(bernstein.elevate(pulls[:, 1::2], order), axis=1)
     upper = np.max(products + error, axis=1)
     # Where the tension rises from zero, everything is proportional to it.
@@ -130,6 +134,26 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     reach = np.where(nothing, -np.inf, over)
     x = np.argmax(reach, axis=-1) / max(1, order)
     return Estimate(np.max(reach, axis=-1), _products_at(blocks, x), x)
+
+
+def _cones(vectors: Array, noise: float) -> tuple[Array, Array]:
+    """Return unit vectors (…, 3), and by how much directions within a cell differ from them (…).
+
+    All coefficients that are within an angle of less than 90° of an axis span a cone that holds the
+    vector too; else any direction is possible, at a distance of up to 2.
+
+    Parameters
+    ----------
+    vectors: (…, 3, degree + 1) [m]
+    noise: by how much they may be off [m].
+    """
+    axes = unit(np.sum(vectors, axis=-1))
+    least = np.min(np.einsum("...dj,...d->...j", vectors, axes), axis=-1)
+    known = least > NO_DIRECTION
+    sizes = np.linalg.norm(vectors, axis=-2, keepdims=True)
+    directions = np.divide(vectors, sizes, out=np.zeros_like(vectors), where=sizes > 0.0)
+    apart = np.max(np.linalg.norm(directions - axes[..., None], axis=-2), axis=-1)
+    return axes, np.where(known, apart + 2.0 * noise / np.where(known, least, 1.0) + ROUNDING, 2.0)
 
 
 def _products_at(blocks: tuple[Array, ...], x: Array) -> Array:

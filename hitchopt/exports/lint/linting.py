@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.directory import PLAN
 from hitchopt.exports.formats.crazyswarm2 import COLUMNS as POLY_COLUMNS
 from hitchopt.exports.lint import crazyflie_files, show_files
 from hitchopt.exports.lint.findings import LEVELS, Finding, Loaded, Report, error, note, warning
@@ -18,6 +17,7 @@ from hitchopt.exports.lint.flight_rules import flown_from_places, flown_together
 from hitchopt.exports.lint.joint_flight import Rules
 from hitchopt.exports.manifest import FILE, part_folders, read_manifest
 from hitchopt.exports.recording import orders_told, with_orders
+from hitchopt.storage.archive import PLAN
 from hitchopt.values import path as checked_path
 
 OTHERS = {

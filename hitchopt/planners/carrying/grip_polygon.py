@@ -75,7 +75,7 @@ def grip_polygons(
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
     centre = body.centre_of_mass[:2]
-    return HoldPolygons.about(closed, centre, (body.section,), gap)
+    return HoldPolygons.with_short_edges(closed, centre, (body.section,), gap)
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:

@@ -67,6 +67,11 @@ class GrippedHitch:
         return np.full(len(self.closed), 0.5)
 
     @property
+    def roll(self) -> Array:
+        """(n,) [rad]: legs are not rolled."""
+        return np.zeros(len(self.closed))
+
+    @property
     def reach(self) -> float:
         """Largest level distance [m] of a drone from the object's origin where it grips."""
         still = np.zeros((1, 4))

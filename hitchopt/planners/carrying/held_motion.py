@@ -38,6 +38,7 @@ class HeldHitch:
     body: what is held.
     places: (n, 3) [m], the clasps below the rim.
     fractions: (n,), how slack is split, ``d_k / (d_k + e_k)``.
+    roll: (n,) [rad], of the legs, as of ``Hitch``.
     """
 
     by: ClassVar[HoldBy] = HoldBy.REST
@@ -45,6 +46,7 @@ class HeldHitch:
     body: SolidObject
     places: Array
     fractions: Array
+    roll: Array
 
     @property
     def supports(self) -> Supports:
@@ -81,10 +83,10 @@ class HeldHitch:
         edges = np.roll(self.places, -1, axis=0) - self.places
         slack = cable_slack_of(team, edges, tension)
         q_legs = self.fractions * slack
-        own = clasp_loads(team, q_legs, slack, np.zeros(team.robots))
+        own = clasp_loads(team, q_legs, slack, self.roll)
         halves = np.zeros((*forces.shape[:-1], 2)) if own is None else own.halves
         total = forces if own is None else forces + own.forces
-        loads = ClaspLoads(total, halves, np.zeros(forces.shape[:-1]))
+        loads = ClaspLoads(total, halves, np.broadcast_to(self.roll, forces.shape[:-1]))
         along = np.broadcast_to(edges / np.linalg.norm(edges, axis=-1, keepdims=True), forces.shape)
         q, r = leg_directions(along, tension, team.topology, loads)
         factors = sag_factors(team, tension)

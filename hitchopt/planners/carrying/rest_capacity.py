@@ -112,7 +112,7 @@ def suggestion(
         except HitchoptError:
             continue
         places = np.column_stack([below, np.full(robots, held.places[0, 2])])
-        larger = HeldHitch(other, held.body, places, np.full(robots, 0.5))
+        larger = HeldHitch(other, held.body, places, np.full(robots, 0.5), np.zeros(robots))
         if not broken_at(larger, mass, other.tension, limits):
             ways.append(f"use {robots} robots")
             break
