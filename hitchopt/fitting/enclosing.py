@@ -13,7 +13,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import balanced_legs
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.objects import Section
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array, Indices

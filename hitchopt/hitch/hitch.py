@@ -20,8 +20,8 @@ from hitchopt.hitch.cable_slack import (
 )
 from hitchopt.hitch.cable_spans import ClaspLoads, clasp_loads, sag_factors, shortening
 from hitchopt.hitch.leg_lengths import split_slack
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.leg_roll import least_roll_of_reference, split_with_least_roll
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.statics import cable_forces, leg_directions
 from hitchopt.hitch.team import Team
 from hitchopt.one_line import OneLine, short

@@ -14,14 +14,8 @@ import numpy as np
 
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
-from hitchopt.hitch.leg_program import (
-    PENALTY,
-    LegBodies,
-    LegLengths,
-    LegTask,
-    leg_bounds,
-    leg_program,
-)
+from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_task import LegLengths, LegTask
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
 

@@ -7,20 +7,18 @@ there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import EAST, unit
-from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors, sag_factors
+from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.hitch.team import Team
-from hitchopt.requirements import Arena, Requirements
+from hitchopt.requirements import Arena
 from hitchopt.values import Array
 
 Index = NDArray[np.intp]
@@ -226,83 +224,3 @@ def _roughness(task: LegTask) -> sparse.csc_matrix:
     fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
     bend = sparse.kron(second, sparse.eye_array(n)) @ fractions
     return sparse.csc_matrix(task.roughness * (bend.T @ bend))
-
-
-SPREAD_MARGIN = 1.5
-"""Distance over its limit that the leg lengths called ``spread`` keep."""
-
-LIMIT_MARGIN = 1.001
-"""Distance over its limit of all other leg lengths: a plan's small errors stay within limits."""
-
-CROSSING_MARGIN = 1.005
-"""Largest margin of cables without a common clasp: ``spread`` concerns drones."""
-
-
-@dataclass(frozen=True, eq=False)
-class LegTask:
-    """Leg lengths of one team to be found on J polygons (one, or the knots of a path) at once.
-
-    Attributes
-    ----------
-    team: its cables are split.
-    requirements: distances, and the arena.
-    polygons: (J, points, 2) [m]
-    reference: (J, n) [m], ``d`` to deviate least from.
-    shortest_leg: [m], for both legs of every cable.
-    margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
-    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
-    fixed: (J,), knots that keep their reference.
-    roll: (J, clasps) [rad], of the legs out of their plane; None for none.
-    """
-
-    team: Team
-    requirements: Requirements
-    polygons: Array
-    reference: Array
-    shortest_leg: float
-    margin: float | Array
-    roughness: float = 0.0
-    fixed: NDArray[np.bool_] | None = None
-    roll: Array | None = None
-
-    @property
-    def level(self) -> bool:
-        """Whether all legs are level: they carry no weight and are not rolled."""
-        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
-
-    @property
-    def margins(self) -> Array:
-        """(J,): the margin of every knot."""
-        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-
-    @property
-    def crossing_margins(self) -> Array:
-        """(J,): margin of the distances of two cables."""
-        return np.minimum(self.margins, CROSSING_MARGIN)
-
-    @property
-    def wanted(self) -> float:
-        """The largest of the margins: the margin of leg lengths that keep them all."""
-        return float(np.max(self.margins))
-
-    @property
-    def slack(self) -> Array:
-        """(J, n) [m]: slack of each cable for its two legs."""
-        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
-
-
-@dataclass(frozen=True, eq=False)
-class LegLengths:
-    """Leg lengths that were found.
-
-    Attributes
-    ----------
-    q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on these lengths; where margins
-        differ from knot to knot, in proportion to the largest of them.
-    deviation: sum of ``(d - reference)²`` [m²].
-    """
-
-    q_legs: Array
-    margin: float
-    deviation: float

@@ -16,7 +16,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegLengths, LegTask
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegLengths, LegTask
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.values import Array
 

@@ -11,7 +11,7 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.capacity import Capacity, largest_mass
 from hitchopt.requirements import Requirements

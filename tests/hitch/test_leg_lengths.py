@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_program import LegBodies, LegTask, leg_bounds, leg_program
+from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
 from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon

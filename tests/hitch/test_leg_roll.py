@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hitchopt import Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.requirements import Requirements
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.slack_split import RolledLegs, slack_split

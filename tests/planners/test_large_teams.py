@@ -8,8 +8,8 @@ import pytest
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.leg_lengths import split_slack
-from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.leg_roll import level_margin_bound
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise import ipopt_steps, search_task
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram

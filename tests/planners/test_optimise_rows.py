@@ -14,7 +14,7 @@ import hitchopt as ho
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath, columns_of

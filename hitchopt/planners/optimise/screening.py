@@ -10,7 +10,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search
 from hitchopt.planners.path.leg_law import CLEAR, leg_task_along

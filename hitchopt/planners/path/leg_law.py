@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
