@@ -18,7 +18,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 if TYPE_CHECKING:
     from hitchopt.checks import Certificate
     from hitchopt.mission.loading import AnyProblem
-    from hitchopt.mission.repair import Suggestion
+    from hitchopt.mission.repair.change import Suggestion
     from hitchopt.plan import Plan
     from hitchopt.view.editing_session import Status
     from hitchopt.view.live_view import LiveView
