@@ -23,7 +23,8 @@ import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import regular_polygon
 from hitchopt.losing.flown_reaction import reacting
-from hitchopt.losing.reaction import Reaction, Reactions
+from hitchopt.losing.reaction import Reactions
+from hitchopt.losing.reaction_records import Reaction
 from hitchopt.simulation.flight_task import Task, read_task
 from hitchopt.simulation.lost_drones import Loss, LossOutcome, loss_outcome
 from hitchopt.simulation.rope_flight import fly

@@ -61,7 +61,7 @@ from hitchopt.mission.problem import (
     HitchStart as HitchStart,
     Problem as Problem,
 )
-from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
+from hitchopt.mission.repair.change import Change as Change, Suggestion as Suggestion
 from hitchopt.mission.swarm_problem import SwarmProblem as SwarmProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States

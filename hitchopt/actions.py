@@ -10,52 +10,20 @@ which.
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import Unpack
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt import steps
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.mission.problem import DronesStart, Problem, Start
-from hitchopt.mission.solving import solve_problem
 from hitchopt.plan import Plan
 from hitchopt.planners.forming.turns import SwapSettings
-from hitchopt.requirements import Arena, Limits, Separation
+from hitchopt.single_step import Legs, Required, explicit, free_drones, moved, planned
 from hitchopt.steps.form import Assign
-from hitchopt.values import instance
-
-Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
 
 
-F = TypeVar("F", bound=Callable[..., Plan])
-
-
-class Required(TypedDict, total=False):
-    """Keywords of every function: what the plan must satisfy."""
-
-    limits: Limits | None
-    separation: Separation | None
-    arena: Arena | None
-
-
-def _explicit(function: F) -> F:
-    """Let ``help`` and completion show the keywords of ``Required`` in place of ``**``."""
-    signature = inspect.signature(function)
-    own = list(signature.parameters.values())[:-1]
-    kind = inspect.Parameter.KEYWORD_ONLY
-    shared = [
-        inspect.Parameter(name, kind, default=None, annotation=annotation)
-        for name, annotation in Required.__annotations__.items()
-    ]
-    vars(function)["__signature__"] = signature.replace(parameters=[*own, *shared])
-    return function
-
-
-@_explicit
+@explicit
 def morph(
     start: Hitch,
     polygon: Outline | ArrayLike,
@@ -88,10 +56,10 @@ def morph(
     InfeasibleError: it cannot be met; says what binds, where and when.
     """
     values = polygon, legs, duration, False, optimize, tension
-    return _moved(start, requirements, steps.Morph, *values)
+    return moved(start, requirements, steps.Morph, *values)
 
 
-@_explicit
+@explicit
 def move_vertex(
     start: Hitch,
     vertex: int,
@@ -120,10 +88,10 @@ def move_vertex(
     InputError, InfeasibleError: as morph.
     """
     values = vertex, to, by, legs, duration
-    return _moved(start, requirements, steps.MoveVertex, *values)
+    return moved(start, requirements, steps.MoveVertex, *values)
 
 
-@_explicit
+@explicit
 def move_edge(
     start: Hitch,
     edge: int,
@@ -150,10 +118,10 @@ def move_edge(
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _moved(start, requirements, steps.MoveEdge, edge, to, by, legs, duration)
+    return moved(start, requirements, steps.MoveEdge, edge, to, by, legs, duration)
 
 
-@_explicit
+@explicit
 def adjust(
     start: Hitch,
     legs: Legs = "balanced",
@@ -173,10 +141,10 @@ def adjust(
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _moved(start, requirements, steps.Adjust, legs, duration)
+    return moved(start, requirements, steps.Adjust, legs, duration)
 
 
-@_explicit
+@explicit
 def follow_vertex(
     start: Hitch,
     vertex: int,
@@ -192,17 +160,17 @@ def follow_vertex(
     start: the hitch at t = 0.
     vertex: which, from 0.
     path: (J, 3), rows ``t, x, y`` [s, m, m], t increasing from 0 or later; at rest before the
-        first and after the last, and between equal points in a row.
+        first and after the last, and between equal points that follow each other.
     legs, limits, separation, arena: as of move_vertex.
 
     Raises
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _moved(start, requirements, steps.FollowVertex, vertex, path, legs)
+    return moved(start, requirements, steps.FollowVertex, vertex, path, legs)
 
 
-@_explicit
+@explicit
 def transport(
     start: Hitch,
     to: ArrayLike,
@@ -224,10 +192,10 @@ def transport(
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _moved(start, requirements, steps.Transport, to, yaw, duration)
+    return moved(start, requirements, steps.Transport, to, yaw, duration)
 
 
-@_explicit
+@explicit
 def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan:
     """Return the certified plan in which a hitch stays as it is for ``seconds`` [s].
 
@@ -235,10 +203,10 @@ def hold(start: Hitch, seconds: float, **requirements: Unpack[Required]) -> Plan
     ------
     InputError, InfeasibleError: as morph.
     """
-    return _moved(start, requirements, steps.Hold, seconds)
+    return moved(start, requirements, steps.Hold, seconds)
 
 
-@_explicit
+@explicit
 def form(
     team: Team,
     q: ArrayLike,
@@ -275,10 +243,10 @@ def form(
     """
     swap = SwapSettings() if swap is None else swap
     values = polygon, altitude, legs, assign, swap, duration
-    return _planned(team, _free(q, r), requirements, steps.Form, *values)
+    return planned(team, free_drones(q, r), requirements, steps.Form, *values)
 
 
-@_explicit
+@explicit
 def release(
     start: Hitch, *, duration: float | None = None, **requirements: Unpack[Required]
 ) -> Plan:
@@ -295,10 +263,10 @@ def release(
     ------
     InputError, InfeasibleError: as form.
     """
-    return _moved(start, requirements, steps.Release, duration)
+    return moved(start, requirements, steps.Release, duration)
 
 
-@_explicit
+@explicit
 def land(
     team: Team,
     q: ArrayLike,
@@ -319,30 +287,4 @@ def land(
     ------
     InputError, InfeasibleError: as form.
     """
-    return _planned(team, _free(q, r), requirements, steps.Land, duration)
-
-
-def _free(q: ArrayLike, r: ArrayLike) -> DronesStart:
-    return DronesStart(np.asarray(q, dtype=object), np.asarray(r, dtype=object))  # checked there
-
-
-def _moved(
-    start: Hitch, requirements: Required, step: Callable[..., steps.Step], *values: Any
-) -> Plan:
-    """Return the plan of a step that begins with a hitch."""
-    instance("start", start, Hitch)
-    return _planned(start.team, start, requirements, step, *values)
-
-
-def _planned(
-    team: Team, start: Start, requirements: Required, step: Callable[..., steps.Step], *values: Any
-) -> Plan:
-    """Return the plan of a step, made of values as a user writes them."""
-    instance("team", team, Team)
-    if unknown := requirements.keys() - Required.__annotations__.keys():
-        raise TypeError(f"unexpected keyword argument '{min(unknown)}'")
-    fitting = step(*values).fitting(team)  # what is wrong in itself is said first
-    fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
-    given: dict[str, Any] = {name: part for name, part in requirements.items() if part is not None}
-    found = solve_problem(Problem(team, start, (fitting,), **given))
-    return Plan(found.motion, found.certificate)
+    return planned(team, free_drones(q, r), requirements, steps.Land, duration)

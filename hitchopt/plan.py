@@ -15,8 +15,6 @@ from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.export_options import ExportOptions
-from hitchopt.exports.exporting import Export
-from hitchopt.exports.plan_export import export_motion
 from hitchopt.hitch import Hitch
 from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import Motion, Phase
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from hitchopt.exports.exporting import Export
     from hitchopt.view.live_view import LiveView
 
 
@@ -253,6 +252,9 @@ class Plan(OneLine):
         UnsupportedError: viser, or what writes films, is not installed.
         """
         if save is not None:
+            if ghost is not None:
+                words = "None where a plan is written to a file"
+                raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.saved_view import save_view
 
             shown = (self.motion, self.certificate, self.title, self.problem)
@@ -307,6 +309,8 @@ class Plan(OneLine):
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
+        from hitchopt.exports.plan_export import export_motion
+
         chosen = ExportOptions(text("format", format), **options)
         return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from hitchopt.errors import InputError
-from hitchopt.exports.exporting import Export
 from hitchopt.plan import Plan, load
 from hitchopt.time_limit import Progress
 from hitchopt.values import flag, instance, path, text
 
 if TYPE_CHECKING:
+    from hitchopt.exports.exporting import Export
     from hitchopt.simulation.simulate import Simulation
 
 

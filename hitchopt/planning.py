@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
+from hitchopt.mission.repair.change import BUDGET, NO_CHANGE, Suggestion
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
@@ -101,6 +101,8 @@ def suggestions(
     try:
         solve_problem(task, progress)
     except InfeasibleError as error:
+        from hitchopt.mission.repair.suggest import find_suggestions
+
         return find_suggestions(task, error, budget, progress)
     return ()
 
@@ -125,6 +127,8 @@ def repair(
     try:
         return solve(task, progress)
     except InfeasibleError as error:
+        from hitchopt.mission.repair.suggest import find_suggestions
+
         found = find_suggestions(task, error, budget, progress)
         if not found:
             note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE

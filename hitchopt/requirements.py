@@ -10,37 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt import units
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.one_line import OneLine
-from hitchopt.units import (
-    ACCELERATION,
-    BODY_RATE,
-    BODY_RATE_DEG,
-    DISTANCE,
-    DURATION,
-    ELLIPSOID,
-    HEIGHT,
-    JERK,
-    LEG,
-    SPEED,
-    TILT,
-    TILT_DEG,
-    check_unit,
-    radians_of,
-)
+from hitchopt.units import check_unit, radians_of
 from hitchopt.values import Array, acute, finite, instance, not_negative, positive, sequence
 
 UNITS = {
-    "speed": SPEED,
-    "acceleration": ACCELERATION,
-    "jerk": JERK,
-    "tilt": TILT,
-    "vertex_speed": SPEED,
-    "leg": LEG,
-    "duration": DURATION,
-    "body_rate": BODY_RATE,
+    "speed": units.SPEED,
+    "acceleration": units.ACCELERATION,
+    "jerk": units.JERK,
+    "tilt": units.TILT,
+    "vertex_speed": units.SPEED,
+    "leg": units.LEG,
+    "duration": units.DURATION,
+    "body_rate": units.BODY_RATE,
 }
 """Quantities of the limits."""
 
@@ -96,7 +82,7 @@ class Limits(OneLine):
         tilt_deg: float | None = None,
         body_rate_deg: float | None = None,
     ) -> None:
-        angle = radians_of("tilt", tilt, tilt_deg, TILT_DEG)
+        angle = radians_of("tilt", tilt, tilt_deg, units.TILT_DEG)
         values = {
             "speed": speed,
             "acceleration": acceleration,
@@ -105,7 +91,7 @@ class Limits(OneLine):
             "vertex_speed": vertex_speed,
             "leg": leg,
             "duration": duration,
-            "body_rate": radians_of("body_rate", body_rate, body_rate_deg, BODY_RATE_DEG),
+            "body_rate": radians_of("body_rate", body_rate, body_rate_deg, units.BODY_RATE_DEG),
         }
         if positive("reserve", reserve) > 1.0:
             raise InputError("reserve", reserve, "at most 1", "0.8 leaves a fifth for stops")
@@ -153,10 +139,10 @@ class Separation(OneLine):
     def __post_init__(self) -> None:
         for name in ("radius", "height"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
-            check_unit(name, getattr(self, name), ELLIPSOID)
+            check_unit(name, getattr(self, name), units.ELLIPSOID)
         for name in ("cable", "crossing", "object"):
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
-            check_unit(name, getattr(self, name), DISTANCE)
+            check_unit(name, getattr(self, name), units.DISTANCE)
 
     @property
     def scale(self) -> Array:
@@ -188,7 +174,7 @@ class Arena(OneLine):
             if len(given) != 3:
                 raise InputError(name, corner, "a point [x, y, z]", "give three numbers in metres")
             point = np.array([finite(f"{name}[{i}]", x) for i, x in enumerate(given)])
-            check_unit(name, point, HEIGHT)
+            check_unit(name, point, units.HEIGHT)
             point.setflags(write=False)
             object.__setattr__(self, name, point)
         if not np.all(self.lower < self.upper):

@@ -4,9 +4,9 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
-from hitchopt.actions import Legs
 from hitchopt.geometry import Outline
 from hitchopt.planners.forming.turns import SwapSettings
+from hitchopt.single_step import Legs
 from hitchopt.steps import Step
 from hitchopt.steps.form import Assign
 from hitchopt.steps.grasp import By

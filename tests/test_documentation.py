@@ -6,6 +6,7 @@ import re
 from itertools import zip_longest
 from pathlib import Path
 
+import click
 import jsonschema
 import pytest
 from documentation_blocks import Block, blocks, executed, file_name, same
@@ -183,9 +184,20 @@ def test_the_problem_file_s_page_has_every_key() -> None:
         assert f"({target})=" in page
 
 
+CONTEXT = click.Context(main)
+
+
+def command_of(name: str) -> click.Command:
+    """Return the command of that name."""
+    command = main.get_command(CONTEXT, name)
+    assert command is not None
+    return command
+
+
 def test_the_command_line_s_page_has_every_option() -> None:
     page = write_command_page()
-    for name, command in main.commands.items():
+    for name in main.list_commands(CONTEXT):
+        command = command_of(name)
         section = page.partition(f"(command-{name})=")[2].partition("(command-")[0]
         for parameter in command.params:
             written = parameter.opts[-1] if parameter.param_type_name == "option" else "`"
@@ -200,10 +212,8 @@ def test_commands_that_are_not_executed_have_known_options() -> None:
         )
         for line in "\n".join(block.text for block in cells).splitlines():
             for call in re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&]*)", line):
-                known = {opt for each in main.commands[call[0]].params for opt in each.opts}
-                known |= {
-                    opt for each in main.commands[call[0]].params for opt in each.secondary_opts
-                }
+                params = command_of(call[0]).params
+                known = {opt for each in params for opt in (*each.opts, *each.secondary_opts)}
                 assert set(re.findall(r"(?<= )--?[a-z][\w-]*", call[1])) <= known, line
                 found += 1
     assert found > 10

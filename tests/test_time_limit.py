@@ -12,7 +12,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import time_limit as limits
-from hitchopt.mission.repair import find_suggestions
+from hitchopt.mission.repair.suggest import find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.time_limit import Progress, TimeIsUp, check_time, time_left, time_limit
 

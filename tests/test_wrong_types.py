@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt import actions, planning
+from hitchopt import planning, single_step
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]
@@ -170,7 +170,7 @@ def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object, **__: object) -> None:
         raise PlannedError
 
-    for module, name in ((actions, "solve_problem"), (planning, "solve_problem")):
+    for module, name in ((single_step, "solve_problem"), (planning, "solve_problem")):
         monkeypatch.setattr(module, name, stop)
 
 

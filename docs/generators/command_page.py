@@ -17,7 +17,8 @@ def write_command_page() -> str:
     with click.Context(main, info_name="hitchopt") as parent:
         sections = [
             _section(command, click.Context(command, parent, info_name=name))
-            for name, command in sorted(main.commands.items())
+            for name in main.list_commands(parent)
+            if (command := main.get_command(parent, name))
         ]
     return "\n".join([INTRODUCTION, _paragraphs(main.help), *sections])
 

@@ -16,11 +16,11 @@ from hitchopt.checks.bounds.clasp_weights import (
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.gripped_balance import unbalanced
-from hitchopt.checks.bounds.pressed_loads import pressed_loads
-from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
+from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.motion.carried import object_loads
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
@@ -166,3 +166,20 @@ def _over(force: Array, tension: Array) -> Array:
 
 
 RULE = CheckRule("equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE),))
+
+
+def pressed_loads(motion: Motion) -> Array | None:
+    """Return forces on clasps and, in a fourth row, what these err by; None where there are none.
+
+    Returns
+    -------
+    (pieces, clasps, 4, degree + 1) [N]
+    """
+    loads = object_loads(motion)
+    if loads is None:
+        return None
+    mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
+    error = mass * derivative_margin(motion.vertices, 2)[:, motion.team.layout.clasps]
+    error = np.where(np.any(loads != 0.0, axis=(2, 3)), error, 0.0)
+    rows = np.broadcast_to(error[..., None, None], (*loads.shape[:2], 1, loads.shape[-1]))
+    return np.concatenate([loads, rows], axis=2)

@@ -1,4 +1,4 @@
-"""The commands solve and check, and the group of all commands."""
+"""The command solve, and the group of all commands."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import shlex
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -15,21 +15,37 @@ import click
 
 from hitchopt.cli.failures import SafeGroup, complain, exit_code
 from hitchopt.cli.output import hint, record, say
-from hitchopt.cli.paths import GivenPath, plan_path
+from hitchopt.cli.paths import GivenPath
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.export_options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate
-    from hitchopt.losing.survivable import Survivable
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
-    from hitchopt.mission.repair import Suggestion
+    from hitchopt.mission.repair.change import Suggestion
     from hitchopt.motion.motion import Motion
     from hitchopt.plan import Plan
 
 HELP = {"help_option_names": ["-h", "--help"], "show_default": True}
 """Settings of all commands' help texts."""
+
+MODULES = {
+    "abort": "abort_command",
+    "calibrate": "calibrate_command",
+    "check": "check_command",
+    "export": "fleet_commands",
+    "fit": "fit_command",
+    "fly": "fly_command",
+    "init": "init_command",
+    "lint": "fleet_commands",
+    "report": "view_commands",
+    "simulate": "simulate_command",
+    "statics": "statics_command",
+    "sweep": "sweep_command",
+    "view": "view_commands",
+}
+"""Where the other commands are; a module is imported when its command runs."""
 
 MAX_ROWS = 5e8
 """Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
@@ -48,7 +64,7 @@ def _version() -> str:
         return "(not installed)"
 
 
-@click.group(cls=SafeGroup, context_settings=HELP)
+@click.group(cls=SafeGroup, modules=MODULES, context_settings=HELP)
 @click.version_option(version=_version(), prog_name="hitchopt")
 def main() -> None:
     """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
@@ -140,7 +156,7 @@ def _solve(problem: AnyProblem, rate: float, limit: float) -> Plan:
 
     with LateProgress(sys.stderr, "planning", limit) as progress:
         plan = solved(problem, progress=progress, limit=limit)
-    _show(plan.title, plan.motion, plan.certificate)
+    show_plan(plan.title, plan.motion, plan.certificate)
     _check_rows(rate, plan.motion.duration, len(problem.team.drone_names))
     return plan
 
@@ -189,7 +205,8 @@ def report_suggestions(
     The error has a note if the time limit has ended the search.
     """
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+    from hitchopt.mission.repair.change import NO_CHANGE
+    from hitchopt.mission.repair.suggest import find_suggestions
     from hitchopt.time_limit import time_left, time_limit
 
     found: tuple[Suggestion, ...] = ()
@@ -211,58 +228,8 @@ def report_suggestions(
     return error, found
 
 
-@main.command()
-@click.argument("directory", metavar="DIR", type=GivenPath())
-@click.option("--closest", is_flag=True, help="Report the closest pairs of drones over time.")
-@click.option("--picture", metavar="PNG", type=GivenPath(), help="Draw the same to a file.")
-@click.option(
-    "--gamma",
-    default=1.0,
-    help="How many times farther than drones vertices may be off, for tracking_radius.",
-)
-@click.option(
-    "--survivable",
-    is_flag=True,
-    help="Report for how many losses of a drone there is a certified reaction; this takes a while.",
-)
-def check(
-    directory: Path, closest: bool, picture: Path | None, gamma: float, survivable: bool
-) -> None:
-    """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
-    from hitchopt.checks import certify
-    from hitchopt.cli.progress import LateProgress
-    from hitchopt.motion.plan_file import read_plan
-    from hitchopt.plan import Plan
-
-    path = plan_path(directory)
-    motion = read_plan(path)
-    with LateProgress(sys.stderr, "certifying") as progress:
-        certificate = certify(motion, progress, gamma)
-    losses = _losses(motion) if survivable else None
-    if losses is not None:
-        certificate = replace(certificate, checks=(*certificate.checks, losses.check))
-    _show("", motion, certificate)
-    without = [] if losses is None else losses.without
-    if losses is not None:
-        record(without_reaction=[asdict(lost) for lost in without])
-    for lost in without:
-        say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
-    if closest or picture is not None:
-        _show_closest(Plan(motion, certificate), picture)
-    certificate.raise_if_violated()
-    say(f"certified; recomputed from {path}")
-
-
-def _losses(motion: Motion) -> Survivable:
-    """Return which losses of a drone have a certified reaction."""
-    from hitchopt.cli.progress import LateProgress
-    from hitchopt.losing.survivable import survivable
-
-    with LateProgress(sys.stderr, "planning reactions") as progress:
-        return survivable(motion, progress=progress)
-
-
-def _show(title: str, motion: Motion, certificate: Certificate) -> None:
+def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+    """Report the phases and the certificate of a plan."""
     from hitchopt.cli.console_tables import certificate_table, phase_table
 
     record(
@@ -276,16 +243,6 @@ def _show(title: str, motion: Motion, certificate: Certificate) -> None:
     if title:
         say(title)
     say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
-
-
-def _show_closest(plan: Plan, picture: Path | None) -> None:
-    from hitchopt.plan import closest
-
-    found = closest(plan, picture=picture)
-    record(closest=str(found).splitlines())
-    say(f"Closest neighbours\n{found}\n")
-    if picture is not None:
-        say(f"the closest neighbours over time are drawn in {picture}")
 
 
 def _least_duration(problem: AnyProblem) -> float:

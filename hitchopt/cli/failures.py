@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -21,9 +23,31 @@ UNMET = 3
 
 
 class SafeGroup(click.Group):
-    """A group of commands whose errors end in a message and an exit code."""
+    """A group of commands whose errors end in a message and an exit code.
+
+    Parameters
+    ----------
+    modules: in ``hitchopt.cli``, those that register the commands of these names when they are
+        imported.
+    """
 
     command_class = OutputCommand
+
+    def __init__(
+        self, *args: Any, modules: Mapping[str, str] = MappingProxyType({}), **kwargs: Any
+    ) -> None:
+        super().__init__(*args, **kwargs)
+        self.modules = modules
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands."""
+        return sorted({*super().list_commands(ctx), *self.modules})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, its module imported."""
+        if cmd_name in self.modules:
+            import_module(f"hitchopt.cli.{self.modules[cmd_name]}")
+        return super().get_command(ctx, cmd_name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command and print its results; turn errors into exit codes."""

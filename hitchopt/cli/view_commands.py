@@ -13,12 +13,12 @@ from hitchopt.cli.commands import main, report_suggestions
 from hitchopt.cli.failures import UNMET, complain
 from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.checks import Certificate
     from hitchopt.mission.loading import AnyProblem
-    from hitchopt.mission.repair import Suggestion
+    from hitchopt.mission.repair.change import Suggestion
     from hitchopt.plan import Plan
     from hitchopt.view.editing_session import Status
     from hitchopt.view.live_view import LiveView
@@ -28,6 +28,9 @@ PROBLEM = "problem.yaml"
 
 PROBLEM_ENDINGS = (".yaml", ".yml")
 """Endings of the names of problem files."""
+
+PATIENCE = 3.0
+"""Time for which the processor is left to the browser, until it has loaded the page [s]."""
 
 SEARCH = 60.0
 """Time limit of the search for changes that make a problem feasible [s]."""
@@ -79,6 +82,9 @@ def view(
     summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
     """
     if save is not None:
+        if ghost is not None:
+            words = "no ghost where a plan is written to a file"
+            raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
         _save(path, save)
         return
     import threading
@@ -136,6 +142,7 @@ def _serve(
     if certificate is None:
         from hitchopt.checks import certify
 
+        live.wait_for_page(PATIENCE)
         certificate = certify(motion)
         live.show_certificate(certificate)
     _edit(live, text, path, certificate, status)

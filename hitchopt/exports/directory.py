@@ -10,7 +10,7 @@ from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.exports.setpoints import Progress, write_setpoints
 from hitchopt.exports.vertices import write_vertices
-from hitchopt.mission.repair import Suggestion
+from hitchopt.mission.repair.change import Suggestion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.archive import PLAN

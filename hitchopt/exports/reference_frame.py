@@ -90,6 +90,10 @@ class ReferenceFrame:
         """Return points (…, 3) of the plan in the file's axes [m]."""
         return values @ self.rotation.T + self.shift
 
+    def planned(self, points: Array) -> Array:
+        """Return points (…, 3) of the file in the plan's axes [m]."""
+        return (points - self.shift) @ self.rotation
+
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
         c = np.einsum("ij,pdjn->pdin", self.rotation, part.coefficients) + self.shift[:, None]

@@ -69,7 +69,7 @@ class CrazyflieOutlet:
         place = message.pose.position
         point = np.array([place.x, place.y, place.z])
         if np.all(np.isfinite(point)):
-            self._found[name] = (point - self._frame.shift) @ self._frame.rotation
+            self._found[name] = self._frame.planned(point)
 
     def send(self, flown: Flown, now: float) -> None:  # noqa: ARG002
         """Send every drone its full state."""

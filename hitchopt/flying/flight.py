@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,7 +13,6 @@ import numpy as np
 
 from hitchopt.errors import HitchoptError
 from hitchopt.flying.course import Course, Flown
-from hitchopt.flying.link_watch import LinkWatch
 from hitchopt.flying.outlet import Outlet
 from hitchopt.values import Array, positive
 
@@ -217,3 +216,28 @@ class Flight:
             self._outlet.send(self._last, now)
         ended = self._course.landed and not self._asked and self._job is None
         self.landed = ended and not self._ready and self._course.begun
+
+
+class LinkWatch:
+    """When each of several links was heard of last.
+
+    Parameters
+    ----------
+    timeouts: time [s] after which a silent link is lost, by the links' names.
+    """
+
+    def __init__(self, timeouts: dict[str, float]) -> None:
+        self._timeouts = timeouts
+        self._heard = dict.fromkeys(timeouts, -math.inf)
+
+    def heard(self, names: Iterable[str], now: float) -> None:
+        """Note that links were heard of at a time [s]; other names are ignored."""
+        for name in names:
+            if name in self._heard:
+                self._heard[name] = now
+
+    def lost(self, now: float) -> tuple[str, ...]:
+        """Return the names of the links that are lost at a time [s], never heard ones too."""
+        return tuple(
+            name for name, last in self._heard.items() if now - last > self._timeouts[name]
+        )

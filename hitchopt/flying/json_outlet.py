@@ -7,41 +7,23 @@ in the axes of the setpoints (east-north-up).
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.flying.course import Flown
-from hitchopt.flying.datagrams import Address, Datagrams, json_object
+from hitchopt.flying.datagrams import json_object
+from hitchopt.flying.outlet import DatagramOutlet
 from hitchopt.model.evaluation import attitudes
-from hitchopt.values import Array
+from hitchopt.values import MAX_COORDINATE, Array
 
 FORMAT = "hitchopt-setpoint/1"
 
 
-class JsonOutlet:
-    """A fleet behind UDP.
+class JsonOutlet(DatagramOutlet):
+    """A fleet that reads JSON."""
 
-    Parameters
-    ----------
-    names: of the drones.
-    addresses: where each of them listens.
-    frame: axes of what is sent.
-    datagrams: the socket.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        addresses: Sequence[Address],
-        frame: ReferenceFrame,
-        datagrams: Datagrams,
-    ) -> None:
-        self._names, self._addresses = tuple(names), tuple(addresses)
-        self._frame, self._datagrams = frame, datagrams
-        self._number = 0
+    _number = 0
 
     def send(self, flown: Flown, now: float) -> None:
         """Send every drone its setpoint."""
@@ -72,26 +54,11 @@ class JsonOutlet:
             self._datagrams.send(json.dumps({**head, "drone": name, **own}).encode(), to)
         self._number += 1
 
-    def measured(self) -> dict[str, Array]:
-        """Return measured positions; answers of hosts that are sent nothing are ignored."""
-        hosts = {host for host, _ in self._addresses}
-        found: dict[str, Array] = {}
-        for data, (host, _) in self._datagrams.received():
-            answer = json_object(data)
-            place = answer.get("position")
-            if host in hosts and answer.get("drone") in self._names and _point(place):
-                point = np.array(place, dtype=np.float64) - self._frame.shift
-                found[answer["drone"]] = point @ self._frame.rotation
-        return found
-
-    def close(self, *, landed: bool) -> None:  # noqa: ARG002
-        """Close the socket."""
-        self._datagrams.close()
-
-
-def _point(given: object) -> bool:
-    return (
-        isinstance(given, list)
-        and len(given) == 3
-        and all(type(x) in (int, float) and math.isfinite(x) for x in given)
-    )
+    def answers(self, data: bytes) -> Iterator[tuple[object, Array]]:
+        """Yield the position that a datagram tells."""
+        answer = json_object(data)
+        place = answer.get("position")
+        if isinstance(place, list) and all(
+            type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in place
+        ):
+            yield answer.get("drone"), np.array(place, dtype=np.float64)

@@ -8,17 +8,15 @@ answer with LOCAL_POSITION_NED.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import UnsupportedError
-from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.flying.course import Flown
-from hitchopt.flying.datagrams import Address, Datagrams
+from hitchopt.flying.outlet import DatagramOutlet
 from hitchopt.values import Array
 
 OWN_SYSTEM = 245
@@ -42,34 +40,15 @@ def messages() -> Any:
         raise UnsupportedError(words) from None
 
 
-class MavlinkOutlet:
-    """A fleet of autopilots.
+class MavlinkOutlet(DatagramOutlet):
+    """A fleet of autopilots, whose local north-east-down axes share one origin."""
 
-    Parameters
-    ----------
-    names: of the drones.
-    addresses: where each of them listens; equal ones for a router.
-    frame: the local north-east-down axes of the autopilots, which share one origin.
-    datagrams: the socket.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        addresses: Sequence[Address],
-        frame: ReferenceFrame,
-        datagrams: Datagrams,
-    ) -> None:
-        self._names, self._addresses = tuple(names), tuple(addresses)
-        self._frame, self._datagrams = frame, datagrams
+    def __init__(self, *fleet: Any) -> None:
+        super().__init__(*fleet)
         self._mavlink = messages()
         self._sender = self._mavlink.MAVLink(None, srcSystem=OWN_SYSTEM)
         self._begun: float | None = None
         self._beaten = -math.inf
-
-    @cached_property
-    def _mask(self) -> int:
-        return int(self._mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
 
     def send(self, flown: Flown, now: float) -> None:
         """Send every autopilot its setpoint, and a heartbeat now and then."""
@@ -88,31 +67,19 @@ class MavlinkOutlet:
             frame.vectors(flown.feed_forward),
         )
         boot = int(1e3 * (now - self._begun)) % 2**32
-        axes = (link.MAV_FRAME_LOCAL_NED, self._mask)
+        mask = link.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+        axes = (link.MAV_FRAME_LOCAL_NED, mask)
         for i, row in enumerate(np.concatenate(parts, axis=-1).tolist()):
             message = self._sender.set_position_target_local_ned_encode(
                 boot, i + 1, link.MAV_COMP_ID_AUTOPILOT1, *axes, *row, frame.heading, 0.0
             )
             self._datagrams.send(message.pack(self._sender), self._addresses[i])
 
-    def measured(self) -> dict[str, Array]:
-        """Return measured positions; hosts that are sent nothing are ignored."""
-        hosts = {host for host, _ in self._addresses}
-        found: dict[str, Array] = {}
-        for data, (host, _) in self._datagrams.received():
-            if host not in hosts:
-                continue
-            parser = self._mavlink.MAVLink(None)  # whole messages: damage ends with a datagram
-            parser.robust_parsing = True
-            for message in parser.parse_buffer(data) or []:
-                place = message.get_srcSystem() - 1
-                if message.get_type() == "LOCAL_POSITION_NED" and place in range(len(self._names)):
-                    point = np.array([message.x, message.y, message.z])
-                    if np.all(np.isfinite(point)):
-                        own = (point - self._frame.shift) @ self._frame.rotation
-                        found[self._names[place]] = own
-        return found
-
-    def close(self, *, landed: bool) -> None:  # noqa: ARG002
-        """Close the socket: the autopilots leave offboard mode as they are set to."""
-        self._datagrams.close()
+    def answers(self, data: bytes) -> Iterator[tuple[object, Array]]:
+        """Yield the positions that a datagram tells."""
+        parser = self._mavlink.MAVLink(None)  # whole messages: damage ends with a datagram
+        parser.robust_parsing = True
+        for message in parser.parse_buffer(data) or []:
+            place = message.get_srcSystem() - 1
+            if message.get_type() == "LOCAL_POSITION_NED" and place in range(len(self._names)):
+                yield self._names[place], np.array([message.x, message.y, message.z])

@@ -1,8 +1,8 @@
 """Convex polygons and arcs, segments and boxes, without any cable."""
 
-from hitchopt.geometry.arc import ConvexArc as ConvexArc
+from hitchopt.geometry.outline import ConvexArc as ConvexArc
+from hitchopt.geometry.outline import ConvexPolygon as ConvexPolygon
 from hitchopt.geometry.outline import Outline as Outline
-from hitchopt.geometry.polygon import ConvexPolygon as ConvexPolygon
-from hitchopt.geometry.polygon import regular_polygon as regular_polygon
+from hitchopt.geometry.outline import regular_polygon as regular_polygon
 from hitchopt.geometry.segments import differences as differences
 from hitchopt.geometry.segments import shortest_offset as shortest_offset

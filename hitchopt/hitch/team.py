@@ -8,21 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt import units
 from hitchopt.errors import InputError
 from hitchopt.hitch.layout import CLOSED, OPEN, Layout, layout_of
 from hitchopt.one_line import OneLine
-from hitchopt.units import (
-    CABLE_LENGTH,
-    DENSITY,
-    FRICTION,
-    LOAD,
-    MASS,
-    STIFFNESS,
-    TENSION,
-    THRUST,
-    check_lift,
-    check_unit,
-)
+from hitchopt.units import check_lift, check_unit
 from hitchopt.values import instance, not_negative, per_robot, positive, sequence
 
 GRAVITY = 9.81
@@ -34,11 +24,11 @@ MAX_ROBOTS = 10_000
 TOPOLOGIES = (CLOSED, OPEN)
 
 UNITS = {
-    "cable_length": CABLE_LENGTH,
-    "cable_density": DENSITY,
-    "cable_friction": FRICTION,
-    "tension": TENSION,
-    "load": LOAD,
+    "cable_length": units.CABLE_LENGTH,
+    "cable_density": units.DENSITY,
+    "cable_friction": units.FRICTION,
+    "tension": units.TENSION,
+    "load": units.LOAD,
 }
 """Quantities whose units are checked."""
 
@@ -66,12 +56,12 @@ class Quadrotor(OneLine):
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass))
         object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
-        check_unit("mass", self.mass, MASS)
-        check_unit("max_thrust", self.max_thrust, THRUST)
+        check_unit("mass", self.mass, units.MASS)
+        check_unit("max_thrust", self.max_thrust, units.THRUST)
         check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.stiffness is not None:
             object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
-            check_unit("stiffness", self.stiffness, STIFFNESS)
+            check_unit("stiffness", self.stiffness, units.STIFFNESS)
         for name in ("integral", "feed_forward"):
             value = getattr(self, name)
             if not isinstance(value, bool):

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from hitchopt.losing.reaction import Reaction
+from hitchopt.losing.reaction_records import Reaction
 from hitchopt.motion.states import States, sample_times, states_at
 from hitchopt.simulation.flight_cargo import Cargo
 from hitchopt.simulation.flight_task import SAME_TIME, Setpoints, Task

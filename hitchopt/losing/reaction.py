@@ -12,7 +12,6 @@ cable is taut, since no drone carries two.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,11 +22,11 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.losing.falling import GAIN, free_fall, resting_place, swings
+from hitchopt.losing.reaction_records import Course, Held, Reaction
 from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import States, states_at
-from hitchopt.one_line import OneLine
 from hitchopt.stopping.abort import Aborts
 from hitchopt.values import Array, not_negative
 
@@ -70,75 +69,6 @@ SUNK = (
 
 LANDED = ("separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out")
 """Checks of drones that land by themselves."""
-
-
-@dataclass(frozen=True, eq=False)
-class Course(OneLine):
-    """What the survivors fly after a loss at a time, whichever drone it is.
-
-    Attributes
-    ----------
-    time: of the loss [s].
-    begins: when they react [s].
-    sinking: the plan until ``begins``, and what follows until the lowest drone is on the ground.
-    landing: the flights after that, of drones by themselves.
-    share: of the limits with which they sink.
-    checks: of all of it.
-    """
-
-    time: float
-    begins: float
-    sinking: Motion
-    landing: tuple[Motion, ...]
-    share: float
-    checks: tuple[Check, ...]
-
-    @property
-    def duration(self) -> float:
-        """Time at which all are on the ground [s]."""
-        return self.sinking.duration + sum(each.duration for each in self.landing)
-
-
-@dataclass(frozen=True, eq=False)
-class Held(OneLine):
-    """How survivors hold a lost drone that hangs.
-
-    Attributes
-    ----------
-    pulls: (2n, 3) [N], of the cables while it hangs, which survivors feed forward.
-    begins, full: times from which on they pull, and from which on they do so fully [s].
-    ends: time at which it lies on the ground, and they let go again [s].
-    """
-
-    pulls: Array
-    begins: float
-    full: float
-    ends: float
-
-
-@dataclass(frozen=True, eq=False)
-class Reaction(OneLine):
-    """A certified reaction to the loss of a drone.
-
-    Attributes
-    ----------
-    drone: that is lost.
-    course: what survivors fly.
-    lets_go: time at which all survivors let tension go [s].
-    thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
-        its largest one.
-    nearest: smallest separation of two survivors, or distance of one to the lost drone over two
-        radii.
-    held: how they hold the lost drone once it has swung down; None where it lies on the ground by
-        then, or no clasp holds its cable.
-    """
-
-    drone: str
-    course: Course
-    lets_go: float
-    thrust: float
-    nearest: float
-    held: Held | None = None
 
 
 class Reactions:
@@ -217,8 +147,7 @@ class Reactions:
             _ratio(motion, rest.positions[others], end[None]),
             _apart(motion, rest.positions[others]),
         )
-        if nearest < 1.0:
-            raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
+        _check_apart(course, nearest)
         t = np.linspace(course.begins, course.sinking.duration, 400)
         sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
         there = np.flatnonzero(sunk_by >= end[2] - floor)
@@ -252,8 +181,7 @@ class Reactions:
         others = np.arange(team.drones) != lost
         arcs = swings(clasps[lost], states.positions[lost], float(lengths[lost]) + gives, floor)
         nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
-        if nearest < 1.0:
-            raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
+        _check_apart(course, nearest)
         thrust = largest_static_thrust(motion)
         return Reaction(drone, course, course.begins, thrust, nearest)
 
@@ -323,6 +251,11 @@ def _apart(motion: Motion, survivors: Array) -> float:
     i, j = np.triu_indices(len(survivors), 1)
     apart = np.linalg.norm((survivors[i] - survivors[j]) * scale, axis=-1)
     return float(np.min(apart, initial=np.inf))
+
+
+def _check_apart(course: Course, nearest: float) -> None:
+    if nearest < 1.0:
+        raise _none(course.time, f"a survivor comes to {nearest:.3g} of its separation")
 
 
 def _words(refusal: Check | None) -> str:

@@ -11,12 +11,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
-from hitchopt.motion.retiming import before, followed, resting, retimed
+from hitchopt.motion.retiming import followed, resting
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.stopping.abort import until_stop
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array
@@ -58,15 +59,7 @@ def stopped(motion: Motion, stops: StopTable, time: float, longer: float = 1.0) 
         return Stopping(whole, motion.duration)
     start, duration = stops.after(time)
     duration = min(longer * duration, 2.0 * (motion.duration - start))
-    parts = [before(whole, start)] if start > JOINT else []
-    rest = start
-    if duration > 0.0:
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        parts.append(retimed(whole, clock))
-        rest = float(clock.ends[-1, 0])
-    if not parts:
-        parts = [resting(whole, REST, first=True)]
-    return Stopping(parts[0] if len(parts) == 1 else followed(*parts), rest)
+    return Stopping(*until_stop(whole, start, duration, REST))
 
 
 def sunk(stopping: Stopping, begin: float, share: float) -> Motion:

@@ -21,6 +21,7 @@ from hitchopt.mission.schema import (
     SeparationKeys,
     StartKeys,
     TeamKeys,
+    key,
     section,
 )
 from hitchopt.steps import STEPS, Step
@@ -96,20 +97,17 @@ StepKeys = create_model(
 class ProblemKeys(Keys):
     """Problem file of hitchopt: a team of quadrotors, a cable hitch, and what to do with it."""
 
-    title: str = FileField(default="", max_length=MAX_TITLE, description="What to call the plan")
-    team: TeamKeys = FileField(
-        description=str(TeamKeys.__doc__), examples=[{"robots": 3, "cable_length": 2.4}]
-    )
+    title: str = key("What to call the plan", "", max_length=MAX_TITLE)
+    team: TeamKeys = key(str(TeamKeys.__doc__), examples=[{"robots": 3, "cable_length": 2.4}])
     limits: LimitsKeys = section(LimitsKeys)
     separation: SeparationKeys = section(SeparationKeys)
-    arena: ArenaKeys | None = FileField(default=None, description=str(ArenaKeys.__doc__))
-    objects: Annotated[dict[ObjectName, ObjectKeys], FileField(max_length=MAX_OBJECTS)] = FileField(
-        default_factory=dict, description="Objects that are carried or stand in the way, by name"
+    arena: ArenaKeys | None = key(str(ArenaKeys.__doc__), None)
+    objects: Annotated[dict[ObjectName, ObjectKeys], FileField(max_length=MAX_OBJECTS)] = key(
+        "Objects that are carried or stand in the way, by name", default_factory=dict
     )
-    start: StartKeys = FileField(
-        description=str(StartKeys.__doc__),
-        examples=[{"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}],
+    start: StartKeys = key(
+        str(StartKeys.__doc__), examples=[{"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}]
     )
-    mission: Annotated[list[StepKeys], FileField(min_length=1, max_length=MAX_STEPS)] = FileField(  # type: ignore[valid-type]
-        description="Steps, one after the other", examples=[[{"hold": {"seconds": 1.0}}]]
+    mission: Annotated[list[StepKeys], FileField(min_length=1, max_length=MAX_STEPS)] = key(  # type: ignore[valid-type]
+        "Steps, one after the other", examples=[[{"hold": {"seconds": 1.0}}]]
     )

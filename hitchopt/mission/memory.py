@@ -4,9 +4,9 @@ A request is a function and its arguments; its key is a digest of their pickle, 
 all contents to the last bit. Two requests of equal contents have different keys only if objects are
 shared in one of them and equal copies in the other; the plan is then made again.
 
-Plans are stored as pickles: what a caller does to a plan never changes the next one. The
-environment variable ``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for
-example after a change of the code.
+What a caller does to a plan never changes the next one (``result_copies``). The environment
+variable ``HITCHOPT_MEMORY=off`` turns the memory off; ``forget`` empties it, for example after a
+change of the code.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ import os
 import pickle
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
+from hitchopt.mission.result_copies import Copies
 from hitchopt.time_limit import Progress as Progress  # noqa: PLC0414, exported
 from hitchopt.values import Array
 
@@ -43,9 +44,10 @@ T = TypeVar("T")
 
 def _read_only(array: Array) -> Any:
     """Return how an array is pickled: as read-only bytes, also if its memory has gaps."""
-    dense = array.view() if array.flags.forc else np.ascontiguousarray(array)
-    dense.setflags(write=False)
-    return dense.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+    if array.dtype.hasobject:
+        return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+    order: Literal["F", "C"] = "F" if array.flags.fnc else "C"
+    return np.ndarray, (array.shape, array.dtype, array.tobytes(order), 0, None, order)
 
 
 class _Pickler(pickle.Pickler):
@@ -65,47 +67,47 @@ def pickled(value: object) -> bytes | None:
 
 
 class Memory:
-    """Pickles by key, the least recently used ones dropped first; safe to share between threads.
+    """Values by key, the least recently used ones dropped first; safe to share between threads.
 
     Parameters
     ----------
-    max_outcomes, max_bytes: number of pickles, and their total size [B].
+    max_outcomes, max_bytes: number of values, and their total length [B].
     """
 
     def __init__(self, max_outcomes: int = MAX_OUTCOMES, max_bytes: int = MAX_BYTES) -> None:
         self._max_outcomes, self._max_bytes = max_outcomes, max_bytes
-        self._pickles: OrderedDict[bytes, bytes] = OrderedDict()
+        self._values: OrderedDict[bytes, Any] = OrderedDict()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._pickles)
+        return len(self._values)
 
     @property
     def size(self) -> int:
-        """Total size of the pickles [B]."""
-        return sum(map(len, self._pickles.values()))
+        """Total length of the values [B]."""
+        return sum(map(len, self._values.values()))
 
-    def recall(self, key: bytes) -> bytes | None:
-        """Return the pickle of a key, or None."""
+    def recall(self, key: bytes) -> Any:
+        """Return the value of a key, or None."""
         with self._lock:
-            if key in self._pickles:
-                self._pickles.move_to_end(key)
-            return self._pickles.get(key)
+            if key in self._values:
+                self._values.move_to_end(key)
+            return self._values.get(key)
 
-    def store(self, key: bytes, found: bytes) -> None:
-        """Remember a pickle, unless it alone exceeds the memory budget."""
+    def store(self, key: bytes, found: Sized) -> None:
+        """Remember a value, unless it alone exceeds the memory budget."""
         if len(found) > self._max_bytes:
             return
         with self._lock:
-            self._pickles.pop(key, None)
-            self._pickles[key] = found
+            self._values.pop(key, None)
+            self._values[key] = found
             while len(self) > self._max_outcomes or self.size > self._max_bytes:
-                self._pickles.popitem(last=False)
+                self._values.popitem(last=False)
 
     def forget(self) -> None:
-        """Drop all pickles."""
+        """Drop all values."""
         with self._lock:
-            self._pickles.clear()
+            self._values.clear()
 
 
 _MEMORY = Memory()
@@ -121,6 +123,15 @@ def request_key(*request: object) -> bytes | None:
     off = os.environ.get(VARIABLE, "").lower() == OFF
     given = None if off else pickled(request)
     return None if given is None else hashlib.sha256(given).digest()
+
+
+def _copies(outcome: object) -> Copies | None:
+    """Return what makes copies of an outcome, or None where it holds what it should not."""
+    given = pickled(outcome)
+    try:
+        return None if given is None else Copies(pickle.loads(given), len(given))
+    except TypeError:
+        return None
 
 
 def remembered(
@@ -142,7 +153,7 @@ def remembered(
     @wraps(work)
     def found(progress: Progress | None, /, *args: P.args, **kwargs: P.kwargs) -> T:
         key = request_key(work.__module__, work.__qualname__, args, sorted(kwargs.items()))
-        known = None if key is None else memory.recall(key)
+        known: Copies | None = None if key is None else memory.recall(key)
         raised = []
 
         def tell(message: str) -> None:
@@ -163,11 +174,11 @@ def remembered(
                 if raised or type(error) is not InfeasibleError:  # a time limit proves nothing
                     raise
                 outcome = None, (error.violations, error.note)
-            known = pickled(outcome)
+            known = _copies(outcome)
             if known is not None and key is not None and not raised:
                 memory.store(key, known)
         result: T
-        result, refusal = outcome if known is None else pickle.loads(known)
+        result, refusal = outcome if known is None else known.copy()
         if refusal is not None:
             raise InfeasibleError(*refusal)
         return result

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from hitchopt.errors import InputError
 from hitchopt.mission.faults import Collector
-from hitchopt.mission.schema import Keys, NotNegative, Number, Point2, Point3, Positive, fault
+from hitchopt.mission.schema import Keys, NotNegative, Number, Point2, Point3, Positive, fault, key
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.outlines.outline_file import read_outline
 
@@ -41,11 +41,9 @@ def _one_of(values: object, names: tuple[str, ...]) -> None:
 class RimKeys(Keys):
     """A rim or tray that may rest on cables."""
 
-    outline: Corners | None = Field(
-        default=None, description="Corners [x, y] [m] of a convex outline, in either sense"
-    )
-    circle: Positive | None = Field(default=None, description="Radius [m] of a circle")
-    at: Number = Field(default=0.2, description="Height above the object's base [m]")
+    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    circle: Positive | None = key("Radius [m] of a circle", None)
+    at: Number = key("Height above the object's base [m]", 0.2)
 
     @model_validator(mode="before")
     @classmethod
@@ -57,25 +55,19 @@ class RimKeys(Keys):
 class ObjectKeys(Keys):
     """An upright object that is carried, or stands in the way."""
 
-    outline: Corners | None = Field(
-        default=None, description="Corners [x, y] [m] of a convex outline, in either sense"
+    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    circle: Positive | None = key("Radius [m] of a circle", None)
+    file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
+        "Drawing of its outline, in metres, relative to this file", None
     )
-    circle: Positive | None = Field(default=None, description="Radius [m] of a circle")
-    file: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
-        default=None, description="Drawing of its outline, in metres, relative to this file"
-    )
-    from_: Number = Field(
-        default=0.0, alias="from", description="Height of its floor above its base [m]"
-    )
-    to: Number = Field(default=0.3, description="Height of its ceiling above its base [m]")
-    mass: Positive = Field(default=0.1, description="Mass [kg]")
-    friction: NotNegative = Field(default=0.5, description="Coefficient of friction, with cables")
-    at: Point3 = Field(description="Where the origin of its base stands [m]", examples=[[1, 0, 0]])
-    yaw_deg: Number = Field(
-        default=0.0, description="By how much it is turned there, counter-clockwise [°]"
-    )
-    rim: RimKeys | None = Field(default=None, description=str(RimKeys.__doc__))
-    fixed: bool = Field(default=False, description="Whether it never moves, as tables do")
+    from_: Number = key("Height of its floor above its base [m]", 0.0, alias="from")
+    to: Number = key("Height of its ceiling above its base [m]", 0.3)
+    mass: Positive = key("Mass [kg]", 0.1)
+    friction: NotNegative = key("Coefficient of friction, with cables", 0.5)
+    at: Point3 = key("Where the origin of its base stands [m]", examples=[[1, 0, 0]])
+    yaw_deg: Number = key("By how much it is turned there, counter-clockwise [°]", 0.0)
+    rim: RimKeys | None = key(str(RimKeys.__doc__), None)
+    fixed: bool = key("Whether it never moves, as tables do", False)
 
     @model_validator(mode="before")
     @classmethod

@@ -104,7 +104,8 @@ class Problem(OneLine):
         for i, step in enumerate(steps):
             instance(f"mission[{i}]", step, Step)
         object.__setattr__(self, "objects", named_objects(self.objects))
-        check_placed(self.objects, self.requirements.floor)
+        if self.objects:
+            check_placed(self.objects, self.requirements.floor)
         object.__setattr__(self, "start", fitting_start(self.team, self.start))
         if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")

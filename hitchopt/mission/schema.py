@@ -68,21 +68,13 @@ Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Outline = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
 T = TypeVar("T")
-PerRobot = Annotated[
-    Annotated[T, Tag(ONE)]
-    | Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-    Discriminator(one_or_each),
-]
-PerClasp = Annotated[
-    Annotated[NotNegative, Tag(ONE)]
-    | Annotated[list[NotNegative], Field(min_length=1, max_length=MAX_ROBOTS), Tag(EACH)],
-    Discriminator(one_or_each),
-]
-Sharing = Annotated[
-    Annotated[Literal["balanced", "spread"], Tag(ONE)]
-    | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)],
-    Discriminator(one_or_each),
-]
+M = TypeVar("M")
+OneOrEach = Annotated[Annotated[T, Tag(ONE)] | Annotated[M, Tag(EACH)], Discriminator(one_or_each)]
+RobotsList = Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS)]
+ClaspsList = Annotated[list[T], Field(min_length=1, max_length=MAX_ROBOTS)]
+PerRobot = OneOrEach[T, RobotsList[T]]
+PerClasp = OneOrEach[NotNegative, ClaspsList[NotNegative]]
+Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
 
 
 class Keys(BaseModel):
@@ -91,25 +83,36 @@ class Keys(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+def key(text: str, default: Any = ..., **options: Any) -> Any:
+    """Return the field of a key that the text describes; it is required without a default."""
+    given = options if "default_factory" in options else {"default": default, **options}
+    return Field(description=text, **given)
+
+
+def section(model: type[Keys]) -> Any:
+    """Return the field of a mapping that has its model's own defaults unless it is given."""
+    return key(str(model.__doc__), default_factory=model)
+
+
 class RolledLegsKeys(Keys):
     """Legs that are rolled out of their plane."""
 
-    sharing: Sharing = Field(default="spread", description=SHARING_TEXT)
+    sharing: Sharing = key(SHARING_TEXT, "spread")
     roll_deg: Annotated[
         Annotated[Literal["auto"], Tag(WORD)]
         | Annotated[Roll, Tag(ONE)]
-        | Annotated[list[Roll], Field(min_length=1, max_length=MAX_ROBOTS), Tag(EACH)],
+        | Annotated[ClaspsList[Roll], Tag(EACH)],
         Discriminator(word_one_or_each),
-    ] = Field(
-        default="auto",
-        description="Roll of the legs about their clasps [°], q up and r down, one for all or one "
+    ] = key(
+        "Roll of the legs about their clasps [°], q up and r down, one for all or one "
         "per clasp; auto: none unless legs without it break a limit",
+        "auto",
     )
 
 
 Legs = Annotated[
     Annotated[Literal["balanced", "spread"], Tag(ONE)]
-    | Annotated[list[NotNegative], Field(min_length=2, max_length=MAX_ROBOTS), Tag(EACH)]
+    | Annotated[RobotsList[NotNegative], Tag(EACH)]
     | Annotated[RolledLegsKeys, Tag(MAPPING)],
     Discriminator(legs_form),
 ]
@@ -164,152 +167,127 @@ class OneKey(Keys):
         return data
 
 
-def section(model: type[Keys]) -> Any:
-    """Return a field that holds a model's own defaults unless it is given."""
-    return Field(default_factory=model, description=str(model.__doc__))
-
-
 class QuadrotorKeys(Keys):
     """One kind of quadrotor."""
 
-    mass: Positive = Field(default=Quadrotor.mass, description="Mass [kg]")
-    max_thrust: Positive = Field(
-        default=Quadrotor.max_thrust, description="Largest collective thrust [N]"
+    mass: Positive = key("Mass [kg]", Quadrotor.mass)
+    max_thrust: Positive = key("Largest collective thrust [N]", Quadrotor.max_thrust)
+    stiffness: Positive | None = key(
+        "Stiffness of the position loop [N/m], or null for a rigid one", Quadrotor.stiffness
     )
-    stiffness: Positive | None = Field(
-        default=Quadrotor.stiffness,
-        description="Stiffness of the position loop [N/m], or null for a rigid one",
+    integral: bool = key(
+        "Whether the controller drives the position error to zero", Quadrotor.integral
     )
-    integral: bool = Field(
-        default=Quadrotor.integral,
-        description="Whether the controller drives the position error to zero",
-    )
-    feed_forward: bool = Field(
-        default=Quadrotor.feed_forward,
-        description="Whether the controller adds the cable force that set points hold",
+    feed_forward: bool = key(
+        "Whether the controller adds the cable force that set points hold", Quadrotor.feed_forward
     )
 
 
 class TeamKeys(Keys):
     """Who flies, on which cables, pulling how hard."""
 
-    robots: int = Field(
+    robots: int = key(
+        "Number of catenary robots, that is of cables; each has two quadrotors",
         ge=2,
         le=MAX_ROBOTS,
-        description="Number of catenary robots, that is of cables; each has two quadrotors",
         examples=[3],
     )
-    topology: Literal["closed", "open"] = Field(
-        default="closed", description="closed: a polygon; open: a chain along a convex arc"
+    topology: Literal["closed", "open"] = key(
+        "closed: a polygon; open: a chain along a convex arc", "closed"
     )
-    cable_length: PerRobot[Positive] = Field(
-        description="Length of the cables [m], one for all or one per robot", examples=[2.4]
+    cable_length: PerRobot[Positive] = key(
+        "Length of the cables [m], one for all or one per robot", examples=[2.4]
     )
-    cable_density: NotNegative = Field(default=0.0, description="Mass per length [kg/m]")
-    load: PerClasp = Field(
-        default=0.0,
-        description="What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
+    cable_density: NotNegative = key("Mass per length [kg/m]", 0.0)
+    load: PerClasp = key(
+        "What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
         "and inner point of a chain",
+        0.0,
     )
-    cable_friction: NotNegative = Field(
-        default=0.0,
-        description="Friction at the clasps, a coefficient: legs lean against it as cables slide",
+    cable_friction: NotNegative = key(
+        "Friction at the clasps, a coefficient: legs lean against it as cables slide", 0.0
     )
-    tension: PerRobot[Positive] = Field(
-        default=0.4, description="Tension of the cables [N], one for all or one per robot"
+    tension: PerRobot[Positive] = key(
+        "Tension of the cables [N], one for all or one per robot", 0.4
     )
-    quadrotor: PerRobot[QuadrotorKeys] = Field(
-        default_factory=QuadrotorKeys,
-        description="Kind of quadrotor, one for all or a list of one per robot",
+    quadrotor: PerRobot[QuadrotorKeys] = key(
+        "Kind of quadrotor, one for all or a list of one per robot", default_factory=QuadrotorKeys
     )
 
 
 class MotionLimitsKeys(Keys):
     """Limits of what drones do, with cables or without; all norms are Euclidean."""
 
-    speed: Positive = Field(default=Limits.speed, description="Of every drone [m/s]")
-    acceleration: Positive = Field(default=Limits.acceleration, description="Of every drone [m/s²]")
-    jerk: Positive = Field(default=Limits.jerk, description="Of every drone [m/s³]")
-    tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = Field(
-        default=45.0, description="Largest angle of the thrust from vertical [°]"
+    speed: Positive = key("Of every drone [m/s]", Limits.speed)
+    acceleration: Positive = key("Of every drone [m/s²]", Limits.acceleration)
+    jerk: Positive = key("Of every drone [m/s³]", Limits.jerk)
+    tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = key(
+        "Largest angle of the thrust from vertical [°]", 45.0
     )
-    body_rate_deg: Positive | None = Field(
-        default=None,
-        description="Largest turning rate of the thrust [°/s], or null for no limit",
+    body_rate_deg: Positive | None = key(
+        "Largest turning rate of the thrust [°/s], or null for no limit", None
     )
-    duration: Positive | None = Field(
-        default=Limits.duration, description="Of the whole plan [s], or null for no limit"
-    )
-    reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = Field(
-        default=Limits.reserve,
-        description="Share of acceleration and jerk that the plan uses; below 1 stops can begin at "
-        "every time",
+    duration: Positive | None = key("Of the whole plan [s], or null for no limit", Limits.duration)
+    reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = key(
+        "Share of acceleration and jerk that the plan uses; below 1 stops can begin at every time",
+        Limits.reserve,
     )
 
 
 class LimitsKeys(MotionLimitsKeys):
     """Limits of a hitch; all norms are Euclidean."""
 
-    vertex_speed: Positive = Field(
-        default=Limits.vertex_speed, description="How fast a vertex of the hitch may go [m/s]"
-    )
-    leg: Positive = Field(
-        default=Limits.leg, description="Shortest leg, vertex to drone, while the hitch holds [m]"
-    )
+    vertex_speed: Positive = key("How fast a vertex of the hitch may go [m/s]", Limits.vertex_speed)
+    leg: Positive = key("Shortest leg, vertex to drone, while the hitch holds [m]", Limits.leg)
 
 
 class EllipsoidKeys(Keys):
     """The ellipsoids that must not overlap."""
 
-    radius: Positive = Field(
-        default=Separation.radius,
-        description="Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
+    radius: Positive = key(
+        "Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
+        Separation.radius,
     )
-    height: Positive = Field(
-        default=Separation.height, description="Vertical semi-axis of a drone's ellipsoid [m]"
-    )
+    height: Positive = key("Vertical semi-axis of a drone's ellipsoid [m]", Separation.height)
 
 
 class SeparationKeys(EllipsoidKeys):
     """Distances to keep."""
 
-    cable: NotNegative = Field(
-        default=Separation.cable,
-        description="Drone to any cable but its own, and to its own edge [m]",
+    cable: NotNegative = key(
+        "Drone to any cable but its own, and to its own edge [m]", Separation.cable
     )
-    crossing: NotNegative = Field(
-        default=Separation.crossing,
-        description="Cable to cable where they share no clasp, taut parts [m]",
+    crossing: NotNegative = key(
+        "Cable to cable where they share no clasp, taut parts [m]", Separation.crossing
     )
-    object: NotNegative = Field(
-        default=Separation.object,
-        description="A cable's centre line, and a held object, to objects [m]",
+    object: NotNegative = key(
+        "A cable's centre line, and a held object, to objects [m]", Separation.object
     )
 
 
 class ArenaKeys(Keys):
     """The box that the drones stay in."""
 
-    lower: Point3 = Field(description="Corner with the least x, y, z [m]", examples=[[-4, -4, 0]])
-    upper: Point3 = Field(description="Corner with the greatest x, y, z [m]", examples=[[4, 4, 3]])
+    lower: Point3 = key("Corner with the least x, y, z [m]", examples=[[-4, -4, 0]])
+    upper: Point3 = key("Corner with the greatest x, y, z [m]", examples=[[4, 4, 3]])
 
 
 class HitchKeys(Keys):
     """A formed hitch."""
 
-    polygon: Outline = Field(description=OUTLINE_TEXT, examples=[TRIANGLE])
-    altitude: Number = Field(default=1.0, description="Height of the hitch's plane [m]")
-    legs: Legs = Field(default="spread", description=LEGS_TEXT)
+    polygon: Outline = key(OUTLINE_TEXT, examples=[TRIANGLE])
+    altitude: Number = key("Height of the hitch's plane [m]", 1.0)
+    legs: Legs = key(LEGS_TEXT, "spread")
 
 
 class DronesKeys(Keys):
     """Where the drones are of a hitch that is to be formed."""
 
-    q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = Field(
-        description="Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
+    q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
+        "Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
     )
-    r: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = Field(
-        description="Drones r, one [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]]
+    r: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
+        "Drones r, one [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]]
     )
 
 
@@ -317,7 +295,5 @@ class StartKeys(OneKey):
     """Where the plan starts."""
 
     example: ClassVar[str] = "hitch: {polygon: [[x, y], …], altitude: 1.0}"
-    hitch: HitchKeys | None = Field(default=None, description="A formed hitch, at rest")
-    drones: DronesKeys | None = Field(
-        default=None, description="Drones of a hitch that is to be formed, at rest"
-    )
+    hitch: HitchKeys | None = key("A formed hitch, at rest", None)
+    drones: DronesKeys | None = key("Drones of a hitch that is to be formed, at rest", None)

@@ -12,10 +12,8 @@ from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.memory import Progress, remembered
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.planners.forming.assigning import assigned
 from hitchopt.requirements import Requirements
 from hitchopt.steps import Form, Step
-from hitchopt.steps.blending import plan_blended
 from hitchopt.steps.certified_motions import Certified, certified, check_at_rest, infeasible
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
@@ -104,6 +102,8 @@ def _begun(
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     if form is not None and form.assign == "auto":
+        from hitchopt.planners.forming.assigning import assigned
+
         _tell(progress, "assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
@@ -115,7 +115,12 @@ def _step(
 ) -> tuple[Certified, Situation]:
     """Return the certified motion of steps without a stop, and where it ends."""
     step = group[0]
-    planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
+    if len(group) == 1:
+        planned = step.plan(task)
+    else:
+        from hitchopt.steps.blending import plan_blended
+
+        planned = plan_blended(group, task)
     certificate = planned.certificate
     if certificate is None:
         _tell(progress, f"certifying step {task.index} ({step.name})")

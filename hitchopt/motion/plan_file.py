@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,13 +19,12 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, CableState, Motion, Phase
-from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion
+from hitchopt.motion.stored_phases import read_phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import finite, positive
 
 T = TypeVar("T")
 
@@ -53,14 +52,6 @@ PER_ROBOT = ("cable_length", "tension")
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
-
-EARLIER_STATES = {
-    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
-    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
-    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
-}
-"""States of phases without a hitch by their names, for plan files from before states were stored;
-all others hang free."""
 
 
 def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
@@ -196,7 +187,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     given = settings["team"]
     kinds = _kinds(arrays)
     alone = "robots" not in given
-    phases = tuple(_phase(entry, alone=alone) for entry in settings["phases"])
+    phases = tuple(read_phase(entry, alone=alone) for entry in settings["phases"])
     if alone:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
@@ -217,16 +208,6 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
     """Return an object as it is stored."""
     thin = None if rim is None else Rim(Section(**rim["section"]), rim["height"])
     return SolidObject(Section(**section), rim=thin, **values)
-
-
-def _hold(entry: dict[str, Any] | None) -> Hold | None:
-    """Return what a phase holds, as it is stored."""
-    if entry is None:
-        return None
-    name, cables = entry["object"], entry["cables"]
-    if type(name) is not str or not all(type(k) is int and k >= 0 for k in cables):
-        raise InputError("phases.hold", entry, "an object and cables", "do not edit it")
-    return Hold(name, HoldBy(entry["by"]), tuple(cables))
 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
@@ -256,54 +237,6 @@ def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
         if not all(type(value) is kind for value in values):
             raise InputError("assignment", values, f"a list of {kind.__name__}", "do not edit it")
     return Assignment(tuple(robots), tuple(flipped))
-
-
-def _phase(entry: dict[str, Any], *, alone: bool) -> Phase:
-    """Return a phase as it is stored; older files have ``formed`` in place of a state.
-
-    Parameters
-    ----------
-    alone: whether the drones carry no cables.
-    """
-    given = dict(entry)
-    formed, state = given.pop("formed", None), given.pop("state", None)
-    hold = _hold(given.pop("hold", None))
-    phase = Phase(**given)
-    for value, kinds, words in (
-        (phase.name, {str}, "with a name"),
-        (phase.step, {int}, "with a step's index"),
-        (phase.remark, {str}, "with a remark in words"),
-        (formed, {bool, type(None)}, "formed as true or false"),
-    ):
-        if type(value) not in kinds:
-            raise InputError("phases", value, words, "do not edit them")
-    allowed = [each for each in CableState if (each is CableState.NONE) is alone]
-    if state is None:
-        state = EARLIER_STATES.get(phase.name, CableState.FREE)
-        if formed is not False:
-            state = CableState.HITCHED
-    elif formed is not None or state not in allowed:
-        words = f"one of {', '.join(allowed)}, without formed"
-        raise InputError("phases.state", state, words, "do not edit them")
-    return replace(
-        phase,
-        start=finite("phases.start", phase.start),
-        end=finite("phases.end", phase.end),
-        state=CableState(state),
-        tension=_tension_range(phase.tension),
-        hold=hold,
-    )
-
-
-def _tension_range(given: Any) -> tuple[float, float] | None:
-    """Return a phase's range of tensions [N]; None of a phase that states none."""
-    if given is None:
-        return None
-    if isinstance(given, list) and len(given) == 2:
-        least, most = (positive("phases.tension", value) for value in given)
-        if least <= most:
-            return least, most
-    raise InputError("phases.tension", given, "[smallest, largest] or null", "do not edit them")
 
 
 def _reason(error: BaseException) -> str:

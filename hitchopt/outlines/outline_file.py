@@ -195,7 +195,8 @@ def _shapely(part: str = "") -> Any:
 
 
 def _missing(error: ImportError) -> UnsupportedError:
-    return UnsupportedError(f"drawings need {error.name}; pip install 'hitchopt[fit]'")
+    needed = error.name or f"other libraries ({error})"
+    return UnsupportedError(f"drawings need {needed}; pip install 'hitchopt[fit]'")
 
 
 READERS: dict[str, Callable[[Path], Lines]] = {

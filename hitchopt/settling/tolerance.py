@@ -44,6 +44,10 @@ REMAINDER = 2.0
 for what is beyond it."""
 
 
+Corner = tuple[float, Array, Array, Array]
+"""Half width of a range, and the errors of cables, positions and forces that reach its end."""
+
+
 @dataclass(frozen=True, eq=False)
 class Tolerance(OneLine):
     """Ranges at times (S,) of a plan.
@@ -170,43 +174,35 @@ def _range(
     """Return the arrays of a Tolerance at one time, in order."""
     response = _response(motion, settled, i, conditions)
     layout = motion.team.layout
-    worst: list[tuple[float, Array, Array, Array]] = []
+    worst: list[Corner] = []
     tensions, halves, ellipsoids = [], [], []
     for cables in response.blocks(layout.robots, 1):
         rows = response.gradients_of_tensions(cables)
         half = _halves(rows, errors)
         tensions.append(half)
         worst += _corners(rows, half, errors)
-    corners = sorted(worst, key=lambda corner: -corner[0])[:CORNERS]
-    worst = []
+    corners, worst = _widest(worst), []
     for points in response.blocks(layout.points, 3):
         rows = response.gradients_of_points(points)
         half = _halves(rows, errors)
         halves.append(half.reshape(-1, 3))
         ellipsoids.append(_ellipsoids(rows, errors))
         worst += _corners(rows, half, errors)
-    corners += sorted(worst, key=lambda corner: -corner[0])[:CORNERS]
-    remainders = _remainders(motion, settled, i, conditions, response, corners)
-    return (
-        np.concatenate(tensions),
-        remainders[0],
-        np.concatenate(halves),
-        remainders[1],
-        np.concatenate(ellipsoids),
-    )
+    corners += _widest(worst)
+    pulled, moved = _remainders(motion, settled, i, conditions, response, corners)
+    found = (np.concatenate(parts) for parts in (tensions, halves, ellipsoids))
+    tension, vertex, ellipsoid = found
+    return tension, pulled, vertex, moved, ellipsoid
+
+
+def _widest(corners: list[Corner]) -> list[Corner]:
+    return sorted(corners, key=lambda corner: -corner[0])[:CORNERS]
 
 
 def _response(motion: Motion, settled: Settled, i: int, conditions: Conditions) -> Response:
     states = hitched_states(motion, settled.t[i : i + 1])
-    energy, _ = energy_of(
-        motion,
-        conditions,
-        states.positions,
-        states.vertices,
-        states.tensions,
-        states.cable_forces,
-        *_errors_of(motion, conditions),
-    )
+    given = states.positions, states.vertices, states.tensions, states.cable_forces
+    energy, _ = energy_of(motion, conditions, *given, *_errors_of(motion, conditions))
     clasps = settled.vertices[i : i + 1, motion.team.layout.clasps]
     return Response(energy, np.concatenate([settled.drones[i : i + 1], clasps], axis=1))
 
@@ -221,30 +217,27 @@ def _errors_of(motion: Motion, conditions: Conditions) -> tuple[Array, Array, Ar
     )
 
 
+def _kinds(rows: Gradients, errors: Errors) -> tuple[tuple[Array, ErrorSize], ...]:
+    """Return the gradients (o, items, 1 or 3) for every kind of error, and its size."""
+    sizes = errors.cable, errors.position, errors.force
+    parts = rows.cable[0, ..., None], rows.position[0], rows.force[0]
+    return tuple(zip(parts, sizes, strict=True))
+
+
 def _halves(rows: Gradients, errors: Errors) -> Array:
     """Return the half widths (o,) of the ranges of outputs."""
     bound: Array = np.zeros(rows.cable.shape[1])
     square: Array = np.zeros(rows.cable.shape[1])
-    for row, size in (
-        (rows.cable[0, ..., None], errors.cable),
-        (rows.position[0], errors.position),
-        (rows.force[0], errors.force),
-    ):
+    for row, size in _kinds(rows, errors):
         lengths = np.linalg.norm(row, axis=-1)
         bound += size.bound * np.sum(lengths, axis=-1)
         square += (size.deviation * lengths**2 * size.deviation).sum(axis=-1)
     return bound + DEVIATIONS * np.sqrt(square)
 
 
-def _corners(
-    rows: Gradients, halves: Array, errors: Errors
-) -> list[tuple[float, Array, Array, Array]]:
+def _corners(rows: Gradients, halves: Array, errors: Errors) -> list[Corner]:
     """Return, of the widest ranges, the half width and the errors that reach its end."""
-    kinds = (
-        (rows.cable[0, ..., None], errors.cable),
-        (rows.position[0], errors.position),
-        (rows.force[0], errors.force),
-    )
+    kinds = _kinds(rows, errors)
     spread = np.sqrt(sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds))
     corners = []
     for o in np.argsort(-halves)[:CORNERS]:
@@ -267,11 +260,7 @@ def _ellipsoids(rows: Gradients, errors: Errors) -> Array:
     count = rows.cable.shape[1] // 3
     total, weighted = np.zeros(count), np.zeros((count, 3, 3))
     spread = np.zeros((count, 3, 3))
-    for row, size in (
-        (rows.cable[0, ..., None], errors.cable),
-        (rows.position[0], errors.position),
-        (rows.force[0], errors.force),
-    ):
+    for row, size in _kinds(rows, errors):
         J = row.reshape(count, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
         squares = np.einsum("pijc,pkjc->pjik", J, J)
         roots = np.sqrt(np.trace(squares, axis1=-2, axis2=-1))
@@ -290,18 +279,14 @@ def _remainders(
     i: int,
     conditions: Conditions,
     response: Response,
-    corners: list[tuple[float, Array, Array, Array]],
+    corners: list[Corner],
 ) -> tuple[float, float]:
     """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER."""
     both = [(sign * c, sign * p, sign * f) for _, c, p, f in corners for sign in (1.0, -1.0)]
     cable, position, force = (np.stack(part) for part in zip(*both, strict=True))
     lengths, offsets, forces = _errors_of(motion, conditions)
-    wrong = replace(
-        conditions,
-        cable_length=lengths + cable,
-        offsets=offsets + position,
-        forces=forces + force,
-    )
+    added = {"cable_length": lengths + cable, "offsets": offsets + position}
+    wrong = replace(conditions, **added, forces=forces + force)
     try:
         found = settle_motion(motion, settled.t[i], wrong)
     except InfeasibleError:  # so far from where it was that first order says nothing

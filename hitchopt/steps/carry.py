@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from hitchopt.steps.carrying import carried_move, held_plan, lasting_moves, place_of
 from hitchopt.steps.keys import OBJECT, YAW, Key, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step, numbers
@@ -40,14 +38,10 @@ class Carry(Step):
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))
         super().__post_init__()
 
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        given = dict(values)
-        return cls(yaw=math.radians(given.pop("yaw_deg")), **given)
-
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
+        from hitchopt.steps.carrying import carried_move, held_plan, lasting_moves, place_of
+
         start = place_of(task.requirements.objects[self.object])
         to = np.append(self.to, start[3] + self.yaw)
         moves = [carried_move(task, start, to, task.requirements.limits.speed)]

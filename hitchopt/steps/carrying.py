@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
@@ -18,7 +18,6 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
-from hitchopt.planners.carrying.rest_capacity import suggestion
 from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import check_duration
@@ -174,6 +173,20 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     return move
 
 
+def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> list[Move]:
+    """Return the change of tensions (n,) [N] that far below a rim [m], if there is one."""
+    if np.array_equal(before, after):
+        return []
+    return [changed_move(task, SmoothLaw(0.5 * PRELOAD), tension=(before, after), below=(gap, gap))]
+
+
+def rim_move(task: StepTask, before: float, after: float) -> Move:
+    """Return the move from one distance below a rim to another [m], one of them 0."""
+    gap = max(before, after)
+    law = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
+    return changed_move(task, law, below=(before, after))
+
+
 def lasting_moves(moves: Sequence[Move], duration: float | None, task: StepTask) -> list[Move]:
     """Return moves that take exactly as long as a step was given, all slowed alike."""
     total = sum(move.law.duration for move in moves)
@@ -258,30 +271,26 @@ def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = Non
 
 def check_hold(task: StepTask, holding: Holding) -> None:
     """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
+    from hitchopt.planners.carrying.rest_capacity import suggestion
+
     held = holding.held
     assert isinstance(held, HeldHitch)
     bearing = replace(holding, borne=True)
     here = replace(task, before=replace(task.before, holding=bearing))
-    limits, words = task.requirements.limits, f"with objects.{holding.name} on the clasps"
-    gap = gap_around(task.requirements)
+    words, asked = f"with objects.{holding.name} on the clasps", task.requirements
+    given = holding.name, held, holding.tension, asked.limits, gap_around(asked)
     try:
         flight = held_flight(held, resting_move(here, 1.0))
     except InfeasibleError as error:
-        capacity, ways = suggestion(holding.name, held, holding.tension, limits, gap)
-        raise InfeasibleError(
-            [
-                replace(v, when=words, remedy=f"{ways} ({capacity.binding} binds)")
-                for v in error.violations
-            ]
-        ) from None
+        capacity, remedies = suggestion(*given)
+        remedy = f"{remedies} ({capacity.binding} binds)"
+        broken = [replace(v, when=words, remedy=remedy) for v in error.violations]
+        raise InfeasibleError(broken) from None
     found = certified(held_motion(here, [flight], "hold"))
-    if found.certificate.certified:
-        return
-    capacity, ways = suggestion(holding.name, held, holding.tension, limits, gap)
-    broken = infeasible(found.certificate, found.motion, words)
-    weighty = {"thrust", "tilt", "equilibrium"}
-    raise InfeasibleError([_advised(v, ways, weighty) for v in broken.violations])
-
-
-def _advised(violation: Violation, ways: str, weighty: set[str]) -> Violation:
-    return replace(violation, remedy=ways) if violation.constraint in weighty else violation
+    if not found.certificate.certified:
+        refusal = infeasible(found.certificate, found.motion, words)
+        remedy = suggestion(*given)[1]
+        weighty = {"thrust", "tilt", "equilibrium"}
+        raise InfeasibleError(
+            replace(v, remedy=remedy) if v.constraint in weighty else v for v in refusal.violations
+        )

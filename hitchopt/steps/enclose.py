@@ -11,7 +11,6 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.grip_polygon import grip_polygons
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
@@ -23,7 +22,6 @@ from hitchopt.steps.carrying import (
     one_phase,
     polygon_at,
 )
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.keys import OBJECT, Seconds
 from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, Situation, StepPlan, StepTask
@@ -61,6 +59,8 @@ class Enclose(Step):
         requirements, hitch = task.requirements, task.hitch
         body, gap = object_of(task, self.object), gap_around(requirements)
         if body.rim is None:
+            from hitchopt.planners.carrying.grip_polygon import grip_polygons
+
             found = grip_polygons(self.object, body, task.before.team, requirements, gap)
             inside = float(body.at[2] + body.centre_of_mass[2])
         else:
@@ -73,20 +73,19 @@ class Enclose(Step):
             Morph(polygon),
         ]
         motions: list[Motion] = []
-        situation = task.before
+        here = task
         for step in steps:
-            if isinstance(step, Transport) and _there(step, situation):
+            if isinstance(step, Transport) and _there(step, here.before):
                 continue
-            planned = step.plan(task.within(requirements, situation))
+            planned = self.part(step, here)
             motions.append(planned.motion)
-            situation = planned.after
+            here = task.within(requirements, planned.after)
         down = Transport(np.append(polygon.centroid, inside))
-        planned = down.plan(task.within(slowly(requirements), situation))
-        motions.append(planned.motion)
-        motion = one_phase(joined_motions(motions), task, self.name)
+        planned = self.part(down, task.within(slowly(requirements), here.before))
+        motion = one_phase(joined_motions([*motions, planned.motion]), task, self.name)
         holding = Holding(self.object, polygons, task.before.team.tension)
         after = replace(planned.after, holding=holding)
-        return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
+        return StepPlan(self.lasting(task, motion), after)
 
 
 def altitude_over(task: StepTask) -> float:
@@ -120,20 +119,20 @@ def _there(step: Transport, situation: Situation) -> bool:
 def _numbered(
     found: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
-    """Return the polygons numbered so that vertices have the shortest ways, and that around."""
+    """Return the polygons numbered so that vertices have the shortest paths, and that around."""
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
         found = _turned(found, body, here)
     around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
-    ways = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
-    best = int(np.argmin(ways))
+    lengths = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
+    best = int(np.argmin(lengths))
     shifted = HoldPolygons(*(np.roll(p, -best, axis=0) for p in (found.around, found.closed)))
     return shifted, around.renumbered(best)
 
 
 def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
-    """Return polygons around a circle, turned so that vertices have the shortest ways.
+    """Return polygons around a circle, turned so that vertices have the shortest paths.
 
     Parameters
     ----------

@@ -34,8 +34,8 @@ class FollowVertex(ActionStep):
     Parameters
     ----------
     vertex: which, from 0.
-    path: (J, 3), rows ``t, x, y`` [s, m, m], t from the step's start and increasing. Equal points
-        in a row mean standing still in between.
+    path: (J, 3), rows ``t, x, y`` [s, m, m], t from the step's start and increasing. Where a
+        point follows an equal one, the vertex stands still in between.
     legs: at the end; without them as of MoveVertex.
     """
 
@@ -47,8 +47,8 @@ class FollowVertex(ActionStep):
         Array,
         Key(
             "TimedPath",
-            "Points [t, x, y] [s, m, m], t from the step's start, increasing; equal points in a "
-            "row mean standing still",
+            "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
+            "equal points that follow each other the vertex stands still",
             ([[1.0, 0.0, -0.9]],),
         ),
     ]

@@ -14,14 +14,13 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import fitting_polygon
 from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.forming.tying_stages import Stage, tied
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest, check_at_rest, checked
 from hitchopt.steps.edits import SPACE, StepEdit, Tunable, outline_edit
 from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.free_cables import LEVEL, lasting, staged
+from hitchopt.steps.free_cables import LEVEL, staged
 from hitchopt.steps.keys import LEGS_TEXT, OUTLINE_TEXT, TRIANGLE, Key, Seconds, Section
 from hitchopt.steps.route_choice import Route, first_certified
 from hitchopt.steps.situation import StepPlan, StepTask
@@ -135,7 +134,7 @@ class Form(Step):
         after = replace(
             task.before, drones=wanted.drones, hitch=wanted, senses=senses, swap=self.swap
         )
-        return StepPlan(lasting(joined_motions(parts), self.duration, i, self.name), after)
+        return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
         """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
@@ -184,6 +183,8 @@ def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
     ------
     InfeasibleError: none; says what binds on the first of them.
     """
+    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+
     asked = task.before.team, task.before.drones, goal, task.requirements
 
     def motion_of(stages: list[Stage]) -> Motion:

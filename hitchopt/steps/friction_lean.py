@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.friction.leaning import leaning, worth_leaning
 from hitchopt.steps.certified_motions import certified
 from hitchopt.steps.situation import StepPlan
 
@@ -35,7 +34,11 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     timed: whether the step's own time is given.
     """
     motion, limits = planned.motion, planned.motion.requirements.limits
-    if motion.team.cable_friction == 0.0 or not worth_leaning(motion):
+    if motion.team.cable_friction == 0.0:
+        return planned
+    from hitchopt.planners.friction.leaning import leaning, worth_leaning
+
+    if not worth_leaning(motion):
         return planned
     slower = not timed and limits.duration is None
     most = 1.0

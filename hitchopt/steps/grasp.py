@@ -13,24 +13,20 @@ from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import held_flight
-from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
-    LIFT_SPEED,
-    PRELOAD,
-    changed_move,
     check_hold,
     ended_holding,
     gap_below,
-    gentle_rates,
     held_motion,
     object_of,
     one_phase,
     place_of,
     polygon_at,
+    rim_move,
+    tension_moves,
 )
 from hitchopt.steps.enclose import slowly
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
@@ -90,17 +86,12 @@ class Grasp(Step):
         held = here.holding.held
         assert isinstance(held, HeldHitch)
         gap = gap_below(requirements)
-        speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
-        moves = [changed_move(here, speed, below=(gap, 0.0))]
-        if np.any(asked != team.tension):
-            law = SmoothLaw(0.5 * PRELOAD)
-            tension = team.tension, asked
-            moves.insert(0, changed_move(here, law, tension=tension, below=(gap, gap)))
+        moves = [*tension_moves(here, team.tension, asked, gap), rim_move(here, gap, 0.0)]
         touching = held_motion(here, [held_flight(held, move) for move in moves], self.name)
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         closed = one_phase(closing.motion, task, self.name, hold)
         motion = one_phase(joined_motions([closed, touching]), task, self.name, hold)
-        motion = lasting(motion, self.duration, task.index, self.name)
+        motion = self.lasting(task, motion)
         return ended_holding(task, here.holding, motion, place_of(body))
 
     def _closing(
@@ -120,7 +111,7 @@ class Grasp(Step):
         team, polygons = task.before.team, task.holding.polygons
         below = polygon_at(body, polygons.closed)
         free = task.within(slowly(without(task, self.object)), task.before)
-        closing = Morph(below, legs).plan(free)
+        closing = self.part(Morph(below, legs), free)
         hitch = closing.after.hitch
         assert body.rim is not None
         assert hitch is not None

@@ -13,7 +13,6 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.carrying.grip_polygon import check_pull, grip_suggestion
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
@@ -68,6 +67,8 @@ def grip_closed(
     InputError: an object with a rim.
     InfeasibleError: the object cannot be gripped, with what binds and what to change.
     """
+    from hitchopt.planners.carrying.grip_polygon import check_pull
+
     body, team = object_of(task, name), task.before.team
     if body.rim is not None:
         bound = "rest where the object has a rim, which the hitch is below"
@@ -159,7 +160,7 @@ def _closing(task: StepTask, start: float, end: float) -> list[Move]:
 
 
 def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
-    """Yield the moves from one share of the way to the grip to another, legs leaning."""
+    """Yield the moves from one share of the path to the grip to another, legs leaning."""
     held = task.holding.held
     assert isinstance(held, GrippedHitch)
     turning = SmoothLaw(0.5 * PRELOAD)
@@ -213,10 +214,12 @@ def check_grip(task: StepTask) -> None:
     bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
 
     def suggested() -> str:
+        from hitchopt.planners.carrying.grip_polygon import grip_suggestion
+
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
-        capacity, ways = grip_suggestion(*given)
-        return f"{ways} ({capacity.binding} binds)"
+        capacity, remedies = grip_suggestion(*given)
+        return f"{remedies} ({capacity.binding} binds)"
 
     try:
         flight = held_flight(held, resting_move(bearing, 1.0))

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from hitchopt.steps.carrying import held_plan, resting_move
 from hitchopt.steps.edits import Tunable, lasting_for
 from hitchopt.steps.free_cables import hovering
 from hitchopt.steps.hitch_step import HitchStep
@@ -44,6 +43,8 @@ class Hold(HitchStep):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch, or drones on free cables, stay."""
         if task.before.holding is not None and task.before.holding.held is not None:
+            from hitchopt.steps.carrying import held_plan, resting_move
+
             return held_plan(task, task.holding, [resting_move(task, self.seconds)], self.name)
         if task.before.hitch is not None:
             return super().plan(task)

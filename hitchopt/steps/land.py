@@ -8,7 +8,7 @@ from typing import ClassVar
 from hitchopt.motion.phases import CableState
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.tying_stages import Stage
-from hitchopt.steps.free_cables import free_motion, lasting
+from hitchopt.steps.free_cables import free_motion
 from hitchopt.steps.keys import Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Step
@@ -36,4 +36,4 @@ class Land(Step):
         flight = straight(before.team, requirements.limits, before.drones, down)
         motion = free_motion(Stage("land", flight, CableState.GROUND), task)
         after = replace(before, drones=down)
-        return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
+        return StepPlan(self.lasting(task, motion), after)

@@ -9,7 +9,6 @@ import numpy as np
 
 from hitchopt.steps.carrying import one_phase
 from hitchopt.steps.enclose import altitude_over, slowly
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.keys import OBJECT, Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step
@@ -35,7 +34,8 @@ class Leave(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
         over = np.append(task.hitch.polygon.centroid, altitude_over(task))
-        planned = Transport(over).plan(task.within(slowly(task.requirements), task.before))
+        slow = task.within(slowly(task.requirements), task.before)
+        planned = self.part(Transport(over), slow)
         motion = one_phase(planned.motion, task, self.name)
         after = replace(planned.after, holding=None)
-        return StepPlan(lasting(motion, self.duration, task.index, self.name), after)
+        return StepPlan(self.lasting(task, motion), after)

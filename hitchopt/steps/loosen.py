@@ -5,28 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
-import numpy as np
-
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import held_flight
-from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.steps.carrying import (
-    LIFT_SPEED,
-    PRELOAD,
-    changed_move,
     ended_holding,
     gap_below,
-    gentle_rates,
     held_motion,
     object_of,
     one_phase,
     place_of,
     polygon_at,
+    rim_move,
+    tension_moves,
 )
 from hitchopt.steps.enclose import slowly
-from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.grasp import without
 from hitchopt.steps.gripping import grip_opened
 from hitchopt.steps.keys import OBJECT, Seconds
@@ -59,20 +53,17 @@ class Loosen(Step):
             return grip_opened(task, self.object, self.duration, self.name)
         assert held is not None
         gap = gap_below(task.requirements)
-        speed = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
-        moves = [changed_move(task, speed, below=(0.0, gap))]
-        if np.any(holding.tension != team.tension):
-            law = SmoothLaw(0.5 * PRELOAD)
-            tension = holding.tension, team.tension
-            moves.append(changed_move(task, law, tension=tension, below=(gap, gap)))
+        lower = tension_moves(task, holding.tension, team.tension, gap)
+        moves = [rim_move(task, 0.0, gap), *lower]
         sinking = held_motion(task, [held_flight(held, move) for move in moves], self.name)
         freed = replace(holding, tension=team.tension)
         low = ended_holding(task, freed, sinking, place_of(body), gap).after
         around = polygon_at(body, holding.polygons.around)
-        opening = Morph(around).plan(task.within(slowly(without(task, self.object)), low))
+        slow = slowly(without(task, self.object))
+        opening = self.part(Morph(around), task.within(slow, low))
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         opened = one_phase(opening.motion, task, self.name, hold)
         motion = one_phase(joined_motions([sinking, opened]), task, self.name, hold)
-        motion = lasting(motion, self.duration, task.index, self.name)
+        motion = self.lasting(task, motion)
         after = replace(opening.after, holding=replace(freed, held=None))
         return StepPlan(motion, after)

@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import joined_motions
 from hitchopt.planners.forming.tying_stages import tied, undone
-from hitchopt.steps.free_cables import LEVEL, lasting, staged
+from hitchopt.steps.free_cables import LEVEL, staged
 from hitchopt.steps.keys import Seconds
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.step import Step
@@ -45,5 +45,5 @@ class Release(Step):
         if abs(site.hitch.altitude - hitch.altitude) > LEVEL:
             parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task))
         after = replace(before, drones=site.pre.drones, hitch=None, senses=None)
-        motion = lasting(joined_motions(parts), self.duration, task.index, self.name)
+        motion = self.lasting(task, joined_motions(parts))
         return StepPlan(motion, after)

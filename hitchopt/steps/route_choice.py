@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from hitchopt.checks import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.optimise.candidates import OptimisedMorph
-from hitchopt.planners.optimise.search_task import Judge
-from hitchopt.planners.path.leading_legs import leading
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.planner import Planner
@@ -22,6 +19,10 @@ from hitchopt.planners.timing.fly_path import fly
 from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import Certified, certified, checked, flying
+
+if TYPE_CHECKING:
+    from hitchopt.planners.optimise.candidates import OptimisedMorph
+    from hitchopt.planners.optimise.search_task import Judge
 
 Solution = TypeVar("Solution")
 
@@ -108,6 +109,8 @@ class OptimisedRoute:
         return Certified(self._motion(flight, remark), certificate)
 
     def _planner(self, judge: Judge) -> OptimisedMorph:
+        from hitchopt.planners.optimise.candidates import OptimisedMorph
+
         ends = (self.start, self.end)
         asked = self.lead or self.phase.tension is not None
         return OptimisedMorph(*ends, self.requirements, judge, self.phase.tension, asked)
@@ -126,6 +129,8 @@ class OptimisedRoute:
         path: as the search found it.
         accepted: takes the flight and its certificate.
         """
+        from hitchopt.planners.path.leading_legs import leading
+
         limits = self.requirements.limits
         led = (p for p in leading(path, limits) if legs_clear(p, self.requirements))
         for tried in (*(led if self.lead else ()), path):

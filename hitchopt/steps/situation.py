@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from hitchopt.checks import Certificate
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
-from hitchopt.planners.carrying.held_motion import HeldHitch
-from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
+    from hitchopt.planners.carrying.held_motion import HeldHitch
+    from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 
 
 @dataclass(frozen=True, eq=False)

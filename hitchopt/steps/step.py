@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,12 +11,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.cable_slack import fitting_polygon
+from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine
 from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
+from hitchopt.steps.free_cables import lasting
 from hitchopt.steps.situation import StepPlan, StepTask
 from hitchopt.steps.slack_split import slack_split
 from hitchopt.units import DURATION, check_unit
@@ -59,13 +62,18 @@ class Step(OneLine, ABC):
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file, its polygon and legs fitting a team.
+        """Return the step with the values of a problem file, in which angles are in degrees.
 
         Raises
         ------
         InputError: values that do not go together; its key is the step's own.
         """
-        return cls(**values)
+        return cls(
+            **{
+                key.removesuffix("_deg"): math.radians(value) if key.endswith("_deg") else value
+                for key, value in values.items()
+            }
+        )
 
     @property
     def given_duration(self) -> float | None:
@@ -85,12 +93,14 @@ class Step(OneLine, ABC):
         ------
         InputError: one that does not fit the team.
         """
-        changes: dict[str, Any] = {}
-        if getattr(self, "polygon", None) is not None:
-            changes["polygon"] = fitting_polygon(team, vars(self)["polygon"])
-        if getattr(self, "legs", None) is not None:
-            changes["legs"] = slack_split(vars(self)["legs"], team)
-        return replace(self, **changes) if changes else self
+        given = {key: vars(self).get(key) for key in ("polygon", "legs")}
+        fitted: dict[str, Any] = {
+            key: fitting_polygon(team, value) if key == "polygon" else slack_split(value, team)
+            for key, value in given.items()
+            if value is not None
+        }
+        changed = any(value is not given[key] for key, value in fitted.items())
+        return replace(self, **fitted) if changed else self
 
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
         """Return the outline after the step; None where there is no hitch.
@@ -126,6 +136,19 @@ class Step(OneLine, ABC):
         InfeasibleError: the end breaks a limit at rest, or no route was found.
         HitchoptError: a planner failed.
         """
+
+    def lasting(self, task: StepTask, motion: Motion) -> Motion:
+        """Return the motion slowed to last as long as the step was given, if it was."""
+        return lasting(motion, self.given_duration, task.index, self.name)
+
+    def part(self, step: Step, task: StepTask) -> StepPlan:
+        """Return the plan of another step as a part of this one, which refusals name."""
+        try:
+            return step.plan(task)
+        except InfeasibleError as error:
+            inner, own = (f"step {task.index} ({kind.name})" for kind in (step, self))
+            told = [replace(v, when=v.when.replace(inner, own)) for v in error.violations]
+            raise InfeasibleError(told, error.note) from None
 
     def advice(self, check: str) -> str:  # noqa: ARG002
         """Return what to change in the step where it breaks a check; nothing if that is unknown."""

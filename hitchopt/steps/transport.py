@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -50,11 +50,6 @@ class Transport(HitchStep):
             meant = f"if degrees were meant, {math.radians(self.yaw):.3g}"
             warn_of_unit(UnitWarning("yaw", f"{self.yaw:g} rad, more than a turn; {meant}"))
         super().__post_init__()
-
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        return cls(values["to"], math.radians(values["yaw_deg"]), values["duration"])
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""

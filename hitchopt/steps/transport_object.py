@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Self, get_args
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, get_args
 
 import numpy as np
 
@@ -66,12 +65,6 @@ class TransportObject(Step):
             object.__setattr__(self, "tension", positive("tension", self.tension))
         super().__post_init__()
 
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        given = dict(values)
-        return cls(yaw=math.radians(given.pop("yaw_deg")), **given)
-
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps.
 
@@ -93,7 +86,7 @@ class TransportObject(Step):
         motions: list[Motion] = []
         situation = task.before
         for step in steps:
-            planned = step.plan(replace(task, **_within(task, situation)))
+            planned = step.plan(task.within(situation.at_objects(task.requirements), situation))
             motions.append(planned.motion)
             situation = planned.after
             if isinstance(step, SetDown):
@@ -111,8 +104,3 @@ class TransportObject(Step):
                 f"on what is below it, which is at {height:.6g} m",
                 f"write {[*self.to[:2].tolist(), round(height, 9)]}",
             )
-
-
-def _within(task: StepTask, situation: Situation) -> dict[str, Any]:
-    """Return the changes of a task in another situation, objects where they are by then."""
-    return {"before": situation, "requirements": situation.at_objects(task.requirements)}

@@ -8,7 +8,6 @@ import numpy as np
 
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.turns import SwapSettings
 from hitchopt.planners.path.rigid_path import RigidPath
@@ -49,6 +48,8 @@ def tying_site(
     senses: (clasps,) how it was formed, to be reversed; None to choose them.
     requirements: what the plan must satisfy.
     """
+    from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
+
     pre = find_prehitch(hitch, requirements.separation, swap)
     if senses is not None:
         pre = replace(pre, turns=pre.turns.with_senses(senses))

@@ -147,15 +147,8 @@ class Aborts:
 
     def _stop(self, start: float, duration: float) -> Stopped | None:
         """Return the plan stopped by the clock, unless its cables do not allow that."""
-        motion, time = self.motion, start
-        parts = [before(motion, start)] if start > JOINT else []
-        if duration > 0.0:
-            clock = stop_phases(np.array([start]), np.array([duration]))
-            parts.append(retimed(motion, clock))
-            time = float(clock.ends[-1, 0])
-        if not parts:
-            parts = [resting(motion, HOLD, first=True)]
-        whole = parts[0] if len(parts) == 1 else followed(*parts)
+        motion = self.motion
+        whole, time = until_stop(motion, start, duration, HOLD)
         whole = replace(whole.untimed, assignment=motion.assignment)
         if whole.phases[-1].formed:
             off = whole.tensions.coefficients[-1, :, -1] - motion.team.tension
@@ -233,3 +226,21 @@ class Aborts:
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
     return InfeasibleError([], f"no abort {when}; {remedy}")
+
+
+def until_stop(motion: Motion, start: float, duration: float, hold: float) -> tuple[Motion, float]:
+    """Return the motion until its clock has stopped, and the plan time of its rest [s].
+
+    Parameters
+    ----------
+    start, duration: of the stop [s]; no duration where the motion is at rest.
+    hold: how long it stays where it would not move at all [s].
+    """
+    parts, rest = [before(motion, start)] if start > JOINT else [], start
+    if duration > 0.0:
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        parts.append(retimed(motion, clock))
+        rest = float(clock.ends[-1, 0])
+    if not parts:
+        parts = [resting(motion, hold, first=True)]
+    return parts[0] if len(parts) == 1 else followed(*parts), rest

@@ -10,15 +10,17 @@ its working directory, sees how far it came and finishes.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import errno
 import json
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hitchopt.storage.exchange import exchange
 from hitchopt.storage.previous_set import PREVIOUS, empty_previous
 
 SUFFIX = ".tmp"
@@ -251,3 +253,35 @@ def sync(path: Path) -> None:
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+AT_FDCWD = -100
+"""Linux: relative paths start at the current directory."""
+
+RENAME_EXCHANGE = 2
+"""Linux: the flag of renameat2."""
+
+RENAME_SWAP = 2
+"""MacOS: the flag of renamex_np."""
+
+
+def exchange(first: Path, second: Path) -> None:
+    """Let the two existing entries change places, at once.
+
+    Raises
+    ------
+    OSError: ENOSYS where the system knows no such call; else what the system says.
+    """
+    a, b = os.fsencode(first), os.fsencode(second)
+    library = ctypes.CDLL(None, use_errno=True) if os.name == "posix" else None
+    if sys.platform == "darwin":
+        call = getattr(library, "renamex_np", None)
+        arguments: tuple[object, ...] = (a, b, ctypes.c_uint(RENAME_SWAP))
+    else:
+        call = getattr(library, "renameat2", None)
+        arguments = (AT_FDCWD, a, AT_FDCWD, b, ctypes.c_uint(RENAME_EXCHANGE))
+    if call is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS), str(second))
+    if call(*arguments) != 0:
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code), str(second))

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.mission.schema import MAX_TITLE, Keys, fault
+from hitchopt.mission.schema import MAX_TITLE, Keys, fault, key
 from hitchopt.mission.wording import translated
 from hitchopt.storage.plain import Plain, plain
 from hitchopt.storage.yaml_file import read_yaml
@@ -24,31 +24,31 @@ class GridKeys(Keys):
     """Values at even distances, the ends among them."""
 
     model_config = ConfigDict(populate_by_name=True)
-    low: float = Field(alias="from", description="First value", examples=[0.0])
-    high: float = Field(alias="to", description="Last value", examples=[0.3])
-    count: int = Field(ge=2, le=MAX_SAMPLES, description="Number of values", examples=[4])
-    log: bool = Field(default=False, description="Even in the logarithm")
+    low: float = key("First value", alias="from", examples=[0.0])
+    high: float = key("Last value", alias="to", examples=[0.3])
+    count: int = key("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
+    log: bool = key("Even in the logarithm", False)
 
 
 class RangeKeys(Keys):
     """A range from which values are drawn."""
 
     model_config = ConfigDict(populate_by_name=True)
-    low: float = Field(alias="from", description="Lower end", examples=[0.2])
-    high: float = Field(alias="to", description="Upper end", examples=[0.6])
-    log: bool = Field(default=False, description="Even in the logarithm")
+    low: float = key("Lower end", alias="from", examples=[0.2])
+    high: float = key("Upper end", alias="to", examples=[0.6])
+    log: bool = key("Even in the logarithm", False)
 
 
 class ParameterKeys(Keys):
     """What values a parameter takes: one of four keys."""
 
-    values: list[Any] | None = Field(
-        default=None, alias="list", min_length=1, description="Given values", examples=[[0.3, 0.4]]
+    values: list[Any] | None = key(
+        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
     )
-    grid: GridKeys | None = Field(default=None, description="Values at even distances")
-    random: RangeKeys | None = Field(default=None, description="Values drawn at random")
-    quasi_random: RangeKeys | None = Field(
-        default=None, description="Values of a Halton sequence, which fill the range evenly"
+    grid: GridKeys | None = key("Values at even distances", None)
+    random: RangeKeys | None = key("Values drawn at random", None)
+    quasi_random: RangeKeys | None = key(
+        "Values of a Halton sequence, which fill the range evenly", None
     )
 
     @model_validator(mode="after")
@@ -85,55 +85,54 @@ def _listed(value: object) -> object:
 class SimulateKeys(Keys):
     """Every plan is flown in the rope simulation."""
 
-    seeds: int = Field(default=1, ge=1, le=100_000, description="Flights of every plan")
-    seed: int = Field(default=0, ge=0, description="Seed of the first of them")
-    preset: Literal["fast", "accurate"] = Field(default="fast", description="Resolution of ropes")
-    drones: Literal["rigid", "point"] = Field(default="rigid", description="Bodies of drones")
-    perturbed: bool = Field(default=True, description="The usual perturbations")
-    noise: float | None = Field(default=None, ge=0, description="Of measured positions [m]")
-    velocity_noise: float | None = Field(default=None, ge=0, description="Of velocities [m/s]")
-    wind: float | None = Field(default=None, ge=0, description="Force of gusts [N]")
-    steady_wind: float | None = Field(default=None, ge=0, description="Constant level force [N]")
-    cable_error: float | None = Field(default=None, ge=0, description="Of lengths, relative")
-    start_error: float | None = Field(default=None, ge=0, description="Of starts, per axis [m]")
-    friction: float | None = Field(default=None, ge=0, description="Replaces the team's")
-    density: float | None = Field(default=None, gt=0, description="Replaces the team's [kg/m]")
-    stiffness: float | None = Field(default=None, gt=0, description="Of position loops [N/m]")
+    seeds: int = key("Flights of every plan", 1, ge=1, le=100_000)
+    seed: int = key("Seed of the first of them", 0, ge=0)
+    preset: Literal["fast", "accurate"] = key("Resolution of ropes", "fast")
+    drones: Literal["rigid", "point"] = key("Bodies of drones", "rigid")
+    perturbed: bool = key("The usual perturbations", True)
+    noise: float | None = key("Of measured positions [m]", None, ge=0)
+    velocity_noise: float | None = key("Of velocities [m/s]", None, ge=0)
+    wind: float | None = key("Force of gusts [N]", None, ge=0)
+    steady_wind: float | None = key("Constant level force [N]", None, ge=0)
+    cable_error: float | None = key("Of lengths, relative", None, ge=0)
+    start_error: float | None = key("Of starts, per axis [m]", None, ge=0)
+    friction: float | None = key("Replaces the team's", None, ge=0)
+    density: float | None = key("Replaces the team's [kg/m]", None, gt=0)
+    stiffness: float | None = key("Of position loops [N/m]", None, gt=0)
 
 
 class SettleKeys(Keys):
     """Every plan's hitch is settled: where it rests, and with what tensions."""
 
-    samples: int = Field(default=25, ge=1, le=1000, description="Times over the taut hitch")
-    cable_length: float | None = Field(default=None, gt=0, description="Real length [m]")
-    cable_density: float | None = Field(default=None, ge=0, description="Real density [kg/m]")
-    stiffness: float | None = Field(default=None, gt=0, description="Of position loops [N/m]")
+    samples: int = key("Times over the taut hitch", 25, ge=1, le=1000)
+    cable_length: float | None = key("Real length [m]", None, gt=0)
+    cable_density: float | None = key("Real density [kg/m]", None, ge=0)
+    stiffness: float | None = key("Of position loops [N/m]", None, gt=0)
 
 
 class ExportKeys(Keys):
     """Every plan is exported."""
 
-    format: str = Field(description="Name of the format", examples=["skybrush"])
+    format: str = key("Name of the format", examples=["skybrush"])
 
 
 class StudyKeys(Keys):
     """A study: problems, parameters, and what is done with each of their combinations."""
 
-    title: str = Field(default="", max_length=MAX_TITLE, description="Title of the study")
-    problem: Any = Field(
-        description="Path of a problem file, a list of paths, or a problem itself",
-        examples=["triangle.yaml"],
+    title: str = key("Title of the study", "", max_length=MAX_TITLE)
+    problem: Any = key(
+        "Path of a problem file, a list of paths, or a problem itself", examples=["triangle.yaml"]
     )
-    parameters: dict[str, Annotated[ParameterKeys, BeforeValidator(_listed)]] = Field(
+    parameters: dict[str, Annotated[ParameterKeys, BeforeValidator(_listed)]] = key(
+        "What values a key takes; by its path in the problem file, or in this one",
         default_factory=dict,
-        description="What values a key takes; by its path in the problem file, or in this one",
     )
-    samples: int = Field(default=1, ge=1, le=MAX_SAMPLES, description="Of what is drawn")
-    seed: int = Field(default=0, ge=0, description="Seed of what is drawn")
-    limit: float = Field(default=600.0, gt=0, description="Time limit of a plan [s]")
-    simulate: SimulateKeys | None = Field(default=None, description="Simulated flights")
-    settle: SettleKeys | None = Field(default=None, description="Statics")
-    export: ExportKeys | None = Field(default=None, description="Files for fleets")
+    samples: int = key("Of what is drawn", 1, ge=1, le=MAX_SAMPLES)
+    seed: int = key("Seed of what is drawn", 0, ge=0)
+    limit: float = key("Time limit of a plan [s]", 600.0, gt=0)
+    simulate: SimulateKeys | None = key("Simulated flights", None)
+    settle: SettleKeys | None = key("Statics", None)
+    export: ExportKeys | None = key("Files for fleets", None)
 
 
 def load_study(path: str | Path) -> Study:

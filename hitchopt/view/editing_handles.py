@@ -112,7 +112,7 @@ def _handles(problem: Problem, data: Plain, index: int, height: float) -> Iterat
         for k in range(len(keys["q"])):
             for name in ("q", "r"):
                 target = Target(f"{key}.{name}", (k,), SPACE)
-                yield Handle(f"drone {name}{k}", np.array(keys[name][k], np.float64), (target,))
+                yield Handle(f"{name}[{k}]", np.array(keys[name][k], np.float64), (target,))
     elif "polygon" in keys:
         ends = key == "start.hitch" or key.endswith(".form")
         z = float(keys.get("altitude", HEIGHT)) if ends else height

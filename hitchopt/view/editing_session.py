@@ -16,8 +16,8 @@ from pathlib import Path
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.repair.change import Edit
+from hitchopt.mission.repair.change import NO_CHANGE, Edit, Suggestion
+from hitchopt.mission.repair.suggest import find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.storage.yaml_edits import (

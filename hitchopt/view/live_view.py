@@ -12,6 +12,7 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.house_colours import facts, verdict
+from hitchopt.view.live_buttons import Buttons
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.live_server import FIELD, HOST, PORT, open_server, server_address
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
@@ -33,8 +34,8 @@ FROM = np.array([-0.35, -0.8, 0.5])
 FILLED = 0.85
 """Part of the picture that the paths fill."""
 
-ASPECT, NARROW_ASPECT = 1.1, 0.75
-"""Width over height of what the panel leaves of usual windows, and of what that for editing leaves
+ASPECT, NARROW_ASPECT = 1.1, 0.62
+"""Width over height of what the panel leaves of a small window, and of what that for editing leaves
 as well."""
 
 NEAREST = 1.5
@@ -72,15 +73,17 @@ class LiveView:
         aspect: float = ASPECT,
     ) -> None:
         self.server = open_server(host, port) if server is None else server
-        self.time, self.playing, self.speed = 0.0, False, 1.0
+        self.time, self.playing, self.speed, self.phase = 0.0, False, 1.0, -1
         self._note, self._title, self._aspect = "", title, aspect
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
-        self.panel: list[Any] = []
-        self.live: LiveScene
+        self.motion, self.certificate = motion, certificate
         with self.server.atomic():  # pages that are open show all of it at once
             self.server.gui.set_panel_label(title or "hitchopt")
-            self.show_plan(motion, certificate, title)
+            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.look()
+            self._add_panel()
+            self._fill_panel()
             if ghost is not None:
                 self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
         self._player = threading.Thread(target=self._play, daemon=True)
@@ -91,6 +94,12 @@ class LiveView:
         """Address of the page."""
         return server_address(self.server)
 
+    def wait_for_page(self, seconds: float) -> bool:
+        """Wait until a browser has loaded the page; return whether one has in that time [s]."""
+        loaded = threading.Event()
+        self.server.on_client_connect(lambda _: loaded.set())
+        return loaded.wait(seconds)
+
     def close(self) -> None:
         """Stop serving."""
         self._open = False
@@ -100,23 +109,20 @@ class LiveView:
     def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
         """Show a plan in place of the one that is shown."""
         with self._lock, self.server.atomic():
-            if self.panel:
-                self.live.remove()
-            for handle in self.panel:
-                handle.remove()
-            self.panel, self.phase = [], -1
+            shown = self.live.shown
+            self.live.remove()
             self.motion, self.certificate, self._title = motion, certificate, title
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.live.shown = shown
             self.look()
-            self._add_panel()
-            self.seek(self.time)
+            self._fill_panel()
 
     def show_certificate(self, certificate: Certificate) -> None:
         """Show the certificate of the plan that is shown, which was being computed."""
         with self._lock, self.server.atomic():
             self.certificate = certificate
             self.head.content = self._words()
-            self._add_checks()
+            self._show_checks()
 
     def note(self, words: str) -> None:
         """Say above the certificate what the plan shown is, which is drawn pale then.
@@ -145,8 +151,8 @@ class LiveView:
         i = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
         if i != self.phase:
             if self.phase >= 0:
-                self.phases[self.phase].color = QUIET
-            self.phases[i].color = None  # the theme's
+                self.phases.paint(self.phase, QUIET)
+            self.phases.paint(i, None)
             self.phase = i
         words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}**"
         if phases[i].state is not CableState.NONE:
@@ -209,47 +215,56 @@ class LiveView:
         return f"### {plain_words(self._title or 'Plan')}\n{facts(self.motion)}  \n{said}"
 
     def _add_panel(self) -> None:
+        """Add the panel, the same for all plans."""
         gui = self.server.gui
-        self.head = gui.add_markdown(self._words())
-        self.panel.append(self.head)
+        self.head = gui.add_markdown("")
         self.now = gui.add_markdown("")
-        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
-        self.scrub = gui.add_slider("time [s]", 0.0, round(longest, DECIMALS), STEP, self.time)
+        self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
         self.player = gui.add_button("Play")
         speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
         self.found = gui.add_markdown("", visible=False)
-        self.panel += [self.now, self.scrub, self.player, speed, self.found]
         self.scrub.on_update(lambda event: self._scrubbed(event.target.value, event.client))
         self.player.on_click(lambda _: self.play(on=not self.playing))
         speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
         self._add_switches()
         tabs = gui.add_tab_group()
-        self.panel.append(tabs)
-        with tabs.add_tab("Phases"):
-            self.phases = []
-            for phase in self.motion.phases:
-                words = f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s"
-                button = gui.add_button(words, color=QUIET)
-                button.on_click(lambda _, start=phase.start: self.seek(start))
-                self.phases.append(button)
-        self._checks = tabs.add_tab("Certificate")
-        with self._checks:
+        self.phases = Buttons(gui, tabs.add_tab("Phases"), self._show_phase_at)
+        checks = tabs.add_tab("Certificate")
+        with checks:
             gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
             gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
-        self._add_checks()
+        self.checks = Buttons(gui, checks, self._show_check_at)
 
-    def _add_checks(self) -> None:
-        """Add the checks of the certificate, if it is there, to its tab."""
-        with self._checks:
-            for check in self.certificate.checks if self.certificate else ():
-                color = QUIET if check.holds else "red"
-                button = self.server.gui.add_button(_words(check), color=color)
-                button.on_click(lambda _, check=check: self.show_check(check))
+    def _fill_panel(self) -> None:
+        """Say in the panel what the plan is, and show its time."""
+        self.head.content = self._words()
+        self.found.visible = False
+        phases, self.phase = self.motion.phases, -1
+        labels = [f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s" for phase in phases]
+        self.phases.show(labels, [QUIET] * len(phases))
+        self._show_checks()
+        self.seek(self.time)
+        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
+        self.scrub.max = round(longest, DECIMALS)
+
+    def _show_checks(self) -> None:
+        checks = self.certificate.checks if self.certificate else ()
+        colours = [QUIET if check.holds else "red" for check in checks]
+        self.checks.show([_words(check) for check in checks], colours)
+
+    def _show_phase_at(self, index: int) -> None:
+        with self._lock:
+            for phase in self.motion.phases[index : index + 1]:  # none if the plan has changed
+                self.seek(phase.start)
+
+    def _show_check_at(self, index: int) -> None:
+        with self._lock:
+            checks = self.certificate.checks if self.certificate else ()
+            for check in checks[index : index + 1]:
+                self.show_check(check)
 
     def _add_switches(self) -> None:
-        folder = self.server.gui.add_folder("Show", expand_by_default=True)
-        self.panel.append(folder)
-        with folder:
+        with self.server.gui.add_folder("Show", expand_by_default=True):
             for name in SWITCHES:
                 box = self.server.gui.add_checkbox(name, self.live.shown[name])
                 box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))

@@ -42,6 +42,9 @@ AZIMUTH, ELEVATION = -115.0, 38.0
 THICKNESS = 0.011
 """Radius of a drawn cable as a share of the extent: clasps show over and under in small panels."""
 
+NEAR_WIDTH = 0.5
+"""Share of the cables' drawn width that they have in the larger panel of a few cables."""
+
 MARGIN = 0.08
 """Margin around everything as a share of a panel's height."""
 
@@ -153,7 +156,7 @@ def draw_storyboard(
         painting = painter.painted(moment)
         if shot.near:
             centre, reach = _nearest(scene, camera.seen(moment.cables)[..., :2], half)
-            painting = Painter(scene, camera).painted(moment)
+            painting = Painter(scene, camera, NEAR_WIDTH * scene.radius).painted(moment)
         before = reached[k - 1] if k and not shot.near else reached[k]
         lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
         apart = np.min(np.abs(painting.polygons - centre), axis=1)

@@ -93,3 +93,18 @@ def test_a_vertex_is_dragged(page: Any, panel: EditingPanel) -> None:
     (vertex,) = (panel.editing.problem.mission[0].polygon.vertices[:1],)  # type: ignore[attr-defined]
     np.testing.assert_allclose(vertex[0], [1.05, -0.3], atol=0.02)
     assert panel.editing.planned.certificate.certified
+
+
+def test_changes_in_quick_succession_are_shown_in_one_panel(page: Any, panel: EditingPanel) -> None:
+    """Pages report updates of what is gone as errors, which the fixture refuses."""
+    editing = panel.editing
+    first = editing.text
+    for k in range(6):
+        editing.drag(0, "vertex 1", np.array([0.6 - 0.01 * k, 1.0, 1.2]))
+        editing.wait(0.3 * (k % 2))
+    assert editing.text != first
+    planned(page, editing)
+    page.get_by_text("the plan of this problem").wait_for()
+    settled(page)
+    (head,) = page.get_by_text("certified for all t").all()
+    assert head.is_visible()

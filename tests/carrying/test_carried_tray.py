@@ -219,6 +219,14 @@ def test_steps_in_a_wrong_order_are_refused(steps: list[dict[str, Any]], text: s
     refused({**tray(), "mission": steps}, text)
 
 
+def test_refusals_name_the_step_that_the_file_has() -> None:
+    low = tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.53]}}
+    low["start"]["hitch"]["altitude"] = 0.5
+    low["mission"] = [{"enclose": {"object": "tray"}}]
+    with pytest.raises(ho.InfeasibleError, match=r"at the end of step 0 \(enclose\)"):
+        ho.solve(ho.problem_from_dict(low))
+
+
 def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
     """Legs of one cable pass each other; with a load they would touch at the least roll."""
     x, y = 0.3, -0.2

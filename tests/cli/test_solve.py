@@ -109,7 +109,7 @@ def test_an_overstretched_start_is_refused_before_any_search(
     def searched(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("hitchopt.mission.solving.assigned", searched)
+    monkeypatch.setattr("hitchopt.planners.forming.assigning.assigned", searched)
     monkeypatch.setattr("hitchopt.steps.form.Form.plan", searched)
     path = next(path for path in INFEASIBLE if path.stem == "overstretched_start")
     result = run("solve", path, "-o", "out", "--no-repair")
@@ -204,7 +204,7 @@ def test_the_diagnosis_is_there_when_the_search_is_interrupted(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hitchopt.mission.repair.find_suggestions", interrupted)
+    monkeypatch.setattr("hitchopt.mission.repair.suggest.find_suggestions", interrupted)
     path = next(path for path in INFEASIBLE if path.stem == "drones_too_close")
     assert run("solve", path, "-o", "out").exit_code == 130
     found = json.loads((place / "out" / "diagnosis.json").read_text())

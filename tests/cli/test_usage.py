@@ -115,7 +115,10 @@ def test_version() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["fly"], ["solve"], ["solve", "a", "b"], ["solve", "a", "--rate", "often"], ["check"], ["-x"]],
+    [
+        *(["fly"], ["solve"], ["solve", "a", "b"], ["solve", "a", "--rate", "often"], ["check"]),
+        *(["view", "a", "--save", "a.mp4", "--ghost", "b"], ["-x"]),
+    ],
     ids=" ".join,
 )
 def test_wrong_usage_ends_with_2(arguments: list[str]) -> None:
@@ -270,6 +273,7 @@ def test_broken_plans_are_told(place: Path) -> None:
     for content in (b"", b"PK\x03\x04 no archive", b"\x93NUMPY"):
         plan.write_bytes(content)
         assert "error: out/plan.npz: " in refused(run("check", "out"))
+        assert "error: out/plan.npz: " in refused(run("view", "out"))  # nothing is served
 
 
 def test_init_writes_a_problem_that_loads(place: Path) -> None:

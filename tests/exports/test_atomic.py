@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from hitchopt.errors import FileError
-from hitchopt.storage import directory_swap, lock
+from hitchopt.storage import atomic, directory_swap
 from hitchopt.storage.atomic import Writer, replace_files
-from hitchopt.storage.exchange import exchange
+from hitchopt.storage.directory_swap import exchange
 
 OWNED = ("plan", "table", "seal", "diagnosis")
 
@@ -291,9 +291,9 @@ def test_threads_take_turns(home: Path) -> None:
 
 
 def test_waiting_for_another_writer_ends(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lock, "PATIENCE", 0.1)
+    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
     with (
-        lock.locked(home / ".out.hitchopt-lock"),
+        atomic.locked(home / ".out.hitchopt-lock"),
         pytest.raises(FileError, match="another process has been writing"),
     ):
         replace(home / "out", plan="1")

@@ -11,8 +11,7 @@ from streamed_flights import Rig, at_once, plan_of
 
 import hitchopt as ho
 from hitchopt.flying.course import COMMANDS
-from hitchopt.flying.flight import Timing
-from hitchopt.flying.link_watch import LinkWatch
+from hitchopt.flying.flight import LinkWatch, Timing
 
 LONG = 60.0
 

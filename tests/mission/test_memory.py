@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from problem_cases import INFEASIBLE
 
 import hitchopt as ho
-from hitchopt.mission import solving
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.memory import VARIABLE, Memory, Progress, remembered
-from hitchopt.steps import STEPS
+from hitchopt.steps import STEPS, blending
 from hitchopt.steps.blending import plan_blended
 from hitchopt.steps.situation import StepPlan, StepTask
 from problems.random_morph import random_morph
@@ -150,7 +149,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     for kind in STEPS:
         monkeypatch.setattr(kind, "plan", counted(kind.plan))
-    monkeypatch.setattr(solving, "plan_blended", counted(plan_blended))
+    monkeypatch.setattr(blending, "plan_blended", counted(plan_blended))
     return asked
 
 
@@ -353,6 +352,40 @@ def test_a_result_that_can_be_changed_does_not_change_the_next_one() -> None:
         values = found(None, 2.0)
         assert values == [2.0]
         values.append(3.0)
+
+
+def test_results_of_kinds_that_cannot_be_copied_are_worked_out_every_time() -> None:
+    done = []
+
+    def work(progress: Progress | None, value: float) -> tuple[set[float], ...]:
+        done.append((progress, value))
+        return ({value},)
+
+    found = remembered(work, Memory())
+    first, again = found(None, 2.0), found(None, 2.0)
+    assert first == again == ({2.0},)
+    assert first[0] is not again[0]
+    assert len(done) == 2
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_copies_share_nothing_but_what_nobody_can_change(name: str) -> None:
+    one, other = ho.solve(PROBLEMS[name]), ho.solve(PROBLEMS[name])
+    mine, theirs = ({id(part): part for part in parts_of(plan)} for plan in (one, other))
+    assert len(mine) == len(theirs) > 20
+    assert not mine.keys() & theirs.keys()
+    for array in arrays_in(other):
+        array.shape = (1, *array.shape)
+    assert bits(ho.solve(PROBLEMS[name])) == bits(one) != bits(other)
+
+
+def parts_of(value: Any) -> Iterator[object]:
+    """All records, dicts and arrays that a plan holds."""
+    if is_dataclass(value) or isinstance(value, dict | np.ndarray):
+        yield value
+    items = vars(value) if is_dataclass(value) else value if isinstance(value, dict) else {}
+    for part in value if isinstance(value, tuple) else items.values():
+        yield from parts_of(part)
 
 
 @given(

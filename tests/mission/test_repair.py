@@ -14,8 +14,7 @@ from problem_cases import INFEASIBLE, hitch_start, triangle
 import hitchopt as ho
 from benchmarks.problem_edits import edited
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import Edit
-from hitchopt.mission.repair.change import tidy
+from hitchopt.mission.repair.change import Edit, tidy
 from hitchopt.mission.repair.editing import team_values, with_outlines_scaled, with_team_values
 from hitchopt.storage.yaml_file import read_yaml
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
 
 
 def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
-    ezdxf = pytest.importorskip("ezdxf")
+    ezdxf = import_module("ezdxf")
     for units, scale in ((4, 1e-3), (0, 1.0), (1, 0.0254)):
         document = ezdxf.new(units=units)
         space = document.modelspace()
@@ -68,7 +69,7 @@ def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
 
 
 def test_dxf_arcs_close_an_outline(tmp_path: Path) -> None:
-    ezdxf = pytest.importorskip("ezdxf")
+    ezdxf = import_module("ezdxf")
     document = ezdxf.new(units=6)
     space = document.modelspace()
     space.add_arc((0, 0), 0.2, 90, 270)
@@ -96,7 +97,7 @@ def test_geojson_and_coordinates(tmp_path: Path, wrap: str) -> None:
 
 
 def test_a_table_and_shapely(tmp_path: Path) -> None:
-    shapely = pytest.importorskip("shapely")
+    shapely = import_module("shapely")
     path = tmp_path / "box.csv"
     path.write_text("# x, y\n" + "\n".join(f"{x}, {y}" for x, y in RING[:-1]))
     assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))

@@ -14,7 +14,7 @@ from hitchopt.planners.optimise import ipopt_steps, search_task
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram
 from hitchopt.planners.optimise.search_task import SMALL, Effort
-from hitchopt.planners.path.rolled_more import STEEPEST, rolled_more
+from hitchopt.planners.path.leg_law import STEEPEST, rolled_more
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.requirements import Requirements
 

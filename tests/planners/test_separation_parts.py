@@ -17,7 +17,6 @@ from scipy.optimize import LinearConstraint, minimize
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.convex_qp import QuadraticProgram
 from hitchopt.planners.separation import SeparationTask, Tether
-from hitchopt.planners.separation.departures import departures, progress_along
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import (
     ClosePieces,
@@ -29,7 +28,15 @@ from hitchopt.planners.separation.qp import Solver
 from hitchopt.planners.separation.roundabout import roundabout
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.separation_program import Around, Built, build_program
-from hitchopt.planners.separation.setting import DEGREE, HELD, Grid, Setting, setting_of
+from hitchopt.planners.separation.setting import (
+    DEGREE,
+    HELD,
+    Grid,
+    Setting,
+    departures,
+    progress_along,
+    setting_of,
+)
 from hitchopt.planners.separation.walls import walls_before
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation

@@ -15,8 +15,7 @@ from hitchopt.planners.path.shape_path import ShapePath, drones_along
 from hitchopt.planners.timing import speed_profile
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.planners.timing.fly_path import GRID, fly
-from hitchopt.planners.timing.mesh import time_mesh
+from hitchopt.planners.timing.fly_path import GRID, fly, time_mesh
 from hitchopt.planners.timing.speed_profile import (
     SpeedProfile,
     acceleration_rows,

@@ -16,8 +16,7 @@ from hitchopt.cli.view_commands import shown_plan
 from hitchopt.mission.file_models import StepKeys
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import Suggestion
-from hitchopt.mission.repair.change import Change, Edit
+from hitchopt.mission.repair.change import Change, Edit, Suggestion
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEPS

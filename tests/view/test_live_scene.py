@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from pictured import made_certificate, make_motion
 
-from hitchopt.view.live_view import LiveView
+from hitchopt.values import Array
+from hitchopt.view.live_view import NARROW_ASPECT, LiveView
 from hitchopt.view.scene import Concerned
 from hitchopt.view.viser_arrays import faded
 
@@ -63,6 +64,56 @@ def test_the_camera_sees_all_paths_from_near(live: LiveView) -> None:
     up = np.abs((drones - eye) @ np.cross(right, forward)) / depth / np.tan(0.5 * camera.fov)
     assert np.all(depth > 0.0)
     assert 0.3 < np.max(up) < 1.0
+
+
+def seen_places(live: LiveView) -> Array:
+    """Return where the camera sees all drones (m, 2), as shares of the picture's height."""
+    camera, drones = live.server.initial_camera, live.live.scene.drones.reshape(-1, 3)
+    eye, target = np.array(camera.position), np.array(camera.look_at)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    depth = (drones - eye) @ forward * 2.0 * np.tan(0.5 * camera.fov)
+    aside = (drones - eye) @ np.stack([right, np.cross(right, forward)], axis=1)
+    found: Array = aside / depth[:, None]
+    return found
+
+
+def test_the_camera_sees_all_paths_in_a_narrow_picture() -> None:
+    view = LiveView(make_motion(5), None, port=8395, aspect=NARROW_ASPECT)
+    places = seen_places(view)
+    view.close()
+    assert np.max(np.abs(places[:, 0])) < 0.5 * NARROW_ASPECT
+    assert np.max(np.abs(places[:, 1])) < 0.5
+
+
+def test_a_certificate_that_is_late_keeps_the_panel() -> None:
+    view = LiveView(make_motion(3), None, port=8396)
+    assert "being certified" in view.head.content
+    assert view.checks.labels == []
+    assert not view.wait_for_page(0.0)  # nobody has opened it
+    view.show_certificate(made_certificate())
+    assert "certified for all t" in view.head.content
+    assert len(view.checks.labels) == len(made_certificate().checks)
+    view.close()
+
+
+def test_another_plan_keeps_panel_and_switches() -> None:
+    view = LiveView(make_motion(3), made_certificate(), port=8397)
+    view.live.switch("thrusts", on=True)
+    view.play(on=True)
+    head = view.head
+    view.show_plan(make_motion(4), None, "another")
+    assert view.head is head
+    assert "another" in head.content
+    assert view.live.shown["thrusts"]
+    assert view.player.label == "Pause"
+    assert view.checks.labels == []
+    assert [label.split(":")[0] for label in view.phases.labels] == [
+        phase.name for phase in view.motion.phases
+    ]
+    assert view.scrub.max >= view.motion.duration
+    view.close()
 
 
 def test_faded_colours_are_pale_greys() -> None:

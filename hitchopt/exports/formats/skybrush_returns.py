@@ -14,14 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError, InfeasibleError, Violation
+from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.formats.format import Task
 from hitchopt.exports.formats.skybrush_show import MILLI, Show, stored
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.exports.returns import Return, return_checks
 from hitchopt.motion.motion import Motion
-from hitchopt.values import Array
 
 LAND, LEVEL = "land", "goToKeepAlt"
 """Actions: down where the drone is, or after a level flight."""
@@ -98,7 +96,7 @@ def _return(entries: Sequence[Mapping[str, Any]], frame: ReferenceFrame) -> Retu
     if any(entry["action"] not in (LAND, LEVEL) for entry in entries):
         raise ValueError("an action is not known")
     targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
-    places = (targets - frame.shift) @ frame.rotation
+    places = frame.planned(targets)
     waits = np.array([[entry["preDelay"], entry["postDelay"]] for entry in entries], np.float64)
     before, after = waits.T
     return Return(float(times.pop()), places[:, :2], float(durations.pop()), before, after)
@@ -123,18 +121,12 @@ def certify_returns(source: str, show: Show, task: Task) -> None:
     curves = [stored(show.curves[name]) for name in names]
     for each in returns:
         start = np.array([curve.at(min(each.time, curve.breaks[-1])) for curve in curves])
-        places = (start - frame.shift) @ frame.rotation
-        flown = each if each.duration > 0.0 else _in_place(each, places)
+        places = frame.planned(start)
+        flown = each
+        if each.duration <= 0.0:  # drones go down where they are
+            flown = Return(each.time, places[:, :2], 0.0, each.before, each.after)
         broken = [c for c in return_checks(motion, flown, places, landing) if not c.holds]
         if broken:
             words = "a coordinated return of the show breaks a limit when it is read back"
-            raise InfeasibleError([_violation(check, each.time) for check in broken], words)
-
-
-def _in_place(flown: Return, places: Array) -> Return:
-    """Return the same return of drones that go down where they are."""
-    return Return(flown.time, places[:, :2], 0.0, flown.before, flown.after)
-
-
-def _violation(check: Check, time: float) -> Violation:
-    return check.violation(f"in the return from t = {time:g} s", "plan with a wider margin")
+            when, remedy = f"in the return from t = {each.time:g} s", "plan with a wider margin"
+            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.mission.problem import Problem
 from hitchopt.one_line import OneLine
+from hitchopt.steps.edits import PLAN_DURATION
+
+BUDGET = 15.0
+"""Time [s] after which no further plan is begun: a user waits for it."""
+
+NO_CHANGE = "no single change was found that makes it feasible"
+"""Message where there is no suggestion."""
 
 DIGITS = 3
 """Significant digits of a suggested value: what a person would type."""
@@ -178,3 +185,38 @@ def tidy(value: float, sign: int, scale: float) -> float:
     steps = value / step  # a value that is tidy already is not to be moved by its rounding error
     rounded = math.ceil(steps - 1e-9) if sign > 0 else math.floor(steps + 1e-9)
     return float(f"{rounded * step:.12g}")
+
+
+TIMES = frozenset({"duration", PLAN_DURATION})
+"""Constraints that a faster plan, or more time, repairs."""
+
+
+def broken_constraints(error: InfeasibleError) -> frozenset[str]:
+    """Return the names of all constraints that bind."""
+    return frozenset(name_of(violation) for violation in error.violations)
+
+
+def name_of(violation: Violation) -> str:
+    """Return the name of the constraint, a step's duration and the plan's told apart."""
+    whole_plan = violation.constraint == "duration" and violation.sense == "max"
+    return PLAN_DURATION if whole_plan else violation.constraint
+
+
+def needed(violations: Sequence[Violation], name: str) -> float:
+    """Return the size by which a limit has to be raised at the least."""
+    return _largest(v.value / v.limit - 1.0 for v in violations if name_of(v) == name)
+
+
+def short(violations: Sequence[Violation]) -> float:
+    """Return the size by which a step has to be longer at the least."""
+    return _largest(v.limit / v.value - 1.0 for v in violations if name_of(v) == "duration")
+
+
+def _largest(sizes: Iterable[float]) -> float:
+    """Return the largest finite one; a bound that is not finite tells no size."""
+    return max((size for size in sizes if math.isfinite(size)), default=0.0)
+
+
+def beyond(violations: Sequence[Violation]) -> float:
+    """Return how far drones are beyond walls [m]."""
+    return max((-v.value for v in violations if v.constraint == "arena"), default=0.0)

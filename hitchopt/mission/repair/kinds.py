@@ -11,8 +11,14 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.mission.problem import DronesStart, Problem
-from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered
-from hitchopt.mission.repair.constraints import TIMES, broken_constraints
+from hitchopt.mission.repair.change import (
+    TIMES,
+    Edited,
+    Kind,
+    Quantity,
+    broken_constraints,
+    lowered,
+)
 from hitchopt.mission.repair.editing import (
     team_values,
     with_outlines_scaled,

@@ -11,8 +11,16 @@ import numpy as np
 
 from hitchopt.errors import Violation
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair.change import Edited, Kind, Quantity, lowered
-from hitchopt.mission.repair.constraints import TIMES, beyond, needed, short
+from hitchopt.mission.repair.change import (
+    TIMES,
+    Edited,
+    Kind,
+    Quantity,
+    beyond,
+    lowered,
+    needed,
+    short,
+)
 from hitchopt.mission.repair.editing import with_arena, with_bound, with_step_edit
 from hitchopt.steps.edits import PLAN_DURATION, Tunable
 

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair.change import Change, Kind, Suggestion
-from hitchopt.mission.repair.constraints import broken_constraints
+from hitchopt.geometry import Outline
+from hitchopt.hitch.cable_slack import balanced_legs
+from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.repair.change import (
+    BUDGET,
+    Change,
+    Edit,
+    Edited,
+    Kind,
+    Suggestion,
+    broken_constraints,
+)
+from hitchopt.mission.repair.editing import with_step_edit
 from hitchopt.mission.repair.kinds import last_resorts, likely_kinds
-from hitchopt.mission.repair.spreading import spread_changes
 from hitchopt.mission.solving import solve_problem
+from hitchopt.steps.edits import SPACE, StepEdit
+from hitchopt.steps.end_hitch import split_hitch
+from hitchopt.steps.slack_split import RolledLegs, SlackSplit
 from hitchopt.time_limit import Progress, TimeIsUp, time_left
-
-BUDGET = 15.0
-"""Time [s] after which no further plan is begun: a user waits for it."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes tried in turn, those of all kinds before the next size."""
@@ -29,10 +41,6 @@ FAR = 4.0
 
 ENOUGH = 3
 """Most suggestions: more would not be read."""
-
-
-NO_CHANGE = "no single change was found that makes it feasible"
-"""Message where there is no suggestion."""
 
 
 Verdict = Suggestion | frozenset[str]
@@ -167,3 +175,45 @@ def _narrowed(
         else:
             failed = middle
     return found
+
+
+COVERS = SPACE | {"crossing", "arena"}
+
+
+def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
+    """Yield the changes from given or balanced legs to spread ones, at the start and after steps.
+
+    Their relative size is the farthest that a drone goes, over its cable's length.
+    """
+    if not broken_constraints(error) <= COVERS:
+        return
+    outline, start = problem.start_outline, problem.start
+    places: list[tuple[str, SlackSplit, Outline, Edited]] = []
+    if isinstance(start, HitchStart) and outline is not None:
+        key, changed = "start.hitch.legs", replace(problem, start=replace(start, legs="spread"))
+        places.append((key, start.legs, outline, Edited(changed, (Edit(key, "spread"),))))
+    for i, step in enumerate(problem.mission):
+        outline = step.polygon_left(problem.team, outline)
+        legs = getattr(step, "legs", None)
+        if legs is not None and outline is not None:
+            edited = with_step_edit(problem, i, StepEdit("legs", "spread", {"legs": "spread"}))
+            places.append((edited.edits[0].key, legs, outline, edited))
+    for key, legs, shape, edited in places:
+        sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+        if isinstance(sharing, str) and sharing == "spread":
+            continue
+        try:
+            relative = _farthest(problem, shape, legs)
+        except InfeasibleError:  # no cable is left for any legs
+            continue
+        words = legs if isinstance(legs, str) else "as given"
+        yield Change(key, "", words, "spread", "", relative, edited.problem, edited.edits)
+
+
+def _farthest(problem: Problem, outline: Outline, legs: SlackSplit) -> float:
+    """Return how far a leg is from the spread ones at most, over its cable's length."""
+    team = problem.team
+    lengths = legs.sharing if isinstance(legs, RolledLegs) else legs
+    given = balanced_legs(team, outline) if isinstance(lengths, str) else lengths
+    spread = split_hitch(team, outline, 0.0, "spread", problem.requirements)
+    return float(np.max(np.abs(spread.q_legs - given) / team.cable_length))

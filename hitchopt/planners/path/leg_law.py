@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -11,10 +12,9 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.leg_lengths import reference_margin, split_slack
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
-from hitchopt.planners.path.rolled_more import rolled_more
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, Shapes, shapes_along
 from hitchopt.requirements import Requirements
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
 PROBES = 65
@@ -110,3 +110,29 @@ def _task(
     fixed[[0, -1]] = True
     wanted = (shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS, fixed, shapes.roll)
     return LegTask(path.team, requirements, shapes.polygons, *wanted)
+
+
+RAISES = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0))
+"""[rad] Rolls that are added half way, tried in turn."""
+
+STEEPEST = math.radians(60.0)
+"""[rad] Largest roll tried, up to which clasps hold in simulated ropes."""
+
+DEGREE = 2
+
+
+def rolled_more(path: ShapePath) -> Iterator[ShapePath]:
+    """Yield the path with its legs rolled more half way; none where they are not rolled at all."""
+    roll = path.roll
+    if roll is None:
+        return
+    c = roll.coefficients
+    order = max(DEGREE, bernstein.degree(c))
+    sense = np.sign(c[..., 0] + c[..., -1])[..., None]
+    lower, upper = roll.breaks[:-1], roll.breaks[1:]
+    rise = bernstein.restrict(np.array([0.0, 2.0, 0.0]), lower, upper)[:, None]  # 4 s (1 - s)
+    own, more = bernstein.elevate(c, order), bernstein.elevate(rise, order)
+    for angle in RAISES:
+        if float(np.max(np.abs(own))) + angle > STEEPEST:
+            return
+        yield replace(path, roll=PiecewisePolynomial(roll.breaks, own + angle * sense * more))
