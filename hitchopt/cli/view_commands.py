@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,10 @@ PROBLEM_ENDINGS = (".yaml", ".yml")
 
 PATIENCE = 3.0
 """Time for which the processor is left to the browser, until it has loaded the page [s]."""
+
+DRAWING = 1.5
+"""Time for which it is left to it after that, to draw the first picture [s]: graphics cards are
+not everywhere."""
 
 SEARCH = 60.0
 """Time limit of the search for changes that make a problem feasible [s]."""
@@ -142,7 +147,8 @@ def _serve(
     if certificate is None:
         from hitchopt.checks import certify
 
-        live.wait_for_page(PATIENCE)
+        if live.wait_for_page(PATIENCE):
+            time.sleep(DRAWING)
         certificate = certify(motion)
         live.show_certificate(certificate)
     _edit(live, text, path, certificate, status)
