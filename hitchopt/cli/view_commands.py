@@ -14,7 +14,7 @@ from hitchopt.cli.commands import main, report_suggestions
 from hitchopt.cli.failures import UNMET, complain
 from hitchopt.cli.output import record, say
 from hitchopt.cli.paths import GivenPath, plan_path
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.checks import Certificate
@@ -85,8 +85,17 @@ def view(
 
     With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
     summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
+
+    Of a simulated flight, DIR/simulation, the film is saved, and live it is the ghost of its plan.
     """
+    flight = _flight(path)
+    if flight is not None:
+        path = _flown(flight)
+        ghost = ghost or flight
     if save is not None:
+        if flight is not None and ghost == flight:
+            _save_flight(flight, path, save)
+            return
         if ghost is not None:
             words = "no ghost where a plan is written to a file"
             raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
@@ -111,6 +120,45 @@ def view(
         threading.Event().wait()
     finally:
         close()
+
+
+def _flight(path: Path) -> Path | None:
+    """Return the recording of a simulated flight that is at a path, or None."""
+    from hitchopt.storage.archive import PLAN, RECORDING
+
+    file = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
+    return file if file.name == RECORDING and file.is_file() else None
+
+
+def _flown(flight: Path) -> Path:
+    """Return the directory of the plan of a simulated flight, that above its own."""
+    from hitchopt.storage.archive import PLAN
+
+    place = flight.resolve().parent.parent
+    if not (place / PLAN).is_file():
+        raise FileError(f"{flight}: its plan is not in {place}; keep the two together")
+    return place
+
+
+def _save_flight(flight: Path, place: Path, file: Path) -> None:
+    """Write the film of a simulated flight of the plan in a directory."""
+    from hitchopt.cli.progress import LateProgress
+    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.view.film import check_film, save_film
+    from hitchopt.view.ghost_scene import ghost_scene
+
+    check_film(file)
+    plan = plan_path(place)
+    with LateProgress(sys.stderr, "drawing the film") as progress:
+        scene, title = ghost_scene(flight, read_plan(plan)), read_title(plan)
+        save_film(
+            file,
+            scene,
+            f"{title} (simulated)".strip(),
+            lambda share: progress(f"drawing the film, {share:.0%}"),
+        )
+    record(file=str(file))
+    say(f"wrote {file}")
 
 
 def _refuse_damaged(file: Path) -> None:

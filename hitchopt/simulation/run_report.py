@@ -16,6 +16,7 @@ from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_picture import save_picture
 from hitchopt.simulation.simulate import Simulation
 from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.atomic import Writer, replace_files
 from hitchopt.storage.strict_json import write_strict_json
 from hitchopt.values import Array
@@ -27,7 +28,6 @@ VERTICES = "vertices.csv"
 CABLES = "cables.csv"
 DRONES = "drones.csv"
 OBJECTS = "objects.csv"
-RECORDING = "recording.npz"
 PICTURE = "simulation.png"
 CAMPAIGN = "campaign.json"
 RUNS = "runs.csv"

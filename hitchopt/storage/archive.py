@@ -24,6 +24,9 @@ from hitchopt.errors import FileError, HitchoptError
 PLAN = "plan.npz"
 """Name of the archive with a plan, in the plan's directory."""
 
+RECORDING = "recording.npz"
+"""Name of the recording of a simulated flight."""
+
 MODEST = 64 * 2**20
 """[bytes] Members of this size altogether are read whatever they were packed into."""
 

@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.storage.archive import BROKEN, PLAN, read_arrays
+from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
 from hitchopt.view.cable_curves import POINTS
 from hitchopt.view.scene import Scene, scene_of
-
-RECORDING = "recording.npz"
-"""Name of the recording of a simulated flight."""
 
 
 def ghost_scene(path: Path, motion: Motion) -> Scene:

@@ -8,10 +8,13 @@ import imageio.v3 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from pictured import make_motion
 
+from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.view import film as films
 from hitchopt.view.cable_curves import CLASPS
 from hitchopt.view.film import check_film, frames, save_film
@@ -109,3 +112,28 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
         ghost_scene(tmp_path, make_motion(4))
     with pytest.raises(FileError, match="holds neither"):
         ghost_scene(tmp_path.parent, motion)
+
+
+def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None:
+    motion = make_motion(3)
+    flight = tmp_path / "simulation"
+    flight.mkdir()
+    nodes = np.random.default_rng(1).normal(size=(11, 30, 3))
+    t, first, poses = 0.1 * np.arange(11.0), np.array([0, 10, 20, 30]), np.zeros((11, 0, 7))
+    np.savez_compressed(flight / "recording.npz", t=t, nodes=nodes, cables=first, poses=poses)
+
+    def saved(name: str) -> Result:
+        return CliRunner().invoke(main, ["view", str(flight), "--save", str(tmp_path / name)])
+
+    lost = saved("flight.gif")
+    assert lost.exit_code == 2
+    assert "keep the two together" in lost.output.replace("\n", " ")
+    write_plan(tmp_path / "plan.npz", motion, title="Three")
+    done = saved("flight.gif")
+    assert done.exit_code == 0
+    assert f"wrote {tmp_path / 'flight.gif'}" in done.output
+    save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (simulated)")
+    assert (tmp_path / "flight.gif").read_bytes() == (tmp_path / "own.gif").read_bytes()
+    picture = saved("flight.png")
+    assert picture.exit_code == 2
+    assert "such as flight.mp4" in picture.output.replace("\n", " ")
