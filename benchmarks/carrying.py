@@ -187,18 +187,23 @@ def fly(task: Task, settings: Settings, case: str) -> None:
         f"{busy():.1f}",
         time.strftime("%Y-%m-%d"),
     )
-    new = not TABLE.exists()
-    with TABLE.open("a", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerows([COLUMNS, values] if new else [values])
+    add_row(TABLE, COLUMNS, values)
+
+
+def add_row(table: Path, columns: Sequence[str], values: Sequence[object]) -> None:
+    """Add a run to a table, which is begun where there is none, and print it."""
+    new = not table.exists()
+    with table.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerows([columns, values] if new else [values])
     print(*values, flush=True)
 
 
-def rows() -> list[dict[str, str]]:
-    """Return the runs so far."""
-    if not TABLE.exists():
+def rows(table: Path = TABLE) -> list[dict[str, str]]:
+    """Return the runs of a table so far."""
+    if not table.exists():
         return []
-    with TABLE.open(encoding="utf-8", newline="") as file:
+    with table.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 

@@ -12,7 +12,6 @@ question. A run is written to benchmarks/results/carrying_loads.csv as it ends, 
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 import time
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.carrying import CABLES, FRICTION, GRIPPED, PULL, TIED_AROUND, wilson
+from benchmarks.carrying import CABLES, FRICTION, GRIPPED, PULL, TIED_AROUND, add_row, rows, wilson
 from benchmarks.environment import busy, environment
 from hitchopt.errors import InfeasibleError
 from hitchopt.mission.loading import problem_from_dict
@@ -124,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     settings = Settings(preset=PRESETS[given.preset], perturbations=perturbed, pull_test=False)
     for case in given.cases or CASES:
         task, mass = planned(case)
-        flown = {(row["case"], row["preset"], int(row["seed"])) for row in rows()}
+        flown = {(row["case"], row["preset"], int(row["seed"])) for row in rows(TABLE)}
         for seed in range(given.seed, given.seed + given.runs):
             if (case, given.preset, seed) not in flown:
                 fly(task, replace(settings, seed=seed), case, mass)
@@ -143,24 +142,12 @@ def fly(task: Task, settings: Settings, case: str, mass: float) -> None:
         *("yes" if held else "no", f"{100.0 * state.slipped:.2f}", f"{100.0 * state.lifted:.2f}"),
         *(f"{busy():.1f}", time.strftime("%Y-%m-%d")),
     )
-    new = not TABLE.exists()
-    with TABLE.open("a", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerows([COLUMNS, values] if new else [values])
-    print(*values, flush=True)
-
-
-def rows() -> list[dict[str, str]]:
-    """Return the runs so far."""
-    if not TABLE.exists():
-        return []
-    with TABLE.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    add_row(TABLE, COLUMNS, values)
 
 
 def summarise() -> None:
     """Write the table of all runs so far."""
-    found = rows()
+    found = rows(TABLE)
     loads = [float(row["load"]) for row in found]
     days = ", ".join(sorted({row["date"] for row in found}))
     lines = [

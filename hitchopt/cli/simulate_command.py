@@ -16,10 +16,10 @@ from hitchopt.cli.paths import GivenPath, plan_path
 from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.motion.motion import Motion
     from hitchopt.simulation.flight_task import Task
     from hitchopt.simulation.simulate import Simulation
     from hitchopt.simulation.simulation_settings import Settings
+    from hitchopt.view.scene import Scene
 
 RESULTS = "simulation"
 """Default directory of the results, in DIR."""
@@ -209,20 +209,21 @@ def _simulate_one(
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if film is not None:
-        _save_film(film, done, plan, title)
+        from hitchopt.simulation.flight_picture import flight_scene
+
+        scene = flight_scene(done, plan)
+        if scene is None:
+            raise FileError(f"{film}: the flight ended before there was anything to film")
+        save_flight_film(film, scene, title)
     if not done.outcome.succeeded:
         click.get_current_context().exit(UNMET)
 
 
-def _save_film(path: Path, done: Simulation, plan: Motion, title: str) -> None:
-    """Write the film of a flight of a plan."""
+def save_flight_film(path: Path, scene: Scene, title: str) -> None:
+    """Write the film of a simulated flight."""
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.simulation.flight_picture import flight_scene
     from hitchopt.view.film import save_film
 
-    scene = flight_scene(done, plan)
-    if scene is None:
-        raise FileError(f"{path}: the flight ended before there was anything to film")
     with LateProgress(sys.stderr, "drawing the film") as progress:
         words = f"{title} (simulated)".strip()
         save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))

@@ -142,23 +142,15 @@ def _flown(flight: Path) -> Path:
 
 def _save_flight(flight: Path, place: Path, file: Path) -> None:
     """Write the film of a simulated flight of the plan in a directory."""
-    from hitchopt.cli.progress import LateProgress
+    from hitchopt.cli.simulate_command import save_flight_film
     from hitchopt.motion.plan_file import read_plan, read_title
-    from hitchopt.view.film import check_film, save_film
+    from hitchopt.view.film import check_film
     from hitchopt.view.ghost_scene import ghost_scene
 
     check_film(file)
     plan = plan_path(place)
-    with LateProgress(sys.stderr, "drawing the film") as progress:
-        scene, title = ghost_scene(flight, read_plan(plan)), read_title(plan)
-        save_film(
-            file,
-            scene,
-            f"{title} (simulated)".strip(),
-            lambda share: progress(f"drawing the film, {share:.0%}"),
-        )
+    save_flight_film(file, ghost_scene(flight, read_plan(plan)), read_title(plan))
     record(file=str(file))
-    say(f"wrote {file}")
 
 
 def _refuse_damaged(file: Path) -> None:

@@ -99,7 +99,7 @@ def grip_closed(
 
 
 def grip_opened(task: StepTask, name: str, duration: float | None, step: str) -> StepPlan:
-    """Return the plan from cables that grip a standing object to a hitch around it."""
+    """Return the plan by which cables that grip a standing object open to a hitch around it."""
     body, team, holding = object_of(task, name), task.before.team, task.holding
     held = holding.held
     assert isinstance(held, GrippedHitch)

@@ -45,6 +45,14 @@ def test_no_sample_exceeds_the_bound() -> None:
         assert np.all(found.value <= found.bound)
 
 
+def test_lengths_of_other_legs_count_by_themselves() -> None:
+    """Nothing turns: only what a leg of changing length carries differs."""
+    rows, pulls, others, shares = _blocks(0.0)
+    longer = 1.0 + np.random.default_rng(8).random((CELLS, 1, ORDER + 1))
+    blocks = rows, pulls, others * longer, shares
+    assert np.all(_samples(blocks) <= contact_bound(blocks, 1e-9).bound[:, None])
+
+
 def test_the_bound_is_tight_where_nothing_turns() -> None:
     found = contact_bound(_blocks(0.0), 0.0)
     assert np.allclose(found.bound, found.value, rtol=0.0, atol=1e-9)

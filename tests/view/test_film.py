@@ -131,7 +131,7 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
     write_plan(tmp_path / "plan.npz", motion, title="Three")
     done = saved("flight.gif")
     assert done.exit_code == 0
-    assert f"wrote {tmp_path / 'flight.gif'}" in done.output
+    assert f"the film is {tmp_path / 'flight.gif'}" in done.output
     save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (simulated)")
     assert (tmp_path / "flight.gif").read_bytes() == (tmp_path / "own.gif").read_bytes()
     picture = saved("flight.png")
