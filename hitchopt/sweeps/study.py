@@ -149,8 +149,8 @@ class Study(OneLine):
 
 def names_drawing(key: str) -> bool:
     """Return whether a key path is that of an object's drawing."""
-    section, *_, last = key_parts(key)
-    return section == "objects" and last == "file"
+    parts = key_parts(key)
+    return parts[0] == "objects" and parts[-1] == "file"
 
 
 @cache

@@ -147,6 +147,13 @@ def test_drawings_of_objects_are_relative_to_the_file_that_names_them(tmp_path: 
         np.testing.assert_allclose(np.ptp(points, axis=0), [width, 0.3], atol=1e-9)
 
 
+def test_a_whole_section_can_be_a_parameter() -> None:
+    team = PROBLEM["team"]
+    sections = [{**team, "tension": value} for value in (0.3, 0.4)]
+    study = study_from_dict({"problem": PROBLEM, "parameters": {"team": sections}})
+    assert [case.problem["team"] for case in study.cases()] == sections
+
+
 def test_drawings_can_be_a_parameter(tmp_path: Path) -> None:
     """Cases hold their outlines, and digests depend on these."""
     for name, width in (("a", 0.4), ("b", 0.6)):
