@@ -6,6 +6,8 @@ cannot be met and says what binds; the command line turns them into exit codes 2
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -152,6 +154,8 @@ def broken_limit(
     relation = "below" if sense == "min" else "above"
     words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""
+    if abs(value) >= sys.float_info.max:  # what contradicts itself; files hold no infinity
+        value = math.copysign(math.inf, value)
     texts = [f"{value:.6g}", f"{limit:.6g}"]
     for digits in (9, 12, 17):
         if texts[0] != texts[1]:

@@ -41,8 +41,9 @@ SCREENING, ITERATIONS = 12, 60
 FINALISTS = 2
 """Starts that are followed to the end."""
 
-SMALLEST = 6
-"""Smallest margins of each kind that every quadratic program contains."""
+ALL, SMALLEST = 36, 6
+"""Every quadratic program contains so many margins of a kind, or else its smallest ones, whose
+slopes jump where two are equal."""
 
 OFFSETS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Distances of every other starting vertex to the section, and of those between, over its mean
@@ -86,6 +87,12 @@ class GripTask:
         """Return the margins (…, items) of a grip."""
         return grip_margins(grip, self.requirements, self.kind)
 
+    def imbalance(self, grip: Grip) -> Array:
+        """Return the largest level force over the tension, or moment over that and the size (…)."""
+        scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
+        largest: Array = np.max(np.abs(grip.level_imbalance) / scale, axis=-1)
+        return largest
+
 
 def best_grip(task: GripTask) -> Grip:
     """Return the grip whose slip load is largest, within all limits, before it lifts anything.
@@ -106,9 +113,8 @@ def best_grip(task: GripTask) -> Grip:
 
 def _merit(task: GripTask, grip: Grip) -> float:
     """Return the slip load over friction [N] of a grip within all limits; else what it lacks."""
-    scale = np.array([1.0, 1.0, math.sqrt(task.section.area)]) * task.tension
     short = min(float(np.min(each)) for each in task.margins(grip).values())
-    unbalanced = float(np.max(np.abs(grip.level_imbalance) / scale)) - BALANCED
+    unbalanced = float(task.imbalance(grip)) - BALANCED
     loose = -float(np.min(grip.wraps.angles))
     lacking = max(-short, unbalanced, 0.0)
     if lacking > 0.0 or loose >= 0.0:
@@ -190,11 +196,19 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Grip | None:
 
 
 class _Program:
-    """Slip load, imbalances and smallest margins of a task's grips, by their vertices."""
+    """Slip load, imbalances and smallest margins of a task's grips, by their vertices.
+
+    A disc has no moment, however it is gripped, and all turned grips of it are equal: there the
+    third imbalance is how far vertices turn from where they start.
+    """
 
     def __init__(self, task: GripTask, start: Array) -> None:
-        self._task, self._shape = task, start.shape
+        self._task, self._shape, self._start = task, start.shape, start.ravel()
         self._at: dict[tuple[str, bytes], Array] = {}
+        self._turning: Array | None = None
+        if len(task.section.core) == 1:
+            x, y = (start - task.section.centroid).T
+            self._turning = np.column_stack([-y, x]).ravel() / math.hypot(*x, *y)
 
     def values(self, x: Array) -> Array:
         """Return the values (rows,) at vertices x (2 n,) [m]."""
@@ -221,11 +235,15 @@ class _Program:
         task = self._task
         grip = task.grip(x.reshape(*x.shape[:-1], *self._shape))
         kept = [
-            np.sort(np.partition(each, min(SMALLEST, each.shape[-1]) - 1)[..., :SMALLEST])
+            each
+            if each.shape[-1] <= ALL
+            else np.sort(np.partition(each, SMALLEST - 1)[..., :SMALLEST])
             for each in _searched(task, grip)
         ]
         goal = grip.slip_load(1.0)[..., None] / task.tension
         unbalanced = grip.level_imbalance / task.tension
+        if self._turning is not None:
+            unbalanced[..., 2] = (x - self._start) @ self._turning
         return np.concatenate([goal, unbalanced, *kept], axis=-1)
 
 

@@ -8,12 +8,38 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import first_smallest, length, unit
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Bends:
+    """The corners of a section's core about which edges turn.
+
+    Attributes
+    ----------
+    touching: (…, n), whether they turn at all.
+    corners: (…, n, 2), the first and the last corner of those that do; of straight ones twice the
+        one that comes to touch them first.
+    """
+
+    touching: NDArray[np.bool_]
+    corners: Indices
+
+    def differ(self, other: Bends) -> NDArray[np.bool_]:
+        """Return (…) whether any edge turns about other corners."""
+        moved = np.any(self.corners != other.corners, axis=-1) & self.touching
+        found: NDArray[np.bool_] = np.any(moved | (self.touching != other.touching), axis=-1)
+        return found
+
+    def __getitem__(self, item: Any) -> Bends:
+        return Bends(self.touching[item], self.corners[item])
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +54,7 @@ class Wraps:
     arcs: (…, n) [m], lengths on the section.
     angles: (…, n) [rad], wraps ``θ_k``; 0 of a straight edge.
     contacts: (…, n, 2, 2) [m], where the arc begins and ends; the middle of a straight edge.
+    bends: about what edges turn.
     """
 
     leaving: Array
@@ -36,6 +63,8 @@ class Wraps:
     arcs: Array
     angles: Array
     contacts: Array
+
+    bends: Bends
 
     @property
     def lengths(self) -> Array:
@@ -54,26 +83,51 @@ class Wraps:
         behind = np.roll(self.arriving, 1, axis=-2)
         return math.pi - np.abs(_turn(behind, self.leaving))
 
+    def least_turns(self, section: Section) -> Array:
+        """Return (…) [rad]: by how much edges turn at least before they meet another corner.
 
-def wraps_around(section: Section, vertices: Array) -> Wraps:
+        Straight edges do not count.
+
+        Parameters
+        ----------
+        section: a polygon, which they are around.
+        """
+        core = section.core
+        sides = np.stack([core - np.roll(core, 1, axis=0), np.roll(core, -1, axis=0) - core])
+        met = np.moveaxis(sides[:, self.bends.corners], 0, -2)  # (…, n, 2 contacts, 2 sides, 2)
+        parts = np.stack([self.leaving, self.arriving], axis=-2)[..., None, :]
+        turns = np.min(np.abs(_turn(met, parts)), axis=(-1, -2))
+        least: Array = np.min(np.where(self.bends.touching, turns, math.inf), axis=-1)
+        return least
+
+
+def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) -> Wraps:
     """Return the taut edges of a clockwise polygon around a section.
 
     Parameters
     ----------
     vertices: (…, n, 2) [m], outside of the section.
+    bends: (…, n), about what edges turn, where that is known: beyond the last place at which they
+        do, curves continue smoothly. None for what they do.
     """
     onward = np.roll(vertices, -1, axis=-2)
-    a, first, corner = _tangents(section, vertices, 1.0)
-    b, last, corner_after = _tangents(section, onward, -1.0)
+    given = (None, None) if bends is None else np.moveaxis(bends.corners, -1, 0)
+    a, first, corner = _tangents(section, vertices, 1.0, given[0])
+    b, last, corner_after = _tangents(section, onward, -1.0, given[1])
     b = -b
     right = -_turn(a, b)
-    touching = right > 0.0
+    touching = right > 0.0 if bends is None else np.broadcast_to(bends.touching, right.shape)
     ring = np.append(0.0, np.cumsum(length(np.roll(section.core, -1, 0) - section.core)))
     sides = (ring[corner_after] - ring[corner]) % ring[-1] if ring[-1] > 0.0 else 0.0
     chord = onward - vertices
     straight, size = unit(chord), length(chord)
     touches = touching[..., None]
     middle = 0.5 * (vertices + onward)
+    if bends is None:
+        left = np.stack([-straight[..., 1], straight[..., 0]], axis=-1)
+        corners = np.stack([corner, corner_after], axis=-1)
+        first_to_touch = np.argmax(left @ section.core.T, axis=-1)[..., None]
+        bends = Bends(touching, np.where(touches, corners, first_to_touch))
     contacts = np.stack([vertices + first[..., None] * a, onward - last[..., None] * b], axis=-2)
     half = 0.5 * size[..., None]
     return Wraps(
@@ -83,22 +137,29 @@ def wraps_around(section: Section, vertices: Array) -> Wraps:
         np.where(touching, sides + section.rounding * right, 0.0),
         np.where(touching, right, 0.0),
         np.where(touches[..., None], contacts, middle[..., None, :]),
+        bends,
     )
 
 
-def _tangents(section: Section, points: Array, side: float) -> tuple[Array, Array, Indices]:
+def _tangents(
+    section: Section, points: Array, side: float, about: Indices | None
+) -> tuple[Array, Array, Indices]:
     """Return tangents from points (…, 2): directions, lengths [m], and the corners touched.
 
     Parameters
     ----------
     side: 1 with the section on the right of them, -1 on the left.
+    about: (…), the corners they touch; None for those with all of the section on that side.
     """
     to_corners = section.core - points[..., None, :]
     to_middle = np.mean(section.core, axis=0) - points
     far = length(to_corners)
     lean = np.arcsin(np.minimum(section.rounding / np.where(far > 0.0, far, 1.0), 1.0))
     angles = side * _turn(to_middle[..., None, :], to_corners) + lean
-    corner = first_smallest(-angles, 1.0)  # of two corners on one side, either is right
+    if about is None:
+        corner = first_smallest(-angles, 1.0)  # of two corners on one side, either is right
+    else:
+        corner = np.broadcast_to(about, points.shape[:-1])
     chosen = np.take_along_axis(angles, corner[..., None], axis=-1)[..., 0]
     reach = np.take_along_axis(far, corner[..., None], axis=-1)[..., 0]
     lengths = np.sqrt(np.maximum(reach**2 - section.rounding**2, 0.0))

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hitchopt.checks.cable_length import LIMIT
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_slack import cable_slack
@@ -46,6 +47,9 @@ LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 
 KEPT, NEAREST, SAMPLES = 1.02, 1.002, 65
 """Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+
+SEAM = 0.8 * LIMIT
+"""Largest relative error of cable lengths where edges meet other corners."""
 
 APART = 1.15
 """Distance of neighbouring drones while legs lean, over the least one."""
@@ -131,7 +135,10 @@ def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
         ]
         for law, T in _pulls(loose, team.tension):
             moves.append(changed_move(task, law, tension=T, closed=(0.0, 0.0)))
-        if all(_apart(held, move, task.requirements.separation, NEAREST) for move in moves):
+        separation = task.requirements.separation
+        if held.largest_seam(loose) <= SEAM and all(
+            _apart(held, move, separation, NEAREST) for move in moves
+        ):
             yield moves
         found.append(moves)
     yield found[0]
@@ -166,10 +173,7 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
     turning = SmoothLaw(0.5 * PRELOAD)
     if lean:
         yield changed_move(task, turning, closed=(start, start), lean=(0.0, lean))
-    events = held.events(max(start, end))
-    low, high = sorted((start, end))
-    between = events[(events > low) & (events < high)]
-    places = np.unique(np.concatenate([[low], between, [high]]))
+    places = np.unique([start, *held.events, end])
     if start > end:
         places = places[::-1]
     limits = task.requirements.limits

@@ -74,6 +74,17 @@ def box() -> Motion:
     return plan.motion
 
 
+@pytest.fixture(scope="module")
+def stone() -> Motion:
+    """A flat stone of nine corners, lopsided: edges bend round several of them."""
+    angles = 0.1 - np.array([0.0, 0.6, 1.3, 2.1, 2.7, 3.5, 4.2, 4.8, 5.6])
+    outline = np.column_stack([0.21 * np.cos(angles), 0.19 * np.sin(angles)])
+    changes = {"circle": None, "outline": outline.tolist(), "mass": 0.05, "friction": 1.0}
+    plan = ho.solve(ho.problem_from_dict(drum(**changes)))
+    assert plan.certificate.certified
+    return plan.motion
+
+
 def lifted(motion: Motion) -> Array:
     """Times at which the object is off its support."""
     lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))
@@ -103,7 +114,7 @@ def check(motion: Motion, name: str) -> Any:
     return found
 
 
-@pytest.mark.parametrize("name", ["motion", "box"])
+@pytest.mark.parametrize("name", ["motion", "box", "stone"])
 def test_legs_pull_with_weight_and_inertia(name: str, request: pytest.FixtureRequest) -> None:
     """Legs alone, as drones see them, add up to what moves the object and holds the cables."""
     motion: Motion = request.getfixturevalue(name)
@@ -120,7 +131,7 @@ def test_legs_pull_with_weight_and_inertia(name: str, request: pytest.FixtureReq
     assert np.all((extra > 0.1 * cables) & (extra < cables))
 
 
-@pytest.mark.parametrize("name", ["motion", "box"])
+@pytest.mark.parametrize("name", ["motion", "box", "stone"])
 def test_edges_move_the_object(name: str, request: pytest.FixtureRequest) -> None:
     motion: Motion = request.getfixturevalue(name)
     t = lifted(motion)
@@ -137,7 +148,7 @@ def test_edges_move_the_object(name: str, request: pytest.FixtureRequest) -> Non
     assert np.max(np.abs(np.sum(moment, axis=1))) < 1e-3
 
 
-@pytest.mark.parametrize("name", ["motion", "box"])
+@pytest.mark.parametrize("name", ["motion", "box", "stone"])
 def test_cables_are_as_long_as_they_are(name: str, request: pytest.FixtureRequest) -> None:
     """Legs, tangents and arcs use up the cable; arcs by many chords on the section."""
     motion: Motion = request.getfixturevalue(name)
@@ -176,7 +187,7 @@ def ratios(motion: Motion, t: Array) -> Array:
     return slip / (body.mass * (GRAVITY + a))
 
 
-@pytest.mark.parametrize("name", ["motion", "box"])
+@pytest.mark.parametrize("name", ["motion", "box", "stone"])
 def test_no_sample_is_below_the_bound_of_grip(name: str, request: pytest.FixtureRequest) -> None:
     motion: Motion = request.getfixturevalue(name)
     least = float(np.min(ratios(motion, lifted(motion))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
+from hitchopt.holding import grip_search
 from hitchopt.holding.grip_limits import grip_margins, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
 from hitchopt.holding.wraps import wraps_around
+from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
@@ -173,6 +176,68 @@ def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
         kept = task(section, n, cable).margins(tried)
         if min(float(np.min(each)) for each in kept.values()) >= 0.05:
             assert tried.slip_load(0.5) <= found.slip_load(0.5) * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("ulps", [0.0, 1e-13])
+def test_a_disc_is_gripped_as_the_search_starts(ulps: float, monkeypatch: Any) -> None:
+    rng, start = np.random.default_rng(3), grip_search._starts
+    monkeypatch.setattr(
+        grip_search,
+        "_starts",
+        lambda made: [each + ulps * rng.standard_normal(each.shape) for each in start(made)],
+    )
+    found = best_grip(task(DISC, 3, 1.6)).vertices[:, :2]
+    radius = float(np.linalg.norm(found[0]))
+    np.testing.assert_allclose(found, regular(3, radius), atol=1e-8)
+
+
+def test_edges_that_bend_as_before_go_on_smoothly() -> None:
+    """Beyond the corner that an edge meets next: about the old one, tangents cut the section."""
+    base, away = ODD.centroid + regular(3, 0.45, 0.3), np.array([[0.3, 0.1], [0, 0], [0.1, -0.2]])
+    shares = np.linspace(0.0, 1.0, 2001)
+    path = base + shares[:, None, None] * away
+    free = wraps_around(ODD, path)
+    differs = np.flatnonzero(free.bends[1:].differ(free.bends[:-1]))
+    assert len(differs) > 0
+    i = int(differs[0])
+    kept = wraps_around(ODD, path, free.bends[i])
+    np.testing.assert_array_equal(kept.contacts[: i + 1], free.contacts[: i + 1])
+    for name in ("angles", "lengths"):  # of both laws: kinks alone
+        one, other = getattr(kept, name), getattr(free, name)
+        np.testing.assert_allclose(one[i + 1], other[i + 1], atol=1e-3)
+    assert np.all(np.linalg.norm(np.diff(kept.contacts, axis=0), axis=-1).max(axis=0) < 1e-3)
+    jumps = np.linalg.norm(free.contacts[i + 1] - free.contacts[i], axis=-1)
+    assert jumps.max() > 0.05  # a side's length
+
+
+def test_edges_turn_least_before_they_meet_the_next_corner() -> None:
+    vertices = ODD.centroid + regular(3, 0.45, 0.3)
+    wraps = wraps_around(ODD, vertices)
+    least = float(wraps.least_turns(ODD))
+    core, seen = ODD.core, []
+    for k in range(3):
+        for tangent, contact in ((wraps.leaving[k], 0), (wraps.arriving[k], 1)):
+            at = int(np.argmin(np.linalg.norm(core - wraps.contacts[k, contact], axis=-1)))
+            for other in (core[at - 1], core[(at + 1) % len(core)]):
+                side = (other - core[at]) / np.linalg.norm(other - core[at])
+                seen.append(math.acos(min(abs(float(side @ tangent)), 1.0)))
+    assert least == pytest.approx(min(seen), abs=1e-9)
+
+
+@pytest.mark.parametrize("pulled", [[0.0, 0.0], [0.03, -0.05]])
+def test_moved_clasps_pull_with_the_force_and_no_moment(pulled: list[float]) -> None:
+    polygon = regular(3, 0.4, 0.3) * [1.02, 0.99]
+    tensions, none = np.array([1.0, 1.1, 0.95]), np.zeros(3)
+    for _ in range(8):
+        wraps = wraps_around(ODD, ODD.centroid + polygon)
+        arms = contacts_of(ODD.centroid + polygon, wraps, ODD.core) - ODD.centroid
+        parts = straight_parts(polygon, arms, none)
+        polygon = balanced(polygon, tensions, parts, arms, np.asarray(pulled))
+    ahead, behind = (part[:, :2] / np.linalg.norm(part[:, :2], axis=1)[:, None] for part in parts)
+    forces = np.stack([-ahead, behind], axis=1) * tensions[:, None, None]  # on the section
+    np.testing.assert_allclose(forces.sum(axis=(0, 1)), pulled, atol=1e-9)
+    moments = arms[..., 0] * forces[..., 1] - arms[..., 1] * forces[..., 0]
+    assert np.sum(moments) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_cylinder_of_100_g_needs_a_tension_of_1_3_n() -> None:

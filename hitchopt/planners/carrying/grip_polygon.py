@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.holding.capacity import Capacity
 from hitchopt.holding.grip_limits import largest_tension
-from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.holding.grip_search import BALANCED, GripTask, best_grip, grip_capacity
+from hitchopt.holding.wraps import wraps_around
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
@@ -21,6 +25,14 @@ FACTOR = 1.5
 
 SEARCHED = 0.9
 """Share of the largest level pull with which polygons are looked for: they do not depend on it."""
+
+LARGER, TURN = np.linspace(1.0, 1.05, 21), math.radians(2.0)
+"""Sizes of grips that are tried, over the best one's; and by how much [rad] edges are to turn
+before they meet other corners."""
+
+BALANCING, FARTHEST = 8, 0.05
+"""Newton's steps with which they are balanced, and how far these may move a clasp, over the
+section's size."""
 
 TENSIONS = np.geomspace(0.2, 5.0, 60)
 """[N] Tensions that are tried for a suggestion."""
@@ -75,7 +87,35 @@ def grip_polygons(
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
     centre = body.centre_of_mass[:2]
+    closed = _between_corners(task, closed, centre)
     return HoldPolygons.with_short_edges(closed, centre, (body.section,), gap)
+
+
+def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
+    """Return a grip (n, 2) [m] whose edges meet no other corners when clasps move a little.
+
+    The best grip often has an edge along a side; clasps of one that is larger by some per cent are
+    as far from there as inertia moves them. They are balanced again, those that are not then, or
+    that this moves far, left out.
+    """
+    section = task.section
+    if section.outline is None:
+        return closed
+    larger = LARGER[:, None, None] * (closed - centre)
+    grips, pulls, none = larger, np.ones(larger.shape[:-1]), np.zeros((len(larger), 2))
+    for _ in range(BALANCING):
+        wraps = wraps_around(section, centre + grips)
+        contacts = contacts_of(centre + grips, wraps, section.core)
+        parts = straight_parts(centre + grips, contacts, np.zeros_like(pulls))
+        grips = balanced(grips, pulls, parts, contacts - centre, none)
+    moved = np.max(length(grips - larger), axis=-1)
+    turns = wraps_around(section, centre + grips).least_turns(section)
+    lacking = task.imbalance(task.grip(centre + grips))
+    near = (moved <= FARTHEST * section.circumradius) & (lacking <= BALANCED)
+    near[0] = True
+    reached = np.where(near, np.minimum(turns, TURN), -np.inf)
+    found: Array = centre + grips[np.argmax(reached)]
+    return found
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:

@@ -9,6 +9,7 @@ from where edges bend, and need no friction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -17,16 +18,25 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.holding.wraps import Wraps, wraps_around
+from hitchopt.holding.wraps import Bends, wraps_around
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.clasp_lean import edge_ratios
+from hitchopt.planners.carrying.edge_balance import (
+    balanced,
+    contacts_of,
+    lifting_heights,
+    straight_parts,
+)
 from hitchopt.planners.carrying.moves import Move, courses
 from hitchopt.values import Array
 
 PASSES = 6
 """Times that heights and places of clasps are computed from each other: to 1e-9 m."""
+
+TOGETHER, BEYOND = 1e-6, 3e-6
+"""Shares of the way that are nearer to each other are one event; so far from one it is over."""
 
 SCAN = 400
 """Places on the way from around the object to the grip at which edges are looked at."""
@@ -75,7 +85,8 @@ class GrippedHitch:
     def reach(self) -> float:
         """Largest level distance [m] of a drone from the object's origin where it grips."""
         still = np.zeros((1, 4))
-        drones = self._statics(np.ones(1), self.team.tension[None], still[:, 0])["drones"]
+        pulls, bends = self.team.tension[None], self._bends(1.0)
+        drones = self._statics(np.ones(1), pulls, still[:, 0], bends)["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
     @property
@@ -83,31 +94,58 @@ class GrippedHitch:
         """Longest way [m] of a clasp from around the object to the grip."""
         return float(np.max(length(self.closed - self.around)))
 
-    def events(self, farthest: float) -> Array:
-        """Return the shares in (0, farthest) at which an edge meets the object or another corner.
+    @cached_property
+    def events(self) -> Array:
+        """Shares in (0, 1) at which an edge meets the object or another corner.
 
         There legs begin to turn: drones have to rest.
         """
-        shares = np.linspace(0.0, farthest, SCAN + 1)
-        kinds = self._kinds(shares)
+        shares = np.linspace(0.0, 1.0, SCAN + 1)
+        bends = self._bends(shares)
         found = []
-        for i in np.flatnonzero(np.any(kinds[1:] != kinds[:-1], axis=(1, 2))):
-            low, high = shares[i], shares[i + 1]
-            before = kinds[i]
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                same = np.array_equal(self._kinds(np.array([middle]))[0], before)
-                low, high = (middle, high) if same else (low, middle)
-            found.append(high)
-        return np.array(found)
+        for i in np.flatnonzero(bends[1:].differ(bends[:-1])):
+            place, last = shares[i], bends[i + 1]
+            while (before := self._bends(place)).differ(last):
+                low, high = place, shares[i + 1]
+                for _ in range(60):
+                    middle = 0.5 * (low + high)
+                    same = not self._bends(middle).differ(before)
+                    low, high = (middle, high) if same else (low, middle)
+                found.append(high)
+                place = high
+        events = np.array(found)
+        return events[np.append(True, np.diff(events) > TOGETHER)] if found else events
 
-    def _kinds(self, shares: Array) -> Array:
-        """Return (…, n, 3) whether edges touch the object, and the corners at both contacts."""
-        wraps = wraps_around(self.body.section, self._polygon(shares))
-        away = wraps.contacts[..., None, :] - self.body.section.core
-        corners = np.argmin(length(away), axis=-1)
-        touching = (wraps.angles > 0.0)[..., None]
-        return np.concatenate([touching, np.where(touching, corners, 0)], axis=-1)
+    def largest_seam(self, tension: Array) -> float:
+        """Return the largest relative error of cable lengths at events, with tensions (n,) [N]."""
+        before = [(e, self._bends(e - BEYOND)) for e in self.events]
+        seams = np.array([self._seam(e, bends) for e, bends in before]).reshape(-1, len(tension))
+        errors = np.abs(seams) * sag_factors(self.team, tension) / self.team.cable_length
+        return float(np.max(errors, initial=0.0))
+
+    def _bends(self, shares: Array | float) -> Bends:
+        """Return (…, n) about what edges turn at shares (…) of the way to the grip."""
+        return wraps_around(self.body.section, self._polygon(np.asarray(shares))).bends
+
+    def _seam(self, share: float, bends: Bends) -> Array:
+        """Return half of what spans (n,) [m³] change by where edges come to bend otherwise.
+
+        Where an edge meets another corner, the straight part that sags is longer or shorter at
+        once; moves before and after it meet half way.
+
+        Parameters
+        ----------
+        share: at which a move ends.
+        bends: (n,), about what edges turn in it.
+        """
+        polygon, core = self._polygon(np.asarray(share)), self.body.section.core
+        spans = []
+        beyond = self._bends(np.clip(share + BEYOND * np.array([-1.0, 1.0]), 0.0, None))
+        others = [each for each in (beyond[0], beyond[1]) if each.differ(bends)]
+        for each in (bends, *others[:1]):
+            contacts = contacts_of(polygon, wraps_around(self.body.section, polygon, each), core)
+            spans.append(_span(*straight_parts(polygon, contacts, np.zeros(len(polygon)))))
+        return 0.5 * (spans[-1] - spans[0])
 
     def _polygon(self, share: Array) -> Array:
         """Return the clasps (…, n, 2) [m] at shares of the way to the grip."""
@@ -122,7 +160,7 @@ class GrippedHitch:
         InfeasibleError: a weight that the tensions cannot carry.
         """
         course = courses(move, t)
-        borne, pulled = course.borne, None
+        borne, pulled = course.borne, np.zeros((*course.borne.shape, 2))
         weight = GRAVITY * borne
         if move.lifted:
             there = course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
@@ -130,7 +168,13 @@ class GrippedHitch:
             weight = GRAVITY + there[..., 2]
         share = course.between(*move.closed)
         lean = course.between(*move.lean)
-        found = self._statics(share, course.tension, self.body.mass * weight, pulled, lean)
+        weight, tension = self.body.mass * weight, course.tension
+        bends = self._bends(0.5 * sum(move.closed))
+        seam = None
+        if move.closed[0] != move.closed[1]:
+            before, after = (self._seam(share, bends) for share in move.closed)
+            seam = before + course.share[..., None] * (after - before)
+        found = self._statics(share, tension, weight, bends, (pulled, borne), lean, seam)
         if move.lean == (0.0, 0.0):
             del found["leg_tensions"]
         pose = course.pose[..., None, :]
@@ -144,8 +188,10 @@ class GrippedHitch:
         share: Array,
         tension: Array,
         weight: Array,
-        pulled: Array | None = None,
+        bends: Bends,
+        pulled: tuple[Array, Array] | None = None,
         lean: Array | None = None,
+        seam: Array | None = None,
     ) -> dict[str, Array]:
         """Return drones, vertices, legs, tensions and contacts in the object's frame.
 
@@ -158,23 +204,29 @@ class GrippedHitch:
         share: (…), how far the hitch is closed.
         tension: (…, n) [N]
         weight: (…) [N], what edges carry.
-        pulled: (…, 2) [N], level force on the object; None while it stands.
+        bends: (n,), about what edges turn.
+        pulled: (…, 2) [N], level force on the object, and (…) what share of it edges bear, from 0
+            of an object that stands; None for no force.
         lean: (…), as of Move; None for none.
+        seam: (…, n) [m³], what ``_span`` is taken to be larger; None for nothing.
         """
         team, section, T = self.team, self.body.section, tension
-        polygon = self._polygon(share)
-        wraps = wraps_around(section, polygon)
-        contacts = _contacts(polygon, wraps, section.core)
+        planned = polygon = self._polygon(share)
+        wraps = wraps_around(section, polygon, bends)
+        contacts = contacts_of(polygon, wraps, section.core)
         centre = self.body.centre_of_mass[:2]
         z = np.zeros(polygon.shape[:-1])
         for _ in range(PASSES):
-            leaving, arriving = _tangents(polygon, contacts, z)
-            z = _heights(T, leaving, arriving, contacts - centre, weight)
-            if pulled is not None:
-                polygon = polygon + _shift(T, leaving, arriving, pulled)[..., None, :]
-                wraps = wraps_around(section, polygon)
-                contacts = _contacts(polygon, wraps, section.core)
-        leaving, arriving = _tangents(polygon, contacts, z)
+            leaving, arriving = straight_parts(polygon, contacts, z)
+            z = lifting_heights(T, leaving, arriving, contacts - centre, weight)
+            if pulled is not None and np.any(pulled[1]):
+                force, borne = pulled
+                parts, arms = (leaving, arriving), contacts - centre
+                even = centre + balanced(polygon - centre, T, parts, arms, force)
+                polygon = planned + borne[..., None, None] * (even - planned)
+                wraps = wraps_around(section, polygon, bends)
+                contacts = contacts_of(polygon, wraps, section.core)
+        leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
             legs = 0.5 * (team.cable_length - wraps.arcs - free)
@@ -184,8 +236,7 @@ class GrippedHitch:
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
-            whole = leaving + arriving
-            edges = edges + factors * free * (whole[..., 0] ** 2 + whole[..., 1] ** 2)
+            edges = edges + factors * (_span(leaving, arriving) + (0.0 if seam is None else seam))
         slack = team.cable_length - edges
         q_legs = (self.open_fractions + share[..., None] * (0.5 - self.open_fractions)) * slack
         loads = clasp_loads(team, q_legs, slack, None)
@@ -207,64 +258,9 @@ class GrippedHitch:
         }
 
 
-def _contacts(polygon: Array, wraps: Wraps, core: Array) -> Array:
-    """Return where edges meet and leave the section (…, n, 2, 2) [m].
-
-    Of straight edges that is the point which comes to touch the section first.
-    """
-    chord = np.roll(polygon, -1, axis=-2) - polygon
-    along = unit(chord)
-    left = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    corner = core[np.argmax(left @ core.T, axis=-1)]
-    ahead = np.sum((corner - polygon) * along, axis=-1, keepdims=True)
-    nearest = polygon + np.clip(ahead, 0.0, length(chord)[..., None]) * along
-    touching = (wraps.angles > 0.0)[..., None, None]
-    return np.where(touching, wraps.contacts, nearest[..., None, :])
-
-
-def _tangents(polygon: Array, contacts: Array, z: Array) -> tuple[Array, Array]:
-    """Return the straight parts (…, n, 3) [m] of edges at ``p_k``, and at ``p_{k+1}``."""
-    leaving = np.concatenate([contacts[..., 0, :] - polygon, -z[..., None]], axis=-1)
-    onward = np.roll(polygon, -1, axis=-2) - contacts[..., 1, :]
-    return leaving, np.concatenate([onward, np.roll(z, -1, axis=-1)[..., None]], axis=-1)
-
-
-def _shift(T: Array, leaving: Array, arriving: Array, pulled: Array) -> Array:
-    """Return how far all clasps go (…, 2) [m] for edges to pull with a level force (…, 2) [N].
-
-    Moved across itself a straight part of length t turns, and pulls with ``T / t`` more per metre.
-    """
-    force: Array = -pulled
-    stiffness: Array = np.zeros((*pulled.shape, 2))
-    for part, sign in ((leaving, -1.0), (arriving, 1.0)):
-        along = unit(part)[..., :2]
-        force = force + sign * np.sum(T[..., None] * along, axis=-2)
-        across = np.eye(2) - along[..., :, None] * along[..., None, :]
-        stiffness = stiffness + np.sum((T / length(part))[..., None, None] * across, axis=-3)
-    shift = np.linalg.solve(stiffness, -force[..., None])[..., 0]
-    return np.asarray(shift, dtype=np.float64)
-
-
-def _heights(T: Array, leaving: Array, arriving: Array, arms: Array, weight: Array) -> Array:
-    """Return the heights (…, n) [m] of clasps at which edges carry a weight (…) [N].
-
-    Clasp k lifts with ``f_k = z_k (T_k / t + T_{k-1} / t')``, t and t' its edges' straight parts,
-    at their contacts. Of all ``f`` with that sum and no moment about level axes the nearest to
-    equal ones is taken.
-
-    Parameters
-    ----------
-    arms: (…, n, 2, 2) [m], contacts seen from the centre of mass.
-    """
-    ahead = T / length(leaving)
-    behind = np.roll(T / length(arriving), 1, axis=-1)
-    rate = ahead + behind
-    each = ahead[..., None] * arms[..., 0, :]
-    each = (each + behind[..., None] * np.roll(arms[..., 1, :], 1, axis=-2)) / rate[..., None]
-    rows = np.concatenate([np.ones_like(rate)[..., None, :], np.swapaxes(each, -1, -2)], axis=-2)
-    wanted = np.stack([weight, 0.0 * weight, 0.0 * weight], axis=-1)
-    equal = np.repeat(weight[..., None] / T.shape[-1], T.shape[-1], axis=-1)
-    short = wanted - np.einsum("...ij,...j->...i", rows, equal)
-    forces = equal + np.einsum("...ij,...j->...i", np.linalg.pinv(rows), short)
-    heights: Array = forces / rate
-    return heights
+def _span(leaving: Array, arriving: Array) -> Array:
+    """Return the length of edges' straight parts (…, n), times their level span squared [m³]."""
+    whole = leaving + arriving
+    free = length(leaving) + length(arriving)
+    span: Array = free * (whole[..., 0] ** 2 + whole[..., 1] ** 2)
+    return span
