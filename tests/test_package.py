@@ -1,6 +1,7 @@
 """The package as a whole: its public names, and how light it is to import."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -65,3 +66,22 @@ def test_property_tests_know_no_clock_and_try_the_same_examples() -> None:
         if (keyword.arg, ast.unparse(keyword.value)) not in ALLOWED and keyword.arg in CLOCKS
     ]
     assert overridden == []
+
+
+def test_planning_does_not_run_pyplot_and_users_get_it_whole() -> None:
+    code = """
+import sys, hitchopt as ho
+ho.morph(ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4),
+    ho.regular_polygon(3, 1.3), altitude=1.0), ho.regular_polygon(3, 1.2))
+ran = "figure" in vars(sys.modules["matplotlib.pyplot"])
+import matplotlib
+import matplotlib.pyplot as plt
+from toppra.parametrizer import plt as other
+plt.plot([0.0, 1.0])
+print(ran, matplotlib.pyplot is plt is other, len(plt.gca().lines), plt.__name__)
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+    )  # fmt: skip
+    assert told.stdout.split() == ["False", "True", "1", "matplotlib.pyplot"]

@@ -42,8 +42,8 @@ def test_every_cable_is_drawn_over_its_own_points(n: int) -> None:
 def test_every_point_is_numbered_off_the_cables(n: int) -> None:
     plan, figure, axes = drawn(n)
     figure.draw_without_rendering()
-    labels = [t for t in axes.texts if isinstance(t, Annotation) and t.get_text().startswith("$p")]
-    assert [label.get_text() for label in labels] == [f"$p_{{{k}}}$" for k in range(n + 1)]
+    labels = [t for t in axes.texts if isinstance(t, Annotation) and t.get_text().startswith("p")]
+    assert [label.get_text() for label in labels] == ["p₀", "p₁", "p₂", "p₃", "p₄"][: n + 1]
     p = plan.at(0.5).vertices[:, :2]
     screen = axes.transData.transform(p)
     for k, label in enumerate(labels):
