@@ -195,12 +195,16 @@ class Replanner(OneLine):
         team, need = past.team, self.requirements
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
+        before: Hitch | None = None
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, fractions, chosen=chosen)
             except InfeasibleError as error:
                 refusal = refusal or error
                 continue
+            if before is not None and np.allclose(end.q_legs, before.q_legs, 0.0, SAME_STATE):
+                break  # the goal keeps all limits at rest: the path to it does not
+            before = end
             path = RetargetPath.to(team, state, end, yaw)
             tried = False
             for brake in islice(brakes(path, need.planned.limits), BRAKES):

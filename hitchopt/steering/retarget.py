@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.stoppable import QUICK
+from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion, Phase
@@ -25,7 +26,7 @@ from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
 IN_FLIGHT = (QUICK,)
-"""Reports that are made while the hitch flies; all others are of the whole plan."""
+"""Reports on certified answers while the hitch flies; all others are of the whole plan."""
 
 PIECE = 0.3
 """[s] Length of the pieces of the brake, which is as quick as limits allow."""
@@ -103,8 +104,10 @@ def certified_retarget(
         flight = path.flight(_breaks(brake, shift, finer, moving=path.state.moves), brake, shift)
         fresh = flying(flight, path.team, requirements, [phase])
         ahead = followed(recent, fresh)
-        certificate = certify(ahead.untimed, reports=IN_FLIGHT)
+        certificate = certify(ahead.untimed, reports=())
         if certificate.certified:
+            stops = tuple(report.check(ahead, {}, GAMMA) for report in IN_FLIGHT)
+            certificate = replace(certificate, checks=(*certificate.checks, *stops))
             motion = followed(past, fresh)
             return Retarget(True, past.duration, motion, ahead, certificate)
         broken = {check.name: check for check in certificate.violated}

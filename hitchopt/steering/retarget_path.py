@@ -80,8 +80,18 @@ class RetargetPath:
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
-        """Return the path to a hitch."""
-        return cls(team, state, end.vertices, end.fractions, yaw)
+        """Return the path to a hitch.
+
+        Its frame turns by what is left from the state to the hitch, also where the state has not
+        finished an earlier turn: on straight lines to the goal a half-turned polygon would shrink.
+
+        Parameters
+        ----------
+        yaw: that is asked for [rad]; full turns are chosen to come closest to it.
+        """
+        left = _turn(state.vertices[:, :2, 0], end.vertices[:, :2])
+        left += 2.0 * np.pi * np.round((yaw - left) / (2.0 * np.pi))
+        return cls(team, state, end.vertices, end.fractions, left)
 
     @cached_property
     def braked(self) -> RetargetPath:
@@ -161,3 +171,10 @@ class RetargetPath:
         )
         tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
         return Flight(drones, vertices, leg_curves, tensions)
+
+
+def _turn(first: Array, last: Array) -> float:
+    """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
+    x, y = (points - points.mean(axis=0) for points in (first, last))
+    turned = np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0])
+    return float(np.arctan2(turned, np.sum(x * y)))

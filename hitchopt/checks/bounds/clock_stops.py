@@ -189,19 +189,28 @@ def _shortest(bounds: StopBounds, starts: Array) -> Array:
 def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple[Array, Array]:
     """Return the durations before and at the first of those ``tried`` (m, k) that can be.
 
-    Where none can be, the last one and infinity.
+    Where none can be, the last one and infinity. Bounds take far longer than samples: for each
+    start they are only made of the first duration that samples allow, then of the next one.
     """
     count = tried.shape[1]
-    kept = _keep(bounds, np.repeat(starts, count), tried.ravel()).reshape(tried.shape)
-    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), count)
+    possible = bounds.may_keep(np.repeat(starts, count), tried.ravel()).reshape(tried.shape)
+    first = np.full(len(starts), count)
+    left = np.flatnonzero(np.any(possible, axis=1))
+    while len(left):
+        column = np.argmax(possible[left], axis=1)
+        kept = _shown(bounds, starts[left], tried[left, column])
+        first[left[kept]] = column[kept]
+        possible[left, column] = False
+        left = left[~kept]
+        left = left[np.any(possible[left], axis=1)]
     row = np.arange(len(starts))
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     return steps[row, first], steps[row, first + 1]
 
 
-def _keep(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
+def _shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
     """Return (m,) whether stops are shown to keep all limits."""
-    kept = bounds.keep(starts, durations)
+    kept = bounds.show(starts, durations)
     if bounds.limits.motion.requirements.limits.body_rate is not None:
         left = np.flatnonzero(kept)
         clocks = stop_phases(starts[left], durations[left])

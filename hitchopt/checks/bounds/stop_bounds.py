@@ -102,18 +102,29 @@ class StopBounds:
         ----------
         start, duration: (stops,) [s].
         """
+        kept = self.may_keep(start, duration)
+        stops = np.flatnonzero(kept)
+        kept[stops] = self.show(start[stops], duration[stops])
+        return kept
+
+    def may_keep(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether stops keep limits at samples; what breaks one is out."""
         kept = np.zeros(len(start), dtype=np.bool_)
         size = self._vectors
         for first in range(0, len(start), size):
             part = slice(first, first + size)
             kept[part] = self._samples(start[part], duration[part])
-        stops = np.flatnonzero(kept)
-        count = np.searchsorted(self._grid.begin, (start + 0.5 * duration)[stops]) + 3
-        count = np.cumsum(count - np.searchsorted(self._grid.begin, start[stops]))
+        return kept
+
+    def show(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether stops are shown to keep limits, all of their time bounded."""
+        kept = np.ones(len(start), dtype=np.bool_)
+        count = np.searchsorted(self._grid.begin, start + 0.5 * duration) + 3
+        count = np.cumsum(count - np.searchsorted(self._grid.begin, start))
         group = count // ROWS
         for first in range(int(group[-1]) + 1 if len(group) else 0):
             check_time()
-            self._look(self._rows(start, duration, stops[group == first]), kept)
+            self._look(self._rows(start, duration, np.flatnonzero(group == first)), kept)
         return kept
 
     def _samples(self, start: Array, duration: Array) -> Flags:
