@@ -123,20 +123,16 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(
-    motion: Motion, limits: ClockLimits | None = None, rounds: int = ROUNDS
-) -> StopTable:
+def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """Return stops that keep all limits of a motion, close to each other where these are longest.
 
-    The end counts as rest only if the drones rest there. Fewer ``rounds`` take less time, and find
-    longer stops by a few per cent.
+    The end counts as rest only if the drones rest there.
     """
     bounds = StopBounds(limits or ClockLimits(motion))
-    begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
-    starts = np.linspace(begin, end, count)[:-1]
-    table = StopTable(_rest(motion), starts, _shortest(bounds, starts))
-    for _ in range(rounds):
+    end = float(motion.drones.breaks[-1])
+    starts = spaced_starts(motion)
+    table = StopTable(rest_of(motion), starts, _shortest(bounds, starts))
+    for _ in range(ROUNDS):
         longest, begins = table.longest
         ends = np.append(table.starts, end)
         most = np.max(longest)
@@ -163,7 +159,14 @@ def stop_table(
     return table
 
 
-def _rest(motion: Motion) -> float:
+def spaced_starts(motion: Motion) -> Array:
+    """Return the times (m,) [s] of stops that are looked at first."""
+    begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
+    return np.linspace(begin, end, count)[:-1]
+
+
+def rest_of(motion: Motion) -> float:
     """Return the end of a motion [s]; infinite if drones move or accelerate there."""
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
@@ -198,7 +201,7 @@ def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple
     left = np.flatnonzero(np.any(possible, axis=1))
     while len(left):
         column = np.argmax(possible[left], axis=1)
-        kept = _shown(bounds, starts[left], tried[left, column])
+        kept = shown(bounds, starts[left], tried[left, column])
         first[left[kept]] = column[kept]
         possible[left, column] = False
         left = left[~kept]
@@ -208,7 +211,7 @@ def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple
     return steps[row, first], steps[row, first + 1]
 
 
-def _shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
+def shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
     """Return (m,) whether stops are shown to keep all limits."""
     kept = bounds.show(starts, durations)
     if bounds.limits.motion.requirements.limits.body_rate is not None:
