@@ -135,12 +135,13 @@ class RetargetPath:
         rest = SmoothChange(np.zeros(3), np.array(self.yaw))
         angle = rest.jets(t, shift, shift)
         c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
-        cos = jets.chained(np.stack([c, -s, -c, s], axis=-1), angle)[:, None]
-        sin = jets.chained(np.stack([s, c, -s, -c], axis=-1), angle)[:, None]
-        x, y = shape[:, :, 0], shape[:, :, 1]
+        outer = np.stack([[c, -s, -c, s], [s, c, -s, -c]])  # derivatives of cosine and sine
+        around = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
+        # (J, points, 2, 2, 4): cosine and sine times x and y.
+        parts = jets.product(around[:, None, :, None], shape[:, :, None, :2])
         found = shape.copy()
-        found[:, :, 0] = jets.product(cos, x) - jets.product(sin, y)
-        found[:, :, 1] = jets.product(sin, x) + jets.product(cos, y)
+        found[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
+        found[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
         return found
 
     def drones(self, t: Array, brake: float, shift: float) -> tuple[FlatJets, DroneJets]:
