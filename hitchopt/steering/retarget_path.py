@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
@@ -110,6 +111,14 @@ class RetargetPath:
         start = np.concatenate([centre, shape, self.state.fractions[..., :3]])
         ends = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
         return SmoothChange(start, ends)
+
+    def farthest(self, brake: float) -> float:
+        """Return about how far a shift takes the vertices, and its turn the drones [m]."""
+        vertices = self.state.vertices[..., :3]
+        rest = SmoothChange(vertices, self.end).braked(brake)
+        moved = float(np.max(length(self.end - rest)))
+        radius = float(np.max(length(self.state.drones[..., 0] - vertices[..., 0].mean(axis=0))))
+        return max(moved, 0.5 * abs(self.yaw) * radius)
 
     def flat(self, t: Array, brake: float, shift: float) -> FlatJets:
         """Return the flat outputs' jets at times t (J,) [s]; the rest is of SmoothChange."""
