@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.geometry.vectors import length
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
