@@ -7,12 +7,16 @@ basis: a centennial retrospective", CAGD 29 (2012).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from math import comb
 
 import numpy as np
 
 from hitchopt.values import Array
+
+MOST_PAIRS = 2**18
+"""Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
 
 
 def degree(coefficients: Array) -> int:
@@ -70,12 +74,30 @@ def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
     if degree(a) == 0 or degree(b) == 0:
         return a * b
-    return _collected(a[..., :, None] * b[..., None, :])
+    return _batched(lambda x, y: _collected(x[..., :, None] * y[..., None, :]), a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
-    return _collected(np.matmul(np.swapaxes(a, -1, -2), b))
+    return _batched(lambda x, y: _collected(np.matmul(np.swapaxes(x, -1, -2), y)), a, b, 2)
+
+
+def _batched(product: Callable[[Array, Array], Array], a: Array, b: Array, axes: int) -> Array:
+    """Return the product of parts of the first axis in a row, as many as MOST_PAIRS allows.
+
+    Both arrays have so many ``axes`` that do not broadcast, the last one that of the coefficients.
+    """
+    m, n = a.shape[-1], b.shape[-1]
+    pairs = max(a.size * n, b.size * m)
+    if pairs <= MOST_PAIRS:
+        return product(a, b)
+    shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
+    a, b = (np.broadcast_to(each, (*shape, *each.shape[-axes:])) for each in (a, b))
+    step = max(1, (shape or (1,))[0] * MOST_PAIRS // pairs)
+    if not shape or step >= shape[0]:
+        return product(a, b)
+    parts = [slice(first, first + step) for first in range(0, shape[0], step)]
+    return np.concatenate([product(a[part], b[part]) for part in parts])
 
 
 def _collected(pairs: Array) -> Array:
