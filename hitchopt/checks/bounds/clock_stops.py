@@ -192,20 +192,15 @@ def _shortest(bounds: StopBounds, starts: Array) -> Array:
 def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple[Array, Array]:
     """Return the durations before and at the first of those ``tried`` (m, k) that can be.
 
-    Where none can be, the last one and infinity. Bounds take far longer than samples: for each
-    start they are only made of the first duration that samples allow, then of the next one.
+    Where none can be, the last one and infinity.
     """
     count = tried.shape[1]
-    possible = bounds.may_keep(np.repeat(starts, count), tried.ravel()).reshape(tried.shape)
-    first = np.full(len(starts), count)
-    left = np.flatnonzero(np.any(possible, axis=1))
-    while len(left):
-        column = np.argmax(possible[left], axis=1)
-        kept = shown(bounds, starts[left], tried[left, column])
-        first[left[kept]] = column[kept]
-        possible[left, column] = False
-        left = left[~kept]
-        left = left[np.any(possible[left], axis=1)]
+    kept = np.zeros(tried.size, dtype=np.bool_)
+    owners = np.repeat(starts, count)
+    left = np.flatnonzero(bounds.may_keep(owners, tried.ravel()))
+    kept[left] = shown(bounds, owners[left], tried.ravel()[left])
+    kept = kept.reshape(tried.shape)
+    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), count)
     row = np.arange(len(starts))
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     return steps[row, first], steps[row, first + 1]
