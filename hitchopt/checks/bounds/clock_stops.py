@@ -195,12 +195,12 @@ def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple
     Where none can be, the last one and infinity.
     """
     count = tried.shape[1]
-    kept = np.zeros(tried.size, dtype=np.bool_)
     owners = np.repeat(starts, count)
-    left = np.flatnonzero(bounds.may_keep(owners, tried.ravel()))
+    kept = bounds.may_keep(owners, tried.ravel())
+    left = np.flatnonzero(kept)
     kept[left] = shown(bounds, owners[left], tried.ravel()[left])
-    kept = kept.reshape(tried.shape)
-    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), count)
+    here = kept.reshape(tried.shape)
+    first = np.where(np.any(here, axis=1), np.argmax(here, axis=1), count)
     row = np.arange(len(starts))
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     return steps[row, first], steps[row, first + 1]
