@@ -15,6 +15,8 @@ from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
+from hitchopt.hitch.leg_lengths import quick_split
+from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
@@ -195,12 +197,16 @@ class Replanner(OneLine):
         team, need = past.team, self.requirements
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
+        before: Hitch | None = None
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, fractions, chosen=chosen)
             except InfeasibleError as error:
                 refusal = refusal or error
                 continue
+            if before is not None and np.allclose(end.q_legs, before.q_legs, 0.0, SAME_STATE):
+                break  # the goal keeps all limits at rest: the path to it does not
+            before = end
             path = RetargetPath.to(team, state, end, yaw)
             tried = False
             for brake in islice(brakes(path, need.planned.limits), BRAKES):
@@ -217,20 +223,16 @@ class Replanner(OneLine):
         raise refusal
 
     def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
-        """Return the hitch of a goal: with the present split of the slack, or the nearest one."""
+        """Return the hitch of a goal: with the present split of the slack, or one within limits."""
         team, need = self.motion.team, self.requirements
-        if not chosen:
-            q_legs = fractions * cable_slack(team, outline)
-            return Hitch(team, outline, altitude, q_legs)
-        return Hitch.nearest(
-            team,
-            outline,
-            altitude,
-            fractions,
-            limits=need.limits,
-            separation=need.separation,
-            arena=need.arena,
-        )
+        slack = cable_slack(team, outline)
+        q_legs = fractions * slack
+        if chosen:
+            wanted = team.layout.q_legs_of(q_legs, slack)[None]
+            shortest = LIMIT_MARGIN * need.limits.leg
+            task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
+            q_legs = quick_split(task).q_legs[0]
+        return Hitch(team, outline, altitude, q_legs)
 
     def _past(self, at: float) -> Motion:
         """Return the present plan until a time, resting after its end."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.stoppable import QUICK
+from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion, Phase
@@ -23,13 +26,17 @@ from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
 IN_FLIGHT = (QUICK,)
-"""Reports that are made while the hitch flies; all others are of the whole plan."""
+"""Reports on certified answers while the hitch flies; all others are of the whole plan."""
 
 PIECE = 0.3
-"""[s] Length of the pieces: a cable's length is then right within 1e-7 of it."""
+"""[s] Length of the pieces of the brake, which is as quick as limits allow."""
 
-FEWEST, MOST = 4, 96
-"""Number of pieces, at least and at most."""
+PIECES = 10
+"""Number of pieces that a shift is divided into where they are no shorter than those of the brake:
+a cable's length is then right within 1e-6 of it."""
+
+FEWEST = 4
+"""Least number of pieces of a retarget."""
 
 ROUNDS = 3
 """Certificates that are tried for one goal, each after a change for what the last one said."""
@@ -90,15 +97,17 @@ def certified_retarget(
     shift = shortest_shift(path, requirements.planned.limits, brake)
     if shift is None:
         return InfeasibleError([], "no duration keeps all limits on the way to the goal")
-    piece, error = PIECE, None
+    finer, error = 1.0, None
     recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
     for _ in range(ROUNDS):
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
-        flight = path.flight(_breaks(brake, shift, piece, moving=path.state.moves), brake, shift)
+        flight = path.flight(_breaks(brake, shift, finer, moving=path.state.moves), brake, shift)
         fresh = flying(flight, path.team, requirements, [phase])
         ahead = followed(recent, fresh)
-        certificate = certify(ahead.untimed, reports=IN_FLIGHT)
+        certificate = certify(ahead.untimed, reports=())
         if certificate.certified:
+            stops = tuple(report.check(ahead, {}, GAMMA) for report in IN_FLIGHT)
+            certificate = replace(certificate, checks=(*certificate.checks, *stops))
             motion = followed(past, fresh)
             return Retarget(True, past.duration, motion, ahead, certificate)
         broken = {check.name: check for check in certificate.violated}
@@ -113,19 +122,26 @@ def certified_retarget(
             if name in broken
         ]
         shift *= max([STRETCH * ratio for ratio in ratios], default=1.0)
-        piece *= 0.5 if broken.keys() & FINER else 1.0
+        finer *= 0.5 if broken.keys() & FINER else 1.0
     assert error is not None
     return error
 
 
-def _breaks(brake: float, shift: float, piece: float, *, moving: bool) -> Array:
-    """Return the breaks of a retarget: its end, the brake's and the shift's, and more."""
-    end = max(brake, shift) if moving else shift
-    inner = [brake, shift] if moving else [shift]
-    edges = np.unique([0.0, *inner])
-    count = int(np.clip(np.ceil(end / piece), FEWEST, MOST))
-    counts = np.maximum(np.round(np.diff(edges) / end * count), 1).astype(int)
-    parts = [
-        np.linspace(a, b, k + 1)[1:] for a, b, k in zip(edges[:-1], edges[1:], counts, strict=True)
-    ]
-    return np.concatenate([[0.0], *parts])
+def _breaks(brake: float, shift: float, finer: float, *, moving: bool) -> Array:
+    """Return the breaks of a retarget: its end, the brake's and the shift's, and more.
+
+    Parameters
+    ----------
+    brake, shift: durations [s].
+    finer: factor of the pieces' lengths.
+    moving: whether there is a brake.
+    """
+    edges = sorted({0.0, brake, shift}) if moving else [0.0, shift]
+    least = min(PIECE, edges[-1] / FEWEST)
+    parts = [np.zeros(1)]
+    for start, end in pairwise(edges):
+        braking = moving and end <= brake
+        piece = finer * (least if braking else max(least, shift / PIECES))
+        count = math.ceil((end - start) / piece * (1.0 - 1e-9))
+        parts.append(np.linspace(start, end, count + 1)[1:])
+    return np.concatenate(parts)

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
@@ -80,8 +81,18 @@ class RetargetPath:
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
-        """Return the path to a hitch."""
-        return cls(team, state, end.vertices, end.fractions, yaw)
+        """Return the path to a hitch.
+
+        Its frame turns by what is left from the state to the hitch, also where the state has not
+        finished an earlier turn: on straight lines to the goal a half-turned polygon would shrink.
+
+        Parameters
+        ----------
+        yaw: that is asked for [rad]; full turns are chosen to come closest to it.
+        """
+        left = _turn(state.vertices[:, :2, 0], end.vertices[:, :2])
+        left += 2.0 * np.pi * np.round((yaw - left) / (2.0 * np.pi))
+        return cls(team, state, end.vertices, end.fractions, left)
 
     @cached_property
     def braked(self) -> RetargetPath:
@@ -100,6 +111,14 @@ class RetargetPath:
         start = np.concatenate([centre, shape, self.state.fractions[..., :3]])
         ends = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
         return SmoothChange(start, ends)
+
+    def farthest(self, brake: float) -> float:
+        """Return about how far a shift takes the vertices, and its turn the drones [m]."""
+        vertices = self.state.vertices[..., :3]
+        rest = SmoothChange(vertices, self.end).braked(brake)
+        moved = float(np.max(length(self.end - rest)))
+        radius = float(np.max(length(self.state.drones[..., 0] - vertices[..., 0].mean(axis=0))))
+        return max(moved, 0.5 * abs(self.yaw) * radius)
 
     def flat(self, t: Array, brake: float, shift: float) -> FlatJets:
         """Return the flat outputs' jets at times t (J,) [s]; the rest is of SmoothChange."""
@@ -125,12 +144,13 @@ class RetargetPath:
         rest = SmoothChange(np.zeros(3), np.array(self.yaw))
         angle = rest.jets(t, shift, shift)
         c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
-        cos = jets.chained(np.stack([c, -s, -c, s], axis=-1), angle)[:, None]
-        sin = jets.chained(np.stack([s, c, -s, -c], axis=-1), angle)[:, None]
-        x, y = shape[:, :, 0], shape[:, :, 1]
+        outer = np.stack([[c, -s, -c, s], [s, c, -s, -c]])  # derivatives of cosine and sine
+        around = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
+        # (J, points, 2, 2, 4): cosine and sine times x and y.
+        parts = jets.product(around[:, None, :, None], shape[:, :, None, :2])
         found = shape.copy()
-        found[:, :, 0] = jets.product(cos, x) - jets.product(sin, y)
-        found[:, :, 1] = jets.product(sin, x) + jets.product(cos, y)
+        found[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
+        found[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
         return found
 
     def drones(self, t: Array, brake: float, shift: float) -> tuple[FlatJets, DroneJets]:
@@ -161,3 +181,10 @@ class RetargetPath:
         )
         tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
         return Flight(drones, vertices, leg_curves, tensions)
+
+
+def _turn(first: Array, last: Array) -> float:
+    """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
+    x, y = (points - points.mean(axis=0) for points in (first, last))
+    turned = np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0])
+    return float(np.arctan2(turned, np.sum(x * y)))

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.geometry.vectors import length
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
@@ -83,12 +82,7 @@ def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
     """Return the duration [s] of a shift that keeps all limits at samples, or None."""
-    ends = np.array([brake])
-    goal = path.drones(ends, brake, 1e-3 * brake)[1].positions[0, ..., 0]  # over at once
-    rest = path.braked.drones(ends, brake, math.inf)[1].positions[0, ..., 0]
-    far = float(np.max(length(goal - rest)))
-    turned = 0.5 * abs(path.yaw) * float(np.max(length(goal - goal.mean(axis=0))))
-    far = max(far, turned)
+    far = path.farthest(brake)
     if not math.isfinite(far):
         return None
     shift = max(

@@ -38,6 +38,12 @@ class SmoothChange:
     start: Array
     goal: Array
 
+    def braked(self, brake: float) -> Array:
+        """Return where a brake of a duration [s] comes to rest, (*shape)."""
+        p, v, a = np.moveaxis(self.start, -1, 0)
+        rest: Array = p + 0.5 * brake * v + brake**2 / 12.0 * a
+        return rest
+
     def jets(self, t: Array, brake: float, shift: float) -> Array:
         """Return the jets (J, *shape, 4) at times t (J,) [s].
 
@@ -54,7 +60,7 @@ class SmoothChange:
             -(v / b + 2.0 * a / 3.0) / b,
             (0.5 * v / b + 0.25 * a) / b**2,
         ]
-        stop = p + 0.5 * b * v + b**2 / 12.0 * a
+        stop = self.braked(brake)
         slowed = _polynomial(np.stack(powers), np.minimum(t, b))
         slowed[t >= b, ..., 1:] = 0.0
         share = np.minimum(t / shift, 1.0)

@@ -8,12 +8,15 @@ basis: a centennial retrospective", CAGD 29 (2012).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import comb
 
 import numpy as np
 
 from hitchopt.values import Array
+
+MOST_PAIRS = 2**18
+"""Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
 
 
 def degree(coefficients: Array) -> int:
@@ -24,8 +27,16 @@ def degree(coefficients: Array) -> int:
 def basis(x: Array, order: int) -> Array:
     """Return the Bernstein polynomials of degree ``order`` at x (…), as (…, order + 1)."""
     x = np.asarray(x, dtype=np.float64)[..., None]
-    i = np.arange(order + 1)
-    return binomials(order) * x**i * (1.0 - x) ** (order - i)
+    rising = np.empty((*x.shape[:-1], order + 1))
+    falling = np.empty_like(rising)
+    rising[..., 0] = falling[..., 0] = 1.0
+    rising[..., 1:] = x
+    falling[..., 1:] = 1.0 - x
+    for powers in (rising, falling):  # x**i is ten times as slow
+        np.multiply.accumulate(powers, axis=-1, out=powers)
+    rising *= falling[..., ::-1]
+    rising *= binomials(order)
+    return rising
 
 
 def derivative_basis(x: Array, order: int, derivative: int) -> Array:
@@ -61,30 +72,40 @@ def elevate(coefficients: Array, order: int) -> Array:
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
-    return _product(a, b, lambda row, other: row[..., None] * other, 1)
+    if degree(a) == 0 or degree(b) == 0:
+        return a * b
+    return _batched(lambda x, y: _collected(x[..., :, None] * y[..., None, :]), a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
-    return _product(a, b, partial(np.einsum, "...d,...dj->...j"), 2)
+    return _batched(lambda x, y: _collected(np.matmul(np.swapaxes(x, -1, -2), y)), a, b, 2)
 
 
-def _product(a: Array, b: Array, pair: Callable[[Array, Array], Array], axes: int) -> Array:
-    """Return the product in which ``pair`` multiplies a coefficient of one with all of the other.
+def _batched(product: Callable[[Array, Array], Array], a: Array, b: Array, axes: int) -> Array:
+    """Return the product of parts of the first axis in a row, as many as MOST_PAIRS allows.
 
-    Both have so many ``axes`` that do not broadcast, the last one that of the coefficients.
+    Both arrays have so many ``axes`` that do not broadcast, the last one that of the coefficients.
     """
-    m, n = degree(a), degree(b)
-    if m > n:
-        a, b, m, n = b, a, n, m
-    if m == 0:
-        return pair(a[..., 0], b)
-    weighted = b * binomials(n)
+    m, n = a.shape[-1], b.shape[-1]
+    pairs = max(a.size * n, b.size * m)
+    if pairs <= MOST_PAIRS:
+        return product(a, b)
     shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
-    product = np.zeros((*shape, m + n + 1))
-    for i, weight in enumerate(binomials(m)):
-        product[..., i : i + n + 1] += pair(weight * a[..., i], weighted)
-    return product / binomials(m + n)
+    a, b = (np.broadcast_to(each, (*shape, *each.shape[-axes:])) for each in (a, b))
+    step = max(1, (shape or (1,))[0] * MOST_PAIRS // pairs)
+    if not shape or step >= shape[0]:
+        return product(a, b)
+    parts = [slice(first, first + step) for first in range(0, shape[0], step)]
+    return np.concatenate([product(a[part], b[part]) for part in parts])
+
+
+def _collected(pairs: Array) -> Array:
+    """Return a product of polynomials, given all products (…, m + 1, n + 1) of coefficients."""
+    rows, columns = pairs.shape[-2:]
+    weights = _collecting(rows - 1, columns - 1)
+    product = pairs.reshape(-1, rows * columns) @ weights
+    return product.reshape(*pairs.shape[:-2], rows + columns - 1)
 
 
 def halve(coefficients: Array) -> tuple[Array, Array]:
@@ -145,6 +166,16 @@ def elevation(order: int, target: int) -> Array:
         for i in range(max(0, j - target + order), min(order, j) + 1):
             matrix[j, i] = comb(order, i) * comb(target - order, j - i) / comb(target, j)
     return _frozen(matrix)
+
+
+@lru_cache
+def _collecting(m: int, n: int) -> Array:
+    """((m + 1)(n + 1), m + n + 1): what pairs of coefficients add to those of their product."""
+    weights = np.zeros((m + 1, n + 1, m + n + 1))
+    for i in range(m + 1):
+        for j in range(n + 1):
+            weights[i, j, i + j] = comb(m, i) * comb(n, j) / comb(m + n, i + j)
+    return _frozen(weights.reshape(-1, m + n + 1))
 
 
 @lru_cache

@@ -7,7 +7,8 @@ answer are halved until none does. The answer holds for all t; it is not read of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,15 +94,18 @@ class Cells:
         blocks = []
         for block in self.blocks:
             flat = block.reshape(-1, block.shape[-1])  # one product of matrices, not one a cell
-            halves = np.concatenate(bernstein.halve(flat))
+            if block.shape[-1] > 1:
+                halves = np.concatenate(bernstein.halve(flat))
+            else:
+                halves = np.concatenate([flat, flat])
             blocks.append(halves.reshape(2 * len(block), *block.shape[1:]))
         middle = 0.5 * (self.start + self.end)
         return Cells(
             tuple(blocks),
-            np.tile(self.item, 2),
+            np.concatenate([self.item, self.item]),
             np.concatenate([self.start, middle]),
             np.concatenate([middle, self.end]),
-            np.tile(self.margin, 2),
+            np.concatenate([self.margin, self.margin]),
         )
 
 
@@ -195,8 +199,7 @@ class Search:
 
     def add(self, cells: Cells) -> None:
         """Bound the cells once and keep those that may hold the smallest value."""
-        for first in range(0, len(cells), BATCH):
-            batch = cells.take(slice(first, first + BATCH))
+        for batch in _batches(cells):
             self._keep(batch, self._bounds(batch))
 
     def finish(self) -> Extremum:
@@ -204,7 +207,7 @@ class Search:
         pending = [(cells, bounds, 0) for cells, bounds in self._open]
         self._open = []
         # Deepest first: few cells are alive at a time, and the best values come early.
-        pending.sort(key=lambda entry: -float(np.min(entry[1])))
+        pending.sort(key=lambda entry: -float(entry[1].min()))
         enough = max(MAX_CELLS, 10 * self.looked_at) + self.looked_at
         while pending:
             cells, bounds, depth = pending.pop()
@@ -213,15 +216,12 @@ class Search:
                 continue
             cells, bounds = self._open.pop()
             if depth == MAX_HALVINGS or self.looked_at > enough:
-                self._settle(cells, bounds)
+                self._settle(bounds - cells.margin)
                 continue
-            halves = cells.halves()
-            inherited = np.tile(bounds, 2)
-            for first in range(0, len(halves), BATCH):
-                span = slice(first, first + BATCH)
-                batch = halves.take(span)
-                closer = np.maximum(inherited[span], self._bounds(batch))
-                pending.append((batch, closer, depth + 1))
+            inherited = np.concatenate([bounds, bounds])
+            for first, batch in enumerate(_batches(cells.halves())):
+                given = inherited[first * BATCH :][: len(batch)]
+                pending.append((batch, np.maximum(given, self._bounds(batch)), depth + 1))
         return Extremum(min(self.floor, self.value), self.value, self.item, self.time)
 
     def _bounds(self, batch: Cells) -> Array:
@@ -230,26 +230,41 @@ class Search:
         self.looked_at += len(batch)
         with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
             estimate = self.bound(batch.blocks)
-        # What is no number is as bad as can be: the search ends there, and the check fails.
-        lost = np.isnan(estimate.value) | np.isnan(estimate.bound)
-        values = np.where(lost, -np.inf, estimate.value)
-        best = int(np.argmin(values))
-        if values[best] < self.value or (self.item < 0 and np.isinf(self.value)):
+            values, bounds = estimate.value, estimate.bound
+            # What is no number is as bad as can be: the search ends there, and the check fails.
+            if math.isnan(values.sum() + bounds.sum()):  # or infinities of both signs
+                lost = np.isnan(values) | np.isnan(bounds)
+                values, bounds = (np.where(lost, -np.inf, each) for each in (values, bounds))
+        best = int(values.argmin())
+        if values[best] < self.value or (self.item < 0 and math.isinf(self.value)):
             self.value = float(values[best])
             self.item = int(batch.item[best])
             x = float(estimate.x[best])
             self.time = float(batch.start[best] + x * (batch.end[best] - batch.start[best]))
-        return np.where(lost, -np.inf, estimate.bound)
+        return bounds
 
     def _keep(self, cells: Cells, bounds: Array) -> None:
+        """Put aside the cells whose bounds need a closer look, and settle all others."""
         done = bounds >= self.threshold
-        if np.any(done):
-            self._settle(cells.take(done), bounds[done])
-        if not np.all(done):
-            self._open.append((cells.take(~done), bounds[~done]))
+        left = np.flatnonzero(~done)
+        if len(left) == len(bounds):
+            self._open.append((cells, bounds))
+            return
+        self._settle((bounds - cells.margin)[done])
+        if len(left):
+            self._open.append((cells.take(left), bounds[left]))
 
-    def _settle(self, cells: Cells, bounds: Array) -> None:
-        self.floor = min(self.floor, float(np.min(bounds - cells.margin)))
+    def _settle(self, bounds: Array) -> None:
+        """Take bounds, rounding included, as they are."""
+        self.floor = min(self.floor, float(bounds.min()))
+
+
+def _batches(cells: Cells) -> Iterator[Cells]:
+    if len(cells) <= BATCH:
+        yield from [cells] if len(cells) else []
+        return
+    for first in range(0, len(cells), BATCH):
+        yield cells.take(slice(first, first + BATCH))
 
 
 def smallest(cells: Cells, bound: Bound, target: float = -np.inf) -> Extremum:

@@ -53,6 +53,14 @@ class PiecewisePolynomial(OneLine):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
+    def _with(self, coefficients: Array) -> PiecewisePolynomial:
+        """Return other functions on the same breaks, unchecked: computed from checked ones."""
+        made = object.__new__(PiecewisePolynomial)
+        coefficients.setflags(write=False)
+        object.__setattr__(made, "breaks", self.breaks)
+        object.__setattr__(made, "coefficients", coefficients)
+        return made
+
     def _parts(self) -> Iterator[str]:
         yield f"{self.pieces} pieces of degree {self.degree}"
         yield f"shape {self.shape}"
@@ -174,7 +182,7 @@ class PiecewisePolynomial(OneLine):
         h = self.durations.reshape(-1, *(1,) * (c.ndim - 1))
         for _ in range(order):
             c = bernstein.differentiate(c) / h
-        return PiecewisePolynomial(self.breaks, c)
+        return self._with(c)
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""

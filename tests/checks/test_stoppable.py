@@ -16,6 +16,7 @@ from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases, stop_table
 from hitchopt.checks.bounds.derivative_grid import DerivativeGrid
+from hitchopt.checks.bounds.quick_stops import quick_stop_table
 from hitchopt.checks.bounds.static_thrust import largest_static_thrust, largest_static_tilt
 from hitchopt.checks.bounds.stop_bounds import StopBounds
 from hitchopt.motion.motion import Motion
@@ -169,6 +170,35 @@ def test_stops_of_the_table_keep_all_limits() -> None:
         assert clock.ends[-1, 1] == pytest.approx(0.0, abs=1e-12)
         assert clock.ends[-1, 0] == pytest.approx(start + 0.5 * duration)
         assert max(flown(motion_of(), clock).values()) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("reserve", [1.0, 0.3])
+def test_stops_found_in_little_time_keep_all_limits_and_are_nearly_the_shortest(
+    reserve: float,
+) -> None:
+    motion = motion_of(reserve)
+    table, whole = quick_stop_table(motion), table_of(reserve)
+    found = np.flatnonzero(np.isfinite(table.durations))
+    assert len(found) > 0.9 * np.sum(
+        np.isfinite(whole.durations[np.isin(whole.starts, table.starts)])
+    )
+    exact = ClockLimits(motion)
+    clocks = stop_phases(table.starts[found], table.durations[found])
+    assert np.all(exact.keep(clocks, len(found)))
+    assert np.max(whole.longest[0]) * (1.0 - 1e-9) <= np.max(table.longest[0])
+    assert np.max(table.longest[0]) <= 1.2 * np.max(whole.longest[0])
+
+
+def test_stops_that_a_tilt_forbids_are_lengthened() -> None:
+    """Samples say nothing of tilts: what they propose has to be shown to keep them."""
+    motion = motion_of()
+    limits = replace(motion.requirements.limits, tilt=0.5 * motion.requirements.limits.tilt)
+    motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
+    table = quick_stop_table(motion)
+    found = np.isfinite(table.durations)
+    clocks = stop_phases(table.starts[found], table.durations[found])
+    assert np.all(ClockLimits(motion).keep(clocks, int(np.sum(found))))
+    assert 0 < np.sum(found) < len(found)
 
 
 def longest_sampled(motion: Motion, spacing: float = 0.01, count: int = 60) -> float:

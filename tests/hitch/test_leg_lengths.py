@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
+from hitchopt.hitch.leg_lengths import quick_split, split_slack
 from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
@@ -105,6 +106,31 @@ def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -
     margin = float(margins(team, TRIANGLE, moved.q_legs[None])[0])
     assert 1.0 <= margin < 1.01
     assert np.min(moved.legs) >= limits.leg
+
+
+def test_the_quick_split_keeps_the_limits_as_the_nearest_one_does() -> None:
+    team, rng, tried = Team(3, 2.4), np.random.default_rng(3), 0
+    for _ in range(30):
+        points = TRIANGLE + rng.uniform(-0.15, 0.15, TRIANGLE.shape)
+        slack = team.cable_length - np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        reference = rng.uniform(0.1, 0.9, 3) * slack
+        if margins(team, points, reference[None])[0] >= 1.0:
+            continue
+        task = LegTask(team, Requirements(), points[None], reference[None], 0.15, 1.001)
+        nearest, quick = split_slack(task), quick_split(task)
+        if nearest.margin < 1.001:
+            continue
+        tried += 1
+        assert margins(team, points, quick.q_legs)[0] >= 1.0
+        assert quick.deviation >= nearest.deviation * (1.0 - 1e-6)
+    assert tried > 5
+
+
+def test_the_quick_split_of_what_no_split_helps_has_the_largest_margin_found() -> None:
+    points = 0.25 * TRIANGLE
+    slack = 1.2 - np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    task = LegTask(Team(3, 1.2), Requirements(), points[None], 0.5 * slack[None], 0.15, 9.0)
+    assert 0.0 < quick_split(task).margin < 9.0
 
 
 def test_an_arena_pushes_a_leg_back() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
 from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.steering.retarget import certified_retarget
 from hitchopt.values import Array
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
@@ -94,6 +97,52 @@ def test_a_pose_turns_the_present_goal() -> None:
     end = answer.motion.vertices.at(answer.motion.duration)
     np.testing.assert_allclose(end[:, :2], expected, atol=1e-9)
     np.testing.assert_allclose(end[:, 2], 0.9, atol=1e-9)
+
+
+def test_a_turn_that_has_hardly_begun_is_finished_on_the_way_to_the_next_goal() -> None:
+    """Straight lines from where vertices are would lead through one point."""
+    replanner = steered(HEXAGON, 2.1)
+    first = replanner.retarget(to=[0.0, 0.0, 1.0], yaw=2.8, at=0.2)
+    assert first.accepted
+    goal = replanner.goal.polygon.vertices.copy()
+    goal[2] *= 1.02
+    answer = replanner.retarget(vertex=2, to=goal[2], at=0.5)
+    assert answer.accepted
+    times = np.linspace(answer.start, answer.motion.duration, 50)
+    radii = np.linalg.norm(answer.motion.vertices.at(times)[..., :2], axis=-1)
+    assert np.min(radii) > 1.29
+    end = answer.motion.vertices.at(answer.motion.duration)
+    np.testing.assert_allclose(end[:, :2], goal, atol=1e-9)
+
+
+def test_long_shifts_have_few_pieces_and_true_cable_lengths() -> None:
+    replanner = steered()
+    moving(replanner)
+    answer = replanner.retarget(to=[9.0, 2.3, 1.3], yaw=0.4, at=1.1)
+    assert answer.accepted
+    assert answer.motion.duration - answer.start > 8.0
+    assert answer.ahead.drones.pieces < 20
+    assert answer.certificate["cable_length"].bound < 1e-6
+
+
+def test_a_path_that_no_slack_split_changes_is_certified_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The goal keeps all limits at rest with the present split: the nearest one is the same."""
+    replanner = steered()
+    wall = ho.Prism([[5.0, -9.0], [5.0, 9.0], [5.2, 9.0], [5.2, -9.0]], 0.0, 9.0)
+    replanner.requirements = replace(replanner.requirements, keep_out=(wall,))
+    replanner.motion = replace(replanner.motion, requirements=replanner.requirements)
+    tried = []
+
+    def counted(*given: Any) -> ho.Retarget | ho.InfeasibleError:
+        tried.append(given)
+        return certified_retarget(*given)
+
+    monkeypatch.setattr("hitchopt.steering.replanner.certified_retarget", counted)
+    answer = replanner.retarget(to=[9.0, 2.0, 1.0], at=0.5)
+    assert "keep_out" in answer.reason
+    assert len(tried) == 1
 
 
 def test_the_whole_plan_is_certified_and_comes_back_from_its_file(tmp_path: Path) -> None:

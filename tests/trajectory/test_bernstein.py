@@ -157,3 +157,29 @@ def test_shared_tables_cannot_be_spoilt() -> None:
     for table in (bernstein.nodes(3), bernstein.binomials(3), bernstein.elevation(2, 4)):
         with pytest.raises(ValueError, match="read-only"):
             table[..., 0] = 7.0
+
+
+def test_products_made_in_batches_are_those_of_single_polynomials(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(size=(7, 5, 3, 6)), rng.normal(size=(5, 1, 4))
+    vectors = rng.normal(size=(1, 5, 3, 4))
+    product, inner = bernstein.multiply(a, b), bernstein.dot(a, vectors)
+    x = rng.uniform(size=(7, 5))
+    for found, there in (
+        (product, bernstein.evaluate(a, x[..., None]) * bernstein.evaluate(b, x[..., None])),
+        (
+            inner,
+            np.sum(
+                bernstein.evaluate(a, x[..., None]) * bernstein.evaluate(vectors, x[..., None]),
+                axis=-1,
+            ),
+        ),
+    ):
+        at = x[..., None] if found.ndim == 4 else x
+        np.testing.assert_allclose(bernstein.evaluate(found, at), there, atol=1e-12)
+    for most in (1, 600):
+        monkeypatch.setattr(bernstein, "MOST_PAIRS", most)
+        np.testing.assert_allclose(bernstein.multiply(a, b), product, atol=1e-14)
+        np.testing.assert_allclose(bernstein.dot(a, vectors), inner, atol=1e-14)

@@ -123,20 +123,16 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(
-    motion: Motion, limits: ClockLimits | None = None, rounds: int = ROUNDS
-) -> StopTable:
+def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """Return stops that keep all limits of a motion, close to each other where these are longest.
 
-    The end counts as rest only if the drones rest there. Fewer ``rounds`` take less time, and find
-    longer stops by a few per cent.
+    The end counts as rest only if the drones rest there.
     """
     bounds = StopBounds(limits or ClockLimits(motion))
-    begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
-    starts = np.linspace(begin, end, count)[:-1]
-    table = StopTable(_rest(motion), starts, _shortest(bounds, starts))
-    for _ in range(rounds):
+    end = float(motion.drones.breaks[-1])
+    starts = spaced_starts(motion)
+    table = StopTable(rest_of(motion), starts, _shortest(bounds, starts))
+    for _ in range(ROUNDS):
         longest, begins = table.longest
         ends = np.append(table.starts, end)
         most = np.max(longest)
@@ -163,7 +159,14 @@ def stop_table(
     return table
 
 
-def _rest(motion: Motion) -> float:
+def spaced_starts(motion: Motion) -> Array:
+    """Return the times (m,) [s] of stops that are looked at first."""
+    begin, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
+    return np.linspace(begin, end, count)[:-1]
+
+
+def rest_of(motion: Motion) -> float:
     """Return the end of a motion [s]; infinite if drones move or accelerate there."""
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
@@ -192,16 +195,20 @@ def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple
     Where none can be, the last one and infinity.
     """
     count = tried.shape[1]
-    kept = _keep(bounds, np.repeat(starts, count), tried.ravel()).reshape(tried.shape)
-    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), count)
+    owners = np.repeat(starts, count)
+    kept = bounds.may_keep(owners, tried.ravel())
+    left = np.flatnonzero(kept)
+    kept[left] = shown(bounds, owners[left], tried.ravel()[left])
+    here = kept.reshape(tried.shape)
+    first = np.where(np.any(here, axis=1), np.argmax(here, axis=1), count)
     row = np.arange(len(starts))
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     return steps[row, first], steps[row, first + 1]
 
 
-def _keep(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
+def shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
     """Return (m,) whether stops are shown to keep all limits."""
-    kept = bounds.keep(starts, durations)
+    kept = bounds.show(starts, durations)
     if bounds.limits.motion.requirements.limits.body_rate is not None:
         left = np.flatnonzero(kept)
         clocks = stop_phases(starts[left], durations[left])

@@ -12,7 +12,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
 WIDTH = 0.01
-"""[s] Largest distance of nodes, for plans of up to ``WIDTH * NODES``."""
+"""[s] Usual largest distance of nodes."""
 
 NODES = 20_000
 """Largest number of nodes at that distance."""
@@ -53,6 +53,7 @@ class DerivativeGrid:
     Parameters
     ----------
     limits: of the motion.
+    width: largest distance of nodes [s], for plans of up to ``width * NODES``.
 
     Attributes
     ----------
@@ -64,14 +65,14 @@ class DerivativeGrid:
     sizes, largest: bounds on all cells, for each drone and for all.
     """
 
-    def __init__(self, limits: ClockLimits) -> None:
+    def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
         drones = limits.motion.drones
         self.fourth, self.fifth = (
             np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=2), axis=-1)
             + derivative_margin(drones, order)
             for order in (4, 5)
         )
-        width = max(WIDTH, drones.duration / NODES)
+        width = max(width, drones.duration / NODES)
         bend = np.max(self.fifth, axis=-1) / (8.0 * CURVED * limits.motion.requirements.limits.jerk)
         density = np.clip(np.nan_to_num(np.sqrt(bend)), 1.0 / width, DENSER / width)
         parts = np.ceil(drones.durations * density).astype(np.intp)
@@ -110,6 +111,12 @@ class DerivativeGrid:
         J = ends(self.values[2]) + bend * self.fifth[self.piece] + third
         A = ends(self.values[1]) + bend * self.fourth[self.piece] + second
         return Sizes(ends(self.values[0]) + bend * J + first, A, J)
+
+    def node_before(self, times: Array) -> Indices:
+        """Return the last node (…) up to each time [s]; the first or last one beyond the plan."""
+        cell = np.searchsorted(self.begin, times, side="right") - 1
+        found: Indices = self._left[np.maximum(cell, 0)]
+        return found
 
     def on_chord(self, order: int, cell: Indices, tau: Array) -> Array:
         """Return (rows, drones, 3): ``values[order]`` on the chords between nodes."""

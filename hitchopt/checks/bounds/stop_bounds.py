@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.derivative_grid import DerivativeGrid, Sizes, lengths
+from hitchopt.checks.bounds.derivative_grid import WIDTH, DerivativeGrid, Sizes, lengths
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array, Indices
@@ -86,11 +86,12 @@ class StopBounds:
     Parameters
     ----------
     limits: of the motion, for clocks of any kind.
+    width: largest distance of the grid's nodes [s].
     """
 
-    def __init__(self, limits: ClockLimits) -> None:
+    def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
         self.limits = limits
-        self._grid = DerivativeGrid(limits)
+        self.grid = DerivativeGrid(limits, width)
         self._vectors = max(1, VECTORS // max(1, len(limits.motion.team.mass)))
 
     def keep(self, start: Array, duration: Array) -> Flags:
@@ -102,18 +103,29 @@ class StopBounds:
         ----------
         start, duration: (stops,) [s].
         """
+        kept = self.may_keep(start, duration)
+        stops = np.flatnonzero(kept)
+        kept[stops] = self.show(start[stops], duration[stops])
+        return kept
+
+    def may_keep(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether stops keep limits at samples; what breaks one is out."""
         kept = np.zeros(len(start), dtype=np.bool_)
         size = self._vectors
         for first in range(0, len(start), size):
             part = slice(first, first + size)
             kept[part] = self._samples(start[part], duration[part])
-        stops = np.flatnonzero(kept)
-        count = np.searchsorted(self._grid.begin, (start + 0.5 * duration)[stops]) + 3
-        count = np.cumsum(count - np.searchsorted(self._grid.begin, start[stops]))
+        return kept
+
+    def show(self, start: Array, duration: Array) -> Flags:
+        """Return (stops,) whether stops are shown to keep limits, all of their time bounded."""
+        kept = np.ones(len(start), dtype=np.bool_)
+        count = np.searchsorted(self.grid.begin, start + 0.5 * duration) + 3
+        count = np.cumsum(count - np.searchsorted(self.grid.begin, start))
         group = count // ROWS
         for first in range(int(group[-1]) + 1 if len(group) else 0):
             check_time()
-            self._look(self._rows(start, duration, stops[group == first]), kept)
+            self._look(self._rows(start, duration, np.flatnonzero(group == first)), kept)
         return kept
 
     def _samples(self, start: Array, duration: Array) -> Flags:
@@ -121,10 +133,10 @@ class StopBounds:
         limits = self.limits.motion.requirements.limits
         kept = np.ones(len(start), dtype=np.bool_)
         for w, s in ((0.0, 1.0), (0.5, 0.5)):
-            time = np.minimum(start + (w - 2.0 / 3.0 * w**3) * duration, self._grid.until[-1])
-            cell = np.maximum(np.searchsorted(self._grid.begin, time, side="right") - 1, 0)
-            share = (time - self._grid.begin[cell]) / self._grid.width[cell]
-            x1, x2, x3 = (self._grid.on_chord(order, cell, share) for order in range(3))
+            time = np.minimum(start + (w - 2.0 / 3.0 * w**3) * duration, self.grid.until[-1])
+            cell = np.maximum(np.searchsorted(self.grid.begin, time, side="right") - 1, 0)
+            share = (time - self.grid.begin[cell]) / self.grid.width[cell]
+            x1, x2, x3 = (self.grid.on_chord(order, cell, share) for order in range(3))
             a, j = (each[:, None, None] for each in (-4.0 * w / duration, -4.0 / duration**2))
             jerk = lengths(s**3 * x3 + 3.0 * s * a * x2 + j * x1)
             kept &= np.all(jerk <= limits.jerk, axis=-1)
@@ -138,12 +150,12 @@ class StopBounds:
         late = np.arange(len(t)) % 2 == 1
         low = t + np.where(late, SWITCH * T, 0.0)
         high = t + np.where(late, 0.5, SWITCH) * T
-        first = np.searchsorted(self._grid.begin, low, side="right") - 1
-        last = np.searchsorted(self._grid.begin, high, side="left") - 1
-        count = np.where(low < self._grid.until[-1], last - first + 1, 0)
+        first = np.searchsorted(self.grid.begin, low, side="right") - 1
+        last = np.searchsorted(self.grid.begin, high, side="left") - 1
+        count = np.where(low < self.grid.until[-1], last - first + 1, 0)
         own = np.repeat(np.arange(len(t)), count)
         cell = np.arange(len(own)) - np.repeat(np.cumsum(count) - count - first, count)
-        begin, until = self._grid.begin[cell], self._grid.until[cell]
+        begin, until = self.grid.begin[cell], self.grid.until[cell]
         tau = np.stack([np.maximum(begin, low[own]), np.minimum(until, high[own])])
         whole = (tau[0] == begin) & (tau[1] == until)
         late, t, T = late[own], t[own], T[own]
@@ -154,7 +166,7 @@ class StopBounds:
         s = np.where(late, 2.0 * v * v, 1.0 - 2.0 * w * w)
         a = -4.0 / T * np.where(late, v, w)
         j = np.where(late, 4.0, -4.0) / T**2
-        share = (tau - begin) / self._grid.width[cell]
+        share = (tau - begin) / self.grid.width[cell]
         return _Rows(
             np.repeat(stops, 2)[own], cell, late, whole, T, share, s, a, j, v[0], (w[1] - w[0]) * T
         )
@@ -162,10 +174,10 @@ class StopBounds:
     def _look(self, rows: _Rows, kept: Flags) -> None:
         """Set ``kept`` to False for stops that are not shown to keep a limit in these rows."""
         limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
-        most = self._grid.largest.taken(rows.cell)
+        most = self.grid.largest.taken(rows.cell)
         acceleration = _acceleration(most, rows)[:, 0] * (1.0 + SLACK)
         jerk = _jerk(most, rows)[:, 0] * (1.0 + SLACK)
-        piece = self._grid.piece[rows.cell]
+        piece = self.grid.piece[rows.cell]
         fine = (acceleration <= limits.acceleration) & (jerk <= limits.jerk)
         fine &= acceleration <= np.min((team.max_thrust - self.limits.hover) / team.mass, 1)[piece]
         fine &= acceleration <= np.min(-self.limits.beyond / team.mass, 1)[piece]
@@ -182,12 +194,12 @@ class StopBounds:
     def _keeps(self, rows: _Rows) -> Flags:
         """Return (rows,) whether all drones are shown to keep all limits."""
         limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
-        piece, sizes = self._grid.piece[rows.cell], self._grid.sizes.taken(rows.cell)
-        fourth, fifth = self._grid.fourth[piece], self._grid.fifth[piece]
+        piece, sizes = self.grid.piece[rows.cell], self.grid.sizes.taken(rows.cell)
+        fourth, fifth = self.grid.fourth[piece], self.grid.fifth[piece]
         first, second, third = (margin[piece] for margin in self.limits.margins)
-        chord = np.where(rows.whole, 0.0, self._grid.width[rows.cell] ** 2 / 8.0)[:, None]
+        chord = np.where(rows.whole, 0.0, self.grid.width[rows.cell] ** 2 / 8.0)[:, None]
         time = (rows.time**2 / 8.0)[:, None]
-        step = ((self._grid.width[rows.cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0)[:, None]
+        step = ((self.grid.width[rows.cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0)[:, None]
         T, v, s = (each[:, None] for each in (rows.T, rows.v, rows.s[0]))
         a, j = np.max(np.abs(rows.a), axis=0)[:, None], np.abs(rows.j)[:, None]
         V, A, J = sizes.first, sizes.second, sizes.third
@@ -202,7 +214,7 @@ class StopBounds:
         bend += s**3 * third + 3.0 * s * a * second + j * first
         accelerations, jerk = [], np.zeros_like(V)
         for end, tau in enumerate(rows.tau):
-            x1, x2, x3 = (self._grid.on_chord(order, rows.cell, tau) for order in range(3))
+            x1, x2, x3 = (self.grid.on_chord(order, rows.cell, tau) for order in range(3))
             s1, a1, j1 = (each[:, None, None] for each in (rows.s[end], rows.a[end], rows.j))
             accelerations.append(s1**2 * x2 + a1 * x1)
             there = lengths(s1**3 * x3 + 3.0 * s1 * a1 * x2 + j1 * x1)
@@ -229,17 +241,17 @@ class StopBounds:
         bent: (rows, drones), by how much they differ from these within.
         """
         motion = self.limits.motion
-        team, piece = motion.team, self._grid.piece[rows.cell]
+        team, piece = motion.team, self.grid.piece[rows.cell]
         cos, sin = np.cos(self.limits.tilt), np.sin(self.limits.tilt)
-        chord = np.where(rows.whole, 0.0, self._grid.width[rows.cell] ** 2 / 8.0)[:, None]
+        chord = np.where(rows.whole, 0.0, self.grid.width[rows.cell] ** 2 / 8.0)[:, None]
         time, s = (rows.time**2 / 8.0)[:, None], rows.s[0][:, None]
         a = np.max(np.abs(rows.a), axis=0)[:, None]
-        slope, bend = self._grid.slope[piece], self._grid.bend[piece]
+        slope, bend = self.grid.slope[piece], self.grid.bend[piece]
         radius = self.limits.static.thrust.radius[piece] + ROUNDING * self.limits.hover[piece]
         radius += team.mass * bent + chord * bend + time * (s**2 * bend + a * slope)
         kept = np.ones(len(piece), dtype=np.bool_)
         for tau, acceleration in zip(rows.tau, accelerations, strict=True):
-            force = self._grid.on_chord(3, rows.cell, tau)
+            force = self.grid.on_chord(3, rows.cell, tau)
             force += team.mass[:, None] * acceleration
             thrust = lengths(force) + radius
             beyond = np.hypot(force[..., 0], force[..., 1]) * cos - force[..., 2] * sin + radius
