@@ -28,6 +28,12 @@ from hitchopt.planners.carrying.moves import SHARE, Move, courses
 from hitchopt.values import Array
 
 
+GENTLE = 0.4
+"""[m/s²] Largest acceleration of what rests on clasps. At 1 m/s² simulated clasps without friction
+of cables on each other slide on a rim by 3 to 8 cm as the carrying begins, at this one not at all:
+their drones follow with a lag, and little force moves such clasps."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldHitch:
     """A hitch at rest below an object, in the object's frame.
@@ -104,9 +110,9 @@ class HeldHitch:
 
     @property
     def largest_acceleration(self) -> float:
-        """What friction and supports allow, to a share [m/s²]."""
+        """What friction and supports allow, to a share, and GENTLE at most [m/s²]."""
         leaning = GRAVITY * self.support_width / max(abs(self.height), 1e-9)
-        return SHARE * min(self.body.friction * GRAVITY, leaning)
+        return min(GENTLE, SHARE * min(self.body.friction * GRAVITY, leaning))
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
