@@ -78,6 +78,10 @@ else is said:
   around it; it is 8 cm now.
 - drum-3, seed 5000: placed within 0.5 cm but turned by more than 5°. In the fast preset the drum,
   once tilted, rolled on along its edge untouched, by 2° a second; objects stand on feet since.
+- tray-3 turned by more than 5° and slipped by 6 cm (accurate, seed 5000), by 4.7 cm in the fast
+  preset, where tray-4 was placed 3.2 cm off and tray-6 succeeded. As the carrying began, at 1 m/s²,
+  clasps slid on the rim from 28 cm to 36 cm from its middle, beyond its edge; before and after they
+  did not move. At 0.4 m/s² they stay. The trays' seeds began anew at 5100 then.
 """
 """What earlier flights found."""
 
@@ -144,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help=f"{', '.join(CASES)}; by default all")
     parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=5100)
     parser.add_argument("--preset", choices=sorted(PRESETS), default="accurate")
     given = parser.parse_args(arguments)
     if not set(given.cases) <= set(CASES):

@@ -27,7 +27,6 @@ from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.moves import SHARE, Move, courses
 from hitchopt.values import Array
 
-
 GENTLE = 0.4
 """[m/s²] Largest acceleration of what rests on clasps. At 1 m/s² simulated clasps without friction
 of cables on each other slide on a rim by 3 to 8 cm as the carrying begins, at this one not at all:
