@@ -29,8 +29,9 @@ from hitchopt.values import Array
 
 GENTLE = 0.4
 """[m/s²] Largest acceleration of what rests on clasps. At 1 m/s² simulated clasps without friction
-of cables on each other slide on a rim by 3 to 8 cm as the carrying begins, at this one not at all:
-their drones follow with a lag, and little force moves such clasps."""
+of cables on each other slid on a rim by 3 to 8 cm as the carrying began: drones follow with a lag,
+and little force moves such clasps. At this one objects slipped by 0.8 to 2.0 cm in four flights of
+the fast preset, and by 1.1 and 6.9 cm in two of the accurate one."""
 
 
 @dataclass(frozen=True, eq=False)
