@@ -78,6 +78,14 @@ else is said:
   around it; it is 8 cm now.
 - drum-3, seed 5000: placed within 0.5 cm but turned by more than 5°. In the fast preset the drum,
   once tilted, rolled on along its edge untouched, by 2° a second; objects stand on feet since.
+- tray-3 turned by more than 5° and slipped by 6 cm (accurate, seed 5000), by 4.7 cm in the fast
+  preset, where tray-4 was placed 3.2 cm off and tray-6 succeeded. As the carrying began, at 1 m/s²,
+  clasps slid on the rim from 28 cm to 36 cm from its middle, beyond its edge. At 0.4 m/s² four
+  short flights (fast preset, from above the tray to leaving it, tray-3 and tray-4) succeeded:
+  slipped by 0.8 to 2.0 cm, placed within 0.6 to 2.9 cm. The trays' seeds began anew at 5100 then.
+- tray-3 (accurate, seed 5100; friction 18 % less, tray 8 % lighter than planned): flown from above
+  the tray to leaving it, clasps slid outward while it was lifted, from 24 to 26 cm to 30 to 44 cm,
+  before it was carried. Between body and rim they have 3.3 cm on each side. Open.
 """
 """What earlier flights found."""
 
@@ -144,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help=f"{', '.join(CASES)}; by default all")
     parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=5100)
     parser.add_argument("--preset", choices=sorted(PRESETS), default="accurate")
     given = parser.parse_args(arguments)
     if not set(given.cases) <= set(CASES):

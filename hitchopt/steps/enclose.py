@@ -11,6 +11,7 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.clasp_opening import check_opens
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
@@ -55,7 +56,12 @@ class Enclose(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from anywhere to around the object."""
+        """Return the plan from anywhere to around the object.
+
+        Raises
+        ------
+        InfeasibleError: no polygon, or clasps that rub on each other and do not open so far.
+        """
         requirements, hitch = task.requirements, task.hitch
         body, gap = object_of(task, self.object), gap_around(requirements)
         if body.rim is None:
@@ -67,6 +73,9 @@ class Enclose(Step):
             found = rest_polygons(self.object, body, len(hitch.polygon), gap)
             inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
         polygons, polygon = _numbered(found, body, hitch.polygon)
+        wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
+        remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
+        check_opens(hitch, polygon.vertices, requirements, remedy)
         steps = [
             Transport(np.append(hitch.polygon.centroid, altitude_over(task))),
             Transport(np.append(polygon.centroid, altitude_over(task))),

@@ -15,6 +15,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects.placing import in_frame
+from hitchopt.planners.carrying.held_motion import GENTLE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -84,6 +85,14 @@ def test_cables_carry_weight_and_inertia(motion: Motion) -> None:
     centre = motion.object_poses.at(t)[:, 0, :3] + [0.0, 0.0, 0.15]
     moments = np.sum(np.cross(p - centre[:, None], on_clasps), axis=1)
     assert np.max(np.abs(moments[:, :2])) < 0.01
+
+
+def test_what_rests_on_clasps_is_carried_gently(motion: Motion) -> None:
+    """Simulated clasps without friction slide on a rim at 1 m/s²."""
+    t = lifted(motion)
+    a = motion.object_poses.differentiated(2).at(t)[:, 0, :2]
+    largest = float(np.max(np.linalg.norm(a, axis=-1)))
+    assert 0.5 * GENTLE < largest <= GENTLE + 1e-6
 
 
 def test_support_is_below_the_force_line(motion: Motion) -> None:

@@ -1,0 +1,72 @@
+"""Hitches whose clasps rub on each other and do not open by legs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.planners.carrying.clasp_opening import check_opens
+from hitchopt.requirements import Requirements
+from hitchopt.values import Array
+
+
+def polygon(n: int, radius: float) -> Array:
+    """Return the vertices of a regular polygon off the origin."""
+    angles = 0.3 - 2.0 * np.pi * np.arange(n) / n
+    vertices: Array = radius * np.column_stack([np.cos(angles), np.sin(angles)]) + [0.7, -0.2]
+    return vertices
+
+
+def regular(n: int, radius: float, friction: float) -> ho.Hitch:
+    team = ho.Team(n, 1.6, cable_friction=friction)
+    return ho.Hitch.balanced(team, ho.ConvexPolygon(polygon(n, radius)), altitude=1.0)
+
+
+def opens(hitch: ho.Hitch, radius: float) -> bool:
+    try:
+        check_opens(hitch, polygon(hitch.team.robots, radius), Requirements(), "tie it larger")
+    except ho.InfeasibleError:
+        return False
+    return True
+
+
+def test_the_triangle_that_stayed_as_small_is_refused() -> None:
+    """In simulation, tied at 0.4 m with a friction of 0.15, it did not open to 0.56 m."""
+    assert not opens(regular(3, 0.4, 0.15), 0.56)
+    assert opens(regular(3, 0.56, 0.15), 0.56)
+    assert opens(regular(3, 0.4, 0.15), 0.3)
+    assert opens(regular(3, 0.4, 0.0), 0.56)
+    assert opens(regular(4, 0.4, 0.15), 0.56)
+
+
+def test_the_suggested_friction_is_the_largest_that_opens() -> None:
+    hitch = regular(3, 0.4, 0.15)
+    with pytest.raises(ho.InfeasibleError, match=r"larger, or use smoother cables") as caught:
+        check_opens(hitch, 1.4 * hitch.polygon.vertices, Requirements(), "tie it larger")
+    (violation,) = caught.value.violations
+    most = float(violation.remedy.split("cable_friction ")[1].split()[0])
+    assert opens(regular(3, 0.4, most), 0.56)
+    assert not opens(regular(3, 0.4, most + 0.002), 0.56)
+    # At the limit both sides of the clasp's balance are the same, drones side by side.
+    leg = float(hitch.legs[0, 0])
+    legs = np.arcsin(Requirements().separation.radius / leg)
+    exact = np.log(np.cos(legs) / np.cos(np.pi / 6.0)) / (legs + np.pi / 6.0)
+    assert most == pytest.approx(exact, abs=1e-3)
+
+
+def test_enclose_says_how_large_to_tie_it() -> None:
+    drum = {"circle": 0.2, "to": 0.3, "mass": 0.1, "friction": 0.5, "at": [1.5, 0.0, 0.0]}
+    problem: dict[str, Any] = {
+        "team": {"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_friction": 0.15},
+        "limits": {"tilt_deg": 60},
+        "objects": {"drum": drum},
+        "start": {
+            "hitch": {"polygon": [[0.4, 0], [-0.2, -0.3464], [-0.2, 0.3464]], "altitude": 1.0}
+        },
+        "mission": [{"enclose": {"object": "drum"}}],
+    }
+    with pytest.raises(ho.InfeasibleError, match=r"as large as around objects\.drum, 0\.5\d? m"):
+        ho.solve(ho.problem_from_dict(problem))
