@@ -100,14 +100,13 @@ def fit_friction(found: SlidingClasps) -> Estimate:
     for group in (found.windows, found.clasps):
         sums = np.stack([np.bincount(group, column) for column in scores.T])
         errors.append(float((inverse @ (sums @ sums.T + prior) @ inverse)[0, 0]))
-    mu = float(x[0])
-    error = float(np.sqrt(max(errors) + (GEOMETRY_ERROR * mu) ** 2))
-    if error > LARGEST_ERROR or len(np.unique(found.windows)) < 3:
+    mu, scatter = float(x[0]), float(np.sqrt(max(errors)))
+    if scatter > LARGEST_ERROR or len(np.unique(found.windows)) < 3:
         return Estimate.unknown(
-            f"its standard error would be {error:.2g}: tensions scatter by more than friction "
+            f"its standard error would be {scatter:.2g}: tensions scatter by more than friction "
             "changes them; move vertices farther, or record more precisely"
         )
-    return Estimate(max(mu, 0.0), error)
+    return Estimate(max(mu, 0.0), float(np.hypot(scatter, GEOMETRY_ERROR * mu)))
 
 
 def _misfit(x: Array, rows: Array, right: Array) -> Array:
