@@ -161,7 +161,7 @@ def _friction(
     balance = ForceBalance.of(team, windows, density)
     wind = np.zeros(2) if fit is None else fit.wind
     tensions = part_tensions(balance, 1.0 / k, wind, feed_forward)
-    friction = fit_friction(sliding_clasps(team, recording, balance, tensions, density))
+    friction = fit_friction(sliding_clasps(team, recording, balance, tensions))
     planned = windows.tensions
     edges = np.clip(tensions[:, : team.robots], planned / 3.0, 3.0 * planned)
     return friction, edges

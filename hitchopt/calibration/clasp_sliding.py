@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hitchopt.calibration.flight_windows import WINDOW
 from hitchopt.calibration.force_balance import ForceBalance
 from hitchopt.calibration.recordings import Recording
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.values import Array
 
@@ -99,7 +99,7 @@ def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:
 
 
 def sliding_clasps(
-    team: Team, recording: Recording, balance: ForceBalance, tensions: Array, density: float
+    team: Team, recording: Recording, balance: ForceBalance, tensions: Array
 ) -> SlidingClasps:
     """Return the clasps whose cables the plan slides over each other, window by window.
 
@@ -111,7 +111,6 @@ def sliding_clasps(
     recording: measured positions.
     balance: at its windows.
     tensions: (windows, unknowns) [N], along the chords of legs and edges.
-    density: of the cables [kg/m].
     """
     windows, parts, layout = balance.windows, balance.parts, team.layout
     pair = np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)  # (clasps, 2) drones
@@ -140,9 +139,6 @@ def sliding_clasps(
     leg, edge = tensions[:, balance.leg_unknown[pair]], tensions[:, pair // 2]
     least = LEAST_RATIO * windows.tensions[:, pair // 2]
     usable &= np.all((leg > least) & (edge > least), axis=-1)
-    half = 0.5 * GRAVITY * density
-    leg = _at_clasp(leg, outward, half * parts.legs[:, pair])
-    edge = _at_clasp(edge, inward, half * parts.edges[:, pair // 2])
     w, c = np.nonzero(usable)
     ratios = np.log(leg[w, c] / edge[w, c])
     return SlidingClasps(w, c, ratios, pulls[w, c], speed[w, c] * WINDOW)
@@ -153,19 +149,6 @@ def _squared_speed(rates: Array, cosine: Array) -> Array:
     a, b = rates[..., :1], rates[..., 1:]
     squared: Array = np.maximum(a**2 + b**2 - 2.0 * cosine * a * b, 0.0)
     return squared
-
-
-def _at_clasp(chord: Array, directions: Array, half_weight: Array) -> Array:
-    """Return tensions [N] of spans at their clasps, where each pulls down with half its weight.
-
-    Parameters
-    ----------
-    chord: tensions along the chords [N].
-    directions: of the chords, away from the clasps (…, 3).
-    half_weight: [N]
-    """
-    squared: Array = chord**2 - 2.0 * chord * half_weight * directions[..., 2] + half_weight**2
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
 def _rates(

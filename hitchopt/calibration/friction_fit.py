@@ -30,7 +30,8 @@ LEAST_SCATTER = 0.01
 
 OFFSET_SCATTER = 0.03
 """Standard deviation, known beforehand, of an offset that is common to the sums of clasps' ratios:
-thick cables pass the measured vertex at one side, which turns legs by 0.02 rad."""
+sagging spans pull less along their chords than at their clasps, and thick cables pass the measured
+vertex at one side, which turns legs by 0.02 rad."""
 
 ROUNDS = 3
 """Rounds in which scatter and friction are estimated by turns."""
