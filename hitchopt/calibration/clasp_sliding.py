@@ -38,8 +38,8 @@ COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 
 GEOMETRY_ERROR = 0.15
 """Relative standard error of a friction coefficient by the two above: estimates from simulated
-flights with all perturbations are 4 to 17 % low. Segments of 4 mm in place of 10 change ratios by 2 % at 60° where one
-cable slides, by 10 % where both slide alike."""
+flights with all perturbations are 4 to 17 % low. Segments of 4 mm in place of 10 change ratios by
+2 % at 60° where one cable slides, by 10 % where both slide alike."""
 
 SPAN = 0.2
 """Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
