@@ -171,7 +171,7 @@ def _rates(
     steps = np.diff(time)
     rates = np.diff(place, axis=0) / steps[:, None, None]
     middle = 0.5 * (time[1:] + time[:-1])
-    nearest = np.argmin(np.abs(middle[:, None] - middles), axis=1)
+    nearest = np.searchsorted(0.5 * (middles[1:] + middles[:-1]), middle)
     of_window = np.abs(middle - middles[nearest]) <= 0.5 * WINDOW + 1e-9
     of_window &= steps < WINDOW
     return nearest[of_window], rates[of_window]
