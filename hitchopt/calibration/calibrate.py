@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.calibration.clasp_sliding import sliding_clasps
 from hitchopt.calibration.estimates import Estimate, robust_mean
 from hitchopt.calibration.flight_windows import Windows, windows_of
 from hitchopt.calibration.force_balance import ForceBalance
-from hitchopt.calibration.friction_fit import fit_friction, part_tensions, sliding_clasps
+from hitchopt.calibration.friction_fit import fit_friction, part_tensions
 from hitchopt.calibration.plan_comparison import Comparison, compare
 from hitchopt.calibration.recordings import Recording, read_recording
 from hitchopt.calibration.stiffness_fit import StiffnessFit, fit_stiffness
@@ -115,7 +116,7 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
     stiffness = (Estimate.unknown(remark),) * team.robots
     if fit is not None:
         stiffness = tuple(fit.stiffness[kind] for kind in fit.kinds[::2])
-    friction, tensions = _friction(team, windows, density, fit, stiffness, feeds)
+    friction, tensions = _friction(team, recording, windows, density, fit, stiffness, feeds)
     parts = CableParts.of(team, windows.drones, windows.vertices)
     means, errors = robust_mean(parts.lengths(density, tensions), LEAST_SCALE)
     lengths = tuple(
@@ -144,6 +145,7 @@ def _task(recording: Recording | Flight | Path, plan: Path | str | None) -> Task
 
 def _friction(
     team: Team,
+    recording: Recording,
     windows: Windows,
     density: float,
     fit: StiffnessFit | None,
@@ -159,7 +161,7 @@ def _friction(
     balance = ForceBalance.of(team, windows, density)
     wind = np.zeros(2) if fit is None else fit.wind
     tensions = part_tensions(balance, 1.0 / k, wind, feed_forward)
-    friction = fit_friction(sliding_clasps(team, balance, tensions))
+    friction = fit_friction(sliding_clasps(team, recording, balance, tensions))
     planned = windows.tensions
     edges = np.clip(tensions[:, : team.robots], planned / 3.0, 3.0 * planned)
     return friction, edges

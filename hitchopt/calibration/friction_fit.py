@@ -1,13 +1,11 @@
 """Friction at the clasps, from tensions on both sides of cables that slide through them.
 
-A cable that slides toward its leg is pulled harder there than along its edge, by ``e^{μβ}``, β
-being the angle by which it turns at the clasp. A cable that does not slide may have any ratio up to
-that.
+``clasp_sliding`` has the law. Of the logarithms of a clasp's two ratios the sum follows from the
+directions of legs and edges; the difference is that of the two cables' tensions, which drones
+measure by giving way, and which their noise changes much more. They are weighed by their scatter.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,47 +13,31 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array, diags_array, vstack
 from scipy.sparse.linalg import splu
 
+from hitchopt.calibration.clasp_sliding import GEOMETRY_ERROR, SlidingClasps
 from hitchopt.calibration.estimates import Estimate, scale_of
 from hitchopt.calibration.force_balance import ForceBalance
-from hitchopt.hitch import Team
-from hitchopt.hitch.cable_parts import CableParts
 from hitchopt.values import Array
-
-SLIDING = 4e-3
-"""Least rate at which a cable slides through a clasp that counts as sliding [m/s]. The plan must
-slide it the same way at that rate: where only noise moves drones, clasps may stick."""
 
 SLID = 0.02
 """Least distance that cables must slide, all clasps taken together, to determine friction [m]."""
 
-OFFSET_SCALE, FORCE_SHARE = 2e-3, 0.02
-"""Assumed scatter of drones' displacements [m], and of forces on clasps over the tension."""
+OFFSET_SCALE, FORCE_SHARE = 1e-2, 0.02
+"""Assumed scatter of drones' displacements [m], which is that of the positions that they measure,
+and of forces on clasps over the tension."""
 
-LEAST_RATIO = 0.05
-"""Least tension over the planned one at which a ratio is formed."""
+LEAST_SCATTER = 0.01
+"""Least scatter that is assumed of the logarithm of a ratio."""
+
+OFFSET_SCATTER = 0.03
+"""Standard deviation, known beforehand, of an offset that is common to the sums of clasps' ratios:
+sagging spans pull less along their chords than at their clasps, and thick cables pass the measured
+vertex at one side, which turns legs by 0.02 rad."""
+
+ROUNDS = 3
+"""Rounds in which scatter and friction are estimated by turns."""
 
 LARGEST_ERROR = 0.1
 """Largest standard error of a friction coefficient that counts as determined."""
-
-
-@dataclass(frozen=True, eq=False)
-class SlidingClasps:
-    """Cables that slide through a clasp in a window, one entry each.
-
-    Attributes
-    ----------
-    windows, drones: which window, and the drone at the leg.
-    ratios: logarithms of the leg's tension over the edge's.
-    turns: angle by which the cable turns at the clasp [rad], positive where it slides toward its
-        leg, else negative.
-    slid: distance that it slides meanwhile [m].
-    """
-
-    windows: NDArray[np.intp]
-    drones: NDArray[np.intp]
-    ratios: Array
-    turns: Array
-    slid: Array
 
 
 def part_tensions(
@@ -86,48 +68,12 @@ def part_tensions(
     return solved.reshape(len(windows.t), balance.per_window)
 
 
-def sliding_clasps(team: Team, balance: ForceBalance, tensions: Array) -> SlidingClasps:
-    """Return the cables that slide through their clasps, from consecutive windows.
-
-    Parameters
-    ----------
-    team: cables and drones.
-    balance: at consecutive windows.
-    tensions: (windows, unknowns) [N]
-    """
-    windows, parts, layout = balance.windows, balance.parts, team.layout
-    drones = layout.drones_with_legs
-    steps = np.diff(windows.t)
-    rate = np.diff(parts.legs[:, drones], axis=0) / steps[:, None]
-    before, after = rate[:-1], rate[1:]  # in and out of the windows in between
-    asked = CableParts.of(team, windows.commanded, windows.planned).legs[:, drones]
-    planned = (asked[2:] - asked[:-2]) / (windows.t[2:] - windows.t[:-2])[:, None]
-    neighbours = (steps[:-1] < 2.0 * np.min(steps)) & (steps[1:] < 2.0 * np.min(steps))
-    steady = (np.minimum(np.abs(before), np.abs(after)) > SLIDING) & (before * after > 0.0)
-    steady &= neighbours[:, None] & (before * planned > 0.0) & (np.abs(planned) > SLIDING)
-    edge = parts.along[1:-1][:, drones // 2] * np.where(drones % 2 == 0, 1.0, -1.0)[:, None]
-    turn = np.arccos(np.clip(-np.sum(parts.outward[1:-1][:, drones] * edge, axis=-1), -1.0, 1.0))
-    leg = tensions[1:-1][:, balance.leg_unknown[drones]]
-    along = tensions[1:-1][:, drones // 2]
-    least = LEAST_RATIO * windows.tensions[1:-1][:, drones // 2]
-    steady &= (leg > least) & (along > least)
-    w, d = np.nonzero(steady)
-    mean_rate = 0.5 * (before + after)[w, d]
-    return SlidingClasps(
-        w + 1,
-        drones[d],
-        np.log(leg[w, d] / along[w, d]),
-        np.sign(mean_rate) * turn[w, d],
-        np.abs(mean_rate) * 0.5 * (steps[w] + steps[w + 1]),
-    )
-
-
 def fit_friction(found: SlidingClasps) -> Estimate:
     """Return the coefficient that explains the ratios, by robust regression.
 
     The standard error is the larger of two: with errors that are common to a window, since all of
-    its ratios follow from the same positions, and with errors that are common to a clasp's side,
-    since cables differ.
+    its ratios follow from the same positions, and with errors that are common to a clasp, since
+    cables differ. The geometry's error is added.
     """
     slid = float(np.sum(found.slid))
     if slid < SLID:
@@ -135,23 +81,35 @@ def fit_friction(found: SlidingClasps) -> Estimate:
             f"cables slide through clasps by {100 * slid:.1f} cm in all, less than {100 * SLID:g} "
             "cm: friction is not seen; move a vertex by some decimetres"
         )
-    start = float(np.sum(found.turns * found.ratios) / np.sum(found.turns**2))
-    scale = max(float(scale_of(found.ratios - start * found.turns)), 1e-3)
-
-    def misfit(x: Array) -> Array:
-        return np.asarray(found.ratios - x[0] * found.turns)
-
-    fit = least_squares(misfit, [start], loss="soft_l1", f_scale=scale)
-    mu = float(fit.x[0])
-    residuals = found.ratios - mu * found.turns
-    weights = 1.0 / np.sqrt(1.0 + (residuals / scale) ** 2)
-    scores = weights * residuals * found.turns
-    information = float(np.sum(weights**3 * found.turns**2))
-    sums = [np.bincount(group, scores) for group in (found.windows, found.drones)]
-    error = float(max(np.sqrt(np.sum(one**2)) for one in sums)) / information
-    if error > LARGEST_ERROR or len(np.unique(found.windows)) < 3:
+    modes = np.array([[1.0, 1.0], [1.0, -1.0]])  # sum and difference
+    ratios, pulls = found.ratios @ modes, found.pulls @ modes
+    x = np.array([np.sum(pulls * ratios) / np.sum(pulls**2), 0.0])  # friction and offset
+    columns = np.stack([pulls, np.broadcast_to([1.0, 0.0], pulls.shape)], axis=-1)
+    for _ in range(ROUNDS):
+        scale = np.maximum(scale_of(ratios - columns @ x, axis=0), LEAST_SCATTER)
+        wanted, by = ratios / scale, columns / scale[:, None]
+        rows, right = by.reshape(-1, 2), wanted.ravel()
+        rows = np.vstack([rows, [0.0, 1.0 / OFFSET_SCATTER]])
+        right = np.append(right, 0.0)
+        x = least_squares(_misfit, x, loss="soft_l1", args=(rows, right)).x
+    residuals = wanted - by @ x
+    weights = 1.0 / np.sqrt(1.0 + residuals**2)
+    scores = np.sum((weights * residuals)[..., None] * by, axis=1)
+    prior = np.diag([0.0, 1.0 / OFFSET_SCATTER**2])
+    inverse = np.linalg.inv(np.einsum("ij,ijk,ijl->kl", weights**3, by, by) + prior)
+    errors = []
+    for group in (found.windows, found.clasps):
+        sums = np.stack([np.bincount(group, column) for column in scores.T])
+        errors.append(float((inverse @ (sums @ sums.T + prior) @ inverse)[0, 0]))
+    mu, scatter = float(x[0]), float(np.sqrt(max(errors)))
+    if scatter > LARGEST_ERROR or len(np.unique(found.windows)) < 3:
         return Estimate.unknown(
-            f"its standard error would be {error:.2g}: tensions scatter by more than friction "
+            f"its standard error would be {scatter:.2g}: tensions scatter by more than friction "
             "changes them; move vertices farther, or record more precisely"
         )
-    return Estimate(max(mu, 0.0), error)
+    return Estimate(max(mu, 0.0), float(np.hypot(scatter, GEOMETRY_ERROR * mu)))
+
+
+def _misfit(x: Array, rows: Array, right: Array) -> Array:
+    """Return the residuals of linear equations."""
+    return rows @ x - right

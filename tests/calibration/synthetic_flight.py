@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import fsolve
 
+from hitchopt.calibration.clasp_sliding import COSINES, IN_SPACE, TURNS
 from hitchopt.calibration.recordings import Recording
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -31,13 +32,51 @@ def turns(team: Team, drones: Array, points: Array) -> Array:
     return found
 
 
+def friction_ratios(team: Team, drones: Array, points: Array, rates: Array) -> Array:
+    """Logarithms (2n,) of leg over edge tensions at a friction of 1, clasp by clasp."""
+    found, angles = np.zeros(team.drones), turns(team, drones, points)
+    for ahead, behind in zip(team.layout.ahead, team.layout.behind, strict=True):
+        a, b = 2 * ahead, 2 * behind + 1
+        turn = 0.5 * (angles[a] + angles[b])
+        c = np.interp(turn, TURNS, COSINES)
+        # The surfaces' relative velocity, in the plane that the two cables span.
+        first, second = np.array([1.0, 0.0]), np.array([c, np.sqrt(1.0 - c**2)])
+        sliding = rates[a] * first - rates[b] * second
+        if (speed := np.linalg.norm(sliding)) > 0.0:
+            space = np.interp(turn, TURNS, IN_SPACE)
+            found[a] = space * angles[a] * (sliding @ first) / speed
+            found[b] = -space * angles[b] * (sliding @ second) / speed
+    return found
+
+
+def leg_tensions(
+    team: Team, density: float, drones: Array, points: Array, edges: Array, ratio: Array
+) -> Array:
+    """Tensions along the legs' chords (2n,) [N], ``exp(ratio)`` the edges' at the clasps."""
+    found, half = np.zeros(team.drones), 0.5 * GRAVITY * density
+    for i, p in enumerate(team.layout.anchors):
+        k = i // 2
+        other = team.layout.ends[k] if i % 2 == 0 else team.layout.starts[k]
+        along = points[other] - points[p]
+        pull = edges[k] * unit(along) - [0.0, 0.0, half * np.linalg.norm(along)]
+        tension = np.linalg.norm(pull) * np.exp(ratio[i])
+        leg = drones[i] - points[p]
+        length = np.linalg.norm(leg)
+        rise = leg[2] / length if length > 0.0 else 0.0
+        weight = half * length
+        found[i] = weight * rise + np.sqrt(tension**2 - weight**2 * (1.0 - rise**2))
+    legless = ~team.layout.has_leg.ravel()
+    found[legless] = np.repeat(edges, 2)[legless]
+    return found
+
+
 def clasp_forces(
     team: Team, density: float, drones: Array, points: Array, edges: Array, ratio: Array
 ) -> Array:
     """Force on every clasp (clasps, 3) [N]; cable by cable, part by part."""
     layout = team.layout
     forces = np.zeros((layout.points, 3))
-    legs = np.repeat(edges, 2) * np.exp(ratio * turns(team, drones, points))
+    legs = leg_tensions(team, density, drones, points, edges, ratio)
     for k in range(team.robots):
         a, b = layout.starts[k], layout.ends[k]
         along = points[b] - points[a]
@@ -77,7 +116,7 @@ def on_drones(
     team: Team, density: float, drones: Array, points: Array, edges: Array, ratio: Array
 ) -> Array:
     """Forces of cables on the drones (2n, 3) [N]."""
-    legs = np.repeat(edges, 2) * np.exp(ratio * turns(team, drones, points))
+    legs = leg_tensions(team, density, drones, points, edges, ratio)
     leads = drones - points[team.layout.pulled_to]
     forces = -legs[:, None] * unit(leads)
     forces[:, 2] -= 0.5 * GRAVITY * density * np.linalg.norm(leads, axis=-1)
@@ -102,18 +141,25 @@ def recorded(
     s = np.clip((t - HELD) / MOVED, 0.0, 1.0)
     s = s * s * (3.0 - 2.0 * s)
     drones = first.drones + s[:, None, None] * (second.drones - first.drones)
-    points, commanded, forces = [], [], []
-    guess, legs = first.vertices, []
-    for i in (0, len(t) // 2, len(t) - 1):  # without friction, to see which way cables slide
-        guess = balanced_points(team, density, drones[i], guess, team.tension, np.zeros(2 * n))
-        legs.append(np.linalg.norm(drones[i] - guess[layout.anchors], axis=-1))
-    early, late = np.diff(legs, axis=0)
-    slides = np.where(early * late > 0.0, np.sign(late), 0.0) * layout.has_leg.ravel()
-    guess = first.vertices
-    ratio = friction * slides  # clasps about to slide before they do, and stuck afterwards
-    for place in drones:
-        guess = balanced_points(team, density, place, guess, team.tension, ratio)
-        points.append(guess)
+    points: list[Array] = []
+    commanded, forces = [], []
+    moving = np.flatnonzero((t > HELD + 0.8) & (t < HELD + MOVED - 0.8))
+    rates = np.zeros((len(t), 2 * n))
+    for _ in range(2 if friction else 1):  # which way cables slide follows from the flight itself
+        guess, points = first.vertices, []
+        for _ in range(4):
+            ratio = friction * friction_ratios(team, drones[0], guess, rates[0])
+            guess = balanced_points(team, density, drones[0], guess, team.tension, ratio)
+        for place, rate in zip(drones, rates, strict=True):
+            ratio = friction * friction_ratios(team, place, guess, rate)
+            guess = balanced_points(team, density, place, guess, team.tension, ratio)
+            points.append(guess)
+        legs = np.linalg.norm(drones - np.array(points)[:, layout.anchors], axis=-1)
+        # Clasps are about to slide before they do, and stick afterwards.
+        final, rates = rates, np.gradient(legs, t, axis=0)
+        rates = rates[np.clip(np.arange(len(t)), moving[0], moving[-1])]
+    for place, guess, rate in zip(drones, points, final, strict=True):
+        ratio = friction * friction_ratios(team, place, guess, rate)
         known = share * on_drones(team, 0.0, place, guess, team.tension, 0.0 * ratio)
         true = on_drones(team, density, place, guess, team.tension, ratio)
         true[:, :2] += wind

@@ -11,6 +11,7 @@ from scipy.optimize import approx_fprime, least_squares
 from synthetic_flight import recorded, shaken
 
 from hitchopt.calibration.calibrate import estimate_team
+from hitchopt.calibration.clasp_sliding import COSINES, IN_SPACE, TURNS, friction_pulls
 from hitchopt.calibration.estimates import robust_mean
 from hitchopt.calibration.flight_windows import windows_of
 from hitchopt.calibration.force_balance import ForceBalance
@@ -51,14 +52,47 @@ def hitches(topology: str = "closed") -> tuple[Hitch, Hitch]:
 K = np.repeat([4.0, 9.0, 4.0], 2)
 
 
-@pytest.mark.parametrize(("topology", "friction"), [("closed", MU), ("open", 0.0)])
-def test_without_noise_stiffness_and_friction_are_exact(topology: str, friction: float) -> None:
-    task, recording = recorded(*hitches(topology), K, DENSITY, friction)
+def moved() -> tuple[Hitch, Hitch]:
+    """A vertex moved outward: both cables of its clasp slide alike."""
+    team = team_of()
+    return (
+        Hitch.balanced(team, POLYGON, 1.3),
+        Hitch.balanced(team, POLYGON + [[0.0, -0.25], [0.0, 0.0], [0.0, 0.0]], 1.3),
+    )
+
+
+@pytest.mark.parametrize(
+    ("pair", "friction", "within"),
+    [(hitches(), MU, 0.005), (moved(), MU, 0.02), (hitches("open"), 0.0, 0.005)],
+)
+def test_without_noise_stiffness_and_friction_are_exact(
+    pair: tuple[Hitch, Hitch], friction: float, within: float
+) -> None:
+    task, recording = recorded(*pair, K, DENSITY, friction)
     found = estimate_team(recording, task, DENSITY)
     assert all(one.known for one in found.stiffness)
     np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.01)
     assert found.friction.known
-    assert found.friction.value == pytest.approx(friction, abs=0.005)
+    assert found.friction.value == pytest.approx(friction, abs=within)
+    assert abs(found.friction.value - friction) < max(found.friction.error, 1e-3)
+
+
+def test_friction_acts_along_the_cables_relative_velocity() -> None:
+    turns = np.full(2, np.radians(60.0))
+    c, space = np.interp(turns[0], TURNS, COSINES), np.interp(turns[0], TURNS, IN_SPACE)
+    capstan = turns[0] * space
+    for rates, expected in (
+        ([0.02, 0.0], [1.0, -c]),  # the other cable is dragged along
+        ([0.0, -0.5], [c, -1.0]),
+        ([0.03, 0.03], np.full(2, np.sqrt(0.5 * (1.0 - c)))),
+        ([-0.03, -0.03], np.full(2, -np.sqrt(0.5 * (1.0 - c)))),
+        ([0.01, -0.01], np.array([1.0, -1.0]) * np.sqrt(0.5 * (1.0 + c))),
+        ([0.0, 0.0], [0.0, 0.0]),
+    ):
+        found = friction_pulls(turns, np.array(rates))
+        np.testing.assert_allclose(found, capstan * np.asarray(expected), atol=1e-12)
+    slow = friction_pulls(turns, np.array([5e-3, 0.0]), blurred=5e-3)
+    np.testing.assert_allclose(slow, capstan * np.array([1.0, -c]) / np.sqrt(2.0))
 
 
 def test_a_steady_wind_is_no_stiffness() -> None:
