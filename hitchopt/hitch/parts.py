@@ -8,6 +8,7 @@ drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from hitchopt.values import Indices as Index
 
 SEPARATION, CABLE, CROSSING = 0, 1, 2
 """Kinds of pairs: drone and drone, drone and cable, cable and cable."""
+
+FEW = 80
+"""Number of bodies up to which all of their pairs are compared, without an index."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,7 @@ class Parts:
     cable: Index
 
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, robots: int, topology: str = CLOSED) -> Parts:
         """Return the bodies of a hitch of that many cables."""
         layout = layout_of(robots, topology)
@@ -78,6 +83,8 @@ class Parts:
         limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
         cutoff: [m]
         """
+        if len(self.nodes) <= FEW:
+            return self._near_of_all(lowest, highest, limits, cutoff)
         # A third coordinate keeps the frames apart, so that one tree serves them all.
         step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
         bodies = len(self.nodes)
@@ -89,6 +96,25 @@ class Parts:
         kind = self.kind(i, j)
         wanted = (kind >= 0) & (limits[kind] > 0.0)
         return frame[wanted], i[wanted], j[wanted], kind[wanted]
+
+    @cached_property
+    def _all_pairs(self) -> tuple[Index, Index, Index]:
+        """Bodies (i, j) and kinds of all pairs that are not free to touch."""
+        i, j = np.triu_indices(len(self.nodes), 1)
+        kind = self.kind(i, j)
+        return i[kind >= 0], j[kind >= 0], kind[kind >= 0]
+
+    def _near_of_all(
+        self, lowest: Array, highest: Array, limits: Array, cutoff: float
+    ) -> tuple[Index, Index, Index, Index]:
+        """Return ``near`` of all pairs."""
+        i, j, kind = self._all_pairs
+        squared = np.zeros((len(i), len(lowest)))
+        for lower, upper in zip(lowest.T, highest.T, strict=True):  # along x, then y
+            gap = np.maximum(lower[i] - upper[j], lower[j] - upper[i])
+            squared += np.maximum(gap, 0.0) ** 2
+        pair, frame = np.nonzero((squared <= cutoff * cutoff) & (limits[kind] > 0.0)[:, None])
+        return frame, i[pair], j[pair], kind[pair]
 
     def _have_common_clasp(self, i: Index, j: Index) -> NDArray[np.bool_]:
         a, b = self.nodes[i], self.nodes[j]

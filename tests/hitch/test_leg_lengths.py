@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import parts
 from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
@@ -145,9 +146,9 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
             )
         ),
     ]
-    parts = Parts.of(n)
+    listed = Parts.of(n)
     i, j = np.triu_indices(len(bodies), 1)
-    found = parts.kind(i, j)
+    found = listed.kind(i, j)
     for a, b, kind in zip(i, j, found, strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
         if first in "qr" and second in "qr":
@@ -157,6 +158,25 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_few_bodies_have_the_same_near_pairs_with_and_without_an_index(
+    topology: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(5)
+    found = Parts.of(6, topology)
+    middles = rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
+    sizes = rng.uniform(0.0, 0.3, middles.shape)
+    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
+    seen = []
+    for few in (parts.FEW, 0):
+        monkeypatch.setattr(parts, "FEW", few)
+        near = found.near(middles - sizes, middles + sizes, limits, 0.4)
+        seen.append(set(zip(*(part.tolist() for part in near), strict=True)))
+    assert seen[0] == seen[1]
+    assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
+    assert len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
 
 
 def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_made() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from optimise_cases import ends
+from scipy import sparse
 
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
@@ -18,7 +19,7 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
-from hitchopt.planners.optimise.model_rows import Draft
+from hitchopt.planners.optimise.model_rows import Draft, casadi_matrix
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
 from hitchopt.planners.optimise.search_task import (
     STATIC_SHARE,
@@ -349,3 +350,12 @@ def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> 
         static = np.minimum(by_thrust, lift * math.tan(0.97 * tilt))
         wanted = np.minimum(top - 0.02 * (top - 0.2), static)
         np.testing.assert_allclose(upper, np.tile(wanted, (path.steps - 1, 1)), rtol=1e-6)
+
+
+def test_sparse_matrices_are_the_same_in_casadi() -> None:
+    rng = np.random.default_rng(6)
+    row, column = rng.integers(0, 7, 30), rng.integers(0, 5, 30)  # some places twice
+    matrix = sparse.csc_matrix((rng.normal(size=30), (row, column)), shape=(7, 5))
+    found = casadi_matrix(matrix)
+    np.testing.assert_array_equal(found.full(), matrix.toarray())
+    assert found.nnz() == matrix.nnz
