@@ -26,8 +26,8 @@ SETTINGS = {
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
 }
-"""Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more than
-a tenth of a plan's time; clocks that tick less often leave plans alone too."""
+"""Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more
+than a tenth of a plan's time; clocks that tick less often leave plans alone too."""
 
 EXTRA = "pip install 'hitchopt[sweep]'"
 
