@@ -22,7 +22,7 @@ from hitchopt.values import Array
 FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
-BETWEEN = 0.35
+BETWEEN = 0.25
 """Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
 as well."""
 
@@ -134,7 +134,7 @@ def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: Sol
 
     Those that are too near now, as in a first guess, are parted as far as a step can.
     """
-    columns, inner = path.columns, path.table()[1:-1]
+    columns, inner = path.columns, path.table[1:-1]
     now = inner.ravel()
     margins = search.margins(path.steps, np.arange(1.0, path.steps))
     separation = search.requirements.separation

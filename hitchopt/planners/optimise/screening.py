@@ -109,7 +109,7 @@ def same(path: KnotPath, other: KnotPath) -> bool:
 
 def clear(knots: KnotPath, search: Search) -> bool:
     """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
-    path = knots.path()
+    path = knots.path
     try:
         check_shapes(path, GRID)
         if not _distances_hold(path, search.requirements):
@@ -135,7 +135,7 @@ def judged(path: ShapePath, search: Search) -> Flight | None:
 
 def estimate(path: KnotPath, requirements: Requirements) -> float:
     """Return an estimate of how long a flight along a path takes [s], clear or not."""
-    return flight_estimate(path.path(), requirements.limits)
+    return flight_estimate(path.path, requirements.limits)
 
 
 def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:
