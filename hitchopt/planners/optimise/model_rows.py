@@ -22,7 +22,7 @@ from hitchopt.values import Array
 FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
-BETWEEN = 0.25
+BETWEEN = 0.35
 """Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
 as well."""
 

@@ -147,7 +147,7 @@ class AllowedCorners:
 
     Attributes
     ----------
-    points: (J, rays + 1, 2), corners from the largest s̈ at ṡ = 0 to the smallest.
+    points: (J, RAYS + 1, 2), corners from the largest s̈ at ṡ = 0 to the smallest.
     steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
     """
 
@@ -156,7 +156,7 @@ class AllowedCorners:
     fastest: Array
 
 
-def allowed_corners(demands: Demands, rays: int) -> AllowedCorners:
+def allowed_corners(demands: Demands) -> AllowedCorners:
     """Return an inner approximation of what all drones' limits allow.
 
     Vector norms are no boxes: rays from rest find the boundary of the convex set that all drones
@@ -166,7 +166,7 @@ def allowed_corners(demands: Demands, rays: int) -> AllowedCorners:
     steepest = np.min(
         demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12), axis=1
     )
-    angles = np.pi * np.arange(rays + 1) / rays
+    angles = np.pi * np.arange(RAYS + 1) / RAYS
     u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
     x[:, [0, -1]] = 0.0
     ends = _cast(demands, u, x)
@@ -177,7 +177,7 @@ def allowed_corners(demands: Demands, rays: int) -> AllowedCorners:
 
 def acceleration_rows(demands: Demands) -> AccelerationRows:
     """Return the half planes of the polygons of ``allowed_corners``."""
-    allowed = allowed_corners(demands, RAYS)
+    allowed = allowed_corners(demands)
     corners = allowed.points
     along = np.diff(corners, axis=1)
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # rays run counter-clockwise
