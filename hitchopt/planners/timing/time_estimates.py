@@ -3,7 +3,7 @@
 At every point of a path the pairs (s̈, ṡ²) that all limits allow are a convex polygon, whose corners
 are known. The largest speed from which the path can still be ended is where a polygon meets a
 line, from the last point to the first; the fastest motion is then found from the first to the last.
-No linear program is solved, so that this takes a third of toppra's time. Limits hold at the
+No linear program is solved, so that this takes half of toppra's time. Limits hold at the
 points, not between them.
 """
 
@@ -37,7 +37,7 @@ a change from rest to full speed."""
 def flight_estimate(path: Path, limits: Limits) -> float:
     """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
 
-    Flights are mostly longer, by up to a twentieth of the ramp.
+    Flights are mostly longer, by up to a tenth of the ramp.
     """
     s = path_grid(GRID)
     demands = Demands.along(path, limits, s)
