@@ -18,7 +18,8 @@ import hitchopt as ho
 from benchmarks.environment import print_environment
 from benchmarks.relaxed_clearance import DEFAULT, HEADING, NOTE, clearance_text
 from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.timing.speed_profile import time_estimate
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.speed_profile import fastest_profile
 
 FINE = 1001
 
@@ -71,7 +72,7 @@ def measure(n: int, density: float) -> str:
     end = ho.Hitch(start.team, goal, 1.0, plan.at(plan.duration).legs[:, 0])
     path = ShapePath.straight(start, end)
     s = np.linspace(0.0, 1.0, FINE)
-    optimum = time_estimate(path, ho.Limits(), s)
+    optimum = fastest_profile(s, Demands.along(path, ho.Limits(), s)).duration
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return (
         f"{n:6d} {plan.motion.drones.pieces:7d} {planned - began:10.2f} {certified - planned:12.2f}"

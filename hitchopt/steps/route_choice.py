@@ -16,7 +16,7 @@ from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.planners.timing.fly_path import fly
-from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
+from hitchopt.planners.timing.time_estimates import flight_estimate
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import Certified, certified, checked, flying
 
@@ -28,9 +28,6 @@ Solution = TypeVar("Solution")
 
 FASTER = "faster than the step's own route"
 SHUT = "the step's own route is infeasible"
-
-GRID = 80
-"""Number of steps of toppra's grid on which the step's own route is timed before it is flown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +189,7 @@ def _least_time(own: Route[Any], requirements: Requirements) -> float:
     path = own.problem
     if not isinstance(path, ShapePath):
         return 0.0
-    least = time_estimate(path, requirements.limits, path_grid(GRID))
+    least = flight_estimate(path, requirements.limits)
     return least if math.isfinite(least) else 0.0
 
 

@@ -11,10 +11,23 @@ from typing import Any
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 
 AHEAD = 8
-"""Tasks per worker that are handed to the scheduler at a time."""
+"""Tasks per worker that are handed to the scheduler before any of them is done."""
 
 LOST = 3
 """Number of workers that may die with a task before it counts as failed: it may kill them."""
+
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": LOST,
+    "distributed.comm.timeouts.connect": "5s",
+    "distributed.worker.daemon": True,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.cycle": "10s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
+"""Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more
+than a tenth of a plan's time; clocks that tick less often leave plans alone too."""
 
 EXTRA = "pip install 'hitchopt[sweep]'"
 
@@ -50,20 +63,24 @@ def finished(
         raise UnsupportedError(f"sweeps need dask.distributed: {EXTRA}") from None
     with _client(distributed, width, scheduler) as client:
         ahead = AHEAD * max(width, len(client.nthreads()))
+        batch = ahead // 2
         rest = iter(tasks.items())
         pending = distributed.as_completed(loop=client.loop, raise_errors=False)
 
         def hand_out(count: int) -> None:
-            for key, arguments in itertools.islice(rest, count):
-                pending.add(client.submit(work, *arguments, key=key, pure=False))
+            some = list(itertools.islice(rest, count))
+            if some:  # many at a time: a graph of one costs as much as one of eight
+                columns = zip(*(arguments for _, arguments in some), strict=True)
+                pending.update(client.map(work, *columns, key=[key for key, _ in some], pure=False))
 
         try:
             hand_out(ahead)
-            for future in pending:
+            for done, future in enumerate(pending, 1):
                 if future.status not in {"finished", "error"}:
                     raise SweepError(f"the scheduler was lost (a task was {future.status}); {STAY}")
                 yield str(future.key), future
-                hand_out(1)
+                if done % batch == 0:
+                    hand_out(batch)
         except (OSError, TimeoutError, distributed.CommClosedError) as error:
             reason = error or type(error).__name__
             raise SweepError(f"the scheduler was lost ({reason}); {STAY}") from error
@@ -77,14 +94,9 @@ def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any
     """Yield a client of a scheduler's cluster, or of one of this machine that ends with it."""
     import dask
 
-    settings = {
-        "distributed.scheduler.allowed-failures": LOST,
-        "distributed.comm.timeouts.connect": "5s",
-        "distributed.worker.daemon": True,
-    }
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with dask.config.set(settings), contextlib.ExitStack() as stack:
+    with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
         if scheduler is None:
             cluster = stack.enter_context(
                 distributed.LocalCluster(

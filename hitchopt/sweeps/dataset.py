@@ -7,10 +7,12 @@ the same directory stay; what is computed already is not computed again.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
 import tempfile
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,23 +73,37 @@ def write_outcome(directory: Path, outcome: Outcome) -> None:
     ------
     FileError: the disk is full, or cannot be written to.
     """
-    parquet = _pyarrow("pyarrow.parquet")
-    with (
-        _as_file_error(directory),
-        tempfile.TemporaryDirectory(dir=directory, prefix=".hitchopt-") as stage,
-    ):
+    data = _parquet(outcome.row)
+    with _as_file_error(directory):
         if outcome.files:
-            made = Path(stage) / FILES
-            for name, data in outcome.files.items():
-                (made / name).parent.mkdir(parents=True, exist_ok=True)
-                (made / name).write_bytes(data)
-            place = directory / FILES / outcome.digest
-            place.parent.mkdir(exist_ok=True)
-            shutil.rmtree(place, ignore_errors=True)
-            os.replace(made, place)
-        row = Path(stage) / "row.parquet"
-        parquet.write_table(_table(outcome.row), row)
-        os.replace(row, directory / ROWS / f"{outcome.digest}.parquet")
+            _write_files(directory, outcome)
+        stage = directory / f".hitchopt-{uuid.uuid4().hex}"
+        try:
+            stage.write_bytes(data)
+            os.replace(stage, directory / ROWS / f"{outcome.digest}.parquet")
+        finally:
+            stage.unlink(missing_ok=True)
+
+
+def _write_files(directory: Path, outcome: Outcome) -> None:
+    """Write an outcome's files, all at once."""
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".hitchopt-") as stage:
+        made = Path(stage) / FILES
+        for name, data in outcome.files.items():
+            (made / name).parent.mkdir(parents=True, exist_ok=True)
+            (made / name).write_bytes(data)
+        place = directory / FILES / outcome.digest
+        place.parent.mkdir(exist_ok=True)
+        shutil.rmtree(place, ignore_errors=True)
+        os.replace(made, place)
+
+
+def _parquet(row: Row) -> bytes:
+    """Return the Parquet file of a row; statistics and dictionaries of one value save nothing."""
+    parquet, sink = _pyarrow("pyarrow.parquet"), io.BytesIO()
+    options = {"compression": "none", "use_dictionary": False, "write_statistics": False}
+    parquet.write_table(_table(row), sink, **options)
+    return sink.getvalue()
 
 
 def _table(row: Row) -> Any:

@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
+<<<<<<< HEAD
 from hitchopt.hitch.leg_lengths import quick_split, split_slack
+=======
+from hitchopt.hitch import parts
+>>>>>>> wt-scale
 from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
@@ -171,9 +175,9 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
             )
         ),
     ]
-    parts = Parts.of(n)
+    listed = Parts.of(n)
     i, j = np.triu_indices(len(bodies), 1)
-    found = parts.kind(i, j)
+    found = listed.kind(i, j)
     for a, b, kind in zip(i, j, found, strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
         if first in "qr" and second in "qr":
@@ -183,6 +187,31 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_near_pairs_are_the_same_however_they_are_searched(
+    topology: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By comparing all, by an index of sweeps through all frames, by one of all frames."""
+    rng = np.random.default_rng(5)
+    found = Parts.of(6, topology)
+    middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
+    middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
+    sizes = rng.uniform(0.0, 0.3, middles.shape)
+    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
+    seen = []
+    for few, neighbours, chunk in ((100, 0, 50), (0, 1000, 50), (0, 1000, 10**6), (0, 0, 1)):
+        monkeypatch.setattr(parts, "FEW", few)
+        monkeypatch.setattr(parts, "NEIGHBOURS", neighbours)
+        monkeypatch.setattr(parts, "CHUNK", chunk)
+        near = found.near(middles - sizes, middles + sizes, limits, 0.4)
+        seen.append(sorted(zip(*(part.tolist() for part in near), strict=True)))
+        apart = found.near(50.0 * middles, 50.0 * middles, limits, 1e-9)
+        assert [len(part) for part in apart] == [0, 0, 0, 0]
+    assert seen[0] == seen[1] == seen[2] == seen[3]
+    assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
+    assert 100 < len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
 
 
 def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_made() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from optimise_cases import ends
+from scipy import sparse
 
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
@@ -18,7 +19,7 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
-from hitchopt.planners.optimise.model_rows import Draft
+from hitchopt.planners.optimise.model_rows import Draft, casadi_matrix
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
 from hitchopt.planners.optimise.search_task import (
     STATIC_SHARE,
@@ -124,12 +125,12 @@ def test_pair_rows_never_promise_more_than_the_distance(seed: int) -> None:
     start, end = ends(Team(n, 2.0), first, first.rotated(0.4))
     way = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 5)[1].polygons)
     columns = columns_of(n)
-    table = way.table()
+    table = way.table
     moved = table.copy()
     moved[1:-1] += rng.uniform(-0.03, 0.03, moved[1:-1].shape)  # well within a step
     moved[:, columns.tensions] = table[:, columns.tensions]
     other = way.with_table(moved)
-    moved[1:-1] = other.table()[1:-1]  # drones where the moved hitch has them
+    moved[1:-1] = other.table[1:-1]  # drones where the moved hitch has them
     pairs = near_pairs(table[1:-1][:, columns.nodes], ho.Separation(), np.ones(3), 0.5)
     drones, others = (pairs.chosen(which) for which in (pairs.kind == 0, pairs.kind != 0))
     rows = rows_at_knots(way, others)
@@ -156,9 +157,9 @@ def test_rows_between_knots_are_tight_for_the_way_and_right_for_its_translations
     columns, places = columns_of(n), instants(5, parts)
     assert np.all((places > 0.0) & (places < 5.0) & (places % 1.0 > 0.0))
     bounds = search(None, 1.05, (1.2, 1.01))
-    table = way.table()
+    table = way.table
     found = rows_between(way, bounds, parts, 0.3)
-    nodes = way.at(places / 5.0).table()[:, columns.nodes]
+    nodes = way.at(places / 5.0).table[:, columns.nodes]
     pairs = near_pairs(nodes, ho.Separation(), bounds.margins(5, places), 0.3)
     excess = np.full(len(pairs.enforced), np.inf)
     pair, _, _ = pairs.sides()
@@ -194,7 +195,7 @@ def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
     value = ca.Function(
         "value", [program.expressions["x"]], [program.expressions["f"], program.expressions["g"]]
     )
-    x = way.table()[1:-1].ravel()
+    x = way.table[1:-1].ravel()
     cost, rows = value(x)
     assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
     assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
@@ -225,7 +226,7 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     way = KnotPath.through("turned", start, end, guesses(first, last, 6)[1].polygons)
     columns, places = columns_of(4), instants(5, 4)
     both = np.concatenate([columns.q_legs, columns.r_legs])
-    legs, at_knots = (w[:, both] for w in (way.at(places / 5.0).table(), way.table()))
+    legs, at_knots = (w[:, both] for w in (way.at(places / 5.0).table, way.table))
     limits = ho.Limits(leg=float(np.min(legs)) + 0.02)
     bounds = search(
         None, 1.0, (1.0, 1.0), Requirements(limits, ho.Separation(1e-4, 1e-4, 0.0, 0.0))
@@ -233,7 +234,7 @@ def test_legs_that_get_short_between_knots_are_told_as_they_are() -> None:
     rows = rows_between(way, bounds, 4, 0.0)  # of no pair: their limits are next to none
     shortest = np.minimum(limits.leg + LEG_INSET, np.minimum(at_knots[0], at_knots[-1]))
     near = legs < limits.leg + LEG_REACH
-    excess = rows.rows @ way.table()[1:-1].ravel() - rows.least
+    excess = rows.rows @ way.table[1:-1].ravel() - rows.least
     assert 0 < np.sum(near) < near.size
     np.testing.assert_allclose(excess, (legs - shortest)[near], atol=1e-9)
 
@@ -250,13 +251,13 @@ def test_rows_between_knots_follow_the_chord_between_moved_knots(seed: int, part
     places = instants(steps, parts)
     asked = search(None, 1.05, (1.2, 1.01), Requirements(ho.Limits(leg=float(np.min(path.q_legs)))))
     rows = rows_between(path, asked, parts, 0.3)
-    change = rng.normal(size=path.table().shape)
+    change = rng.normal(size=path.table.shape)
     change[[0, -1]] = 0.0  # the ends are given
     knots = np.arange(steps + 1.0)
     there = np.stack([np.interp(places, knots, column) for column in change.T], axis=1)
 
     columns = path.columns
-    table = path.at(places / steps).table()
+    table = path.at(places / steps).table
     margins = asked.margins(steps, places)
     pairs = near_pairs(table[:, columns.nodes], ho.Separation(), margins, 0.3)
     pair, a, b = pairs.sides()
@@ -276,7 +277,7 @@ def test_rows_at_knots_are_the_slopes_of_distances_along_their_normals() -> None
     first = random_convex_polygon(5, 1.1, rng)
     start, end = ends(Team(5, 2.0), first, first.rotated(0.4))
     path = KnotPath.through("turned", start, end, guesses(first, first.rotated(0.4), 6)[1].polygons)
-    columns, inner = path.columns, path.table()[1:-1]
+    columns, inner = path.columns, path.table[1:-1]
     pairs = near_pairs(inner[:, columns.nodes], ho.Separation(), np.ones(4), 0.5)
     others = pairs.chosen(pairs.kind != 0)
     rows = rows_at_knots(path, others)
@@ -349,3 +350,12 @@ def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> 
         static = np.minimum(by_thrust, lift * math.tan(0.97 * tilt))
         wanted = np.minimum(top - 0.02 * (top - 0.2), static)
         np.testing.assert_allclose(upper, np.tile(wanted, (path.steps - 1, 1)), rtol=1e-6)
+
+
+def test_sparse_matrices_are_the_same_in_casadi() -> None:
+    rng = np.random.default_rng(6)
+    row, column = rng.integers(0, 7, 30), rng.integers(0, 5, 30)  # some places twice
+    matrix = sparse.csc_matrix((rng.normal(size=30), (row, column)), shape=(7, 5))
+    found = casadi_matrix(matrix)
+    np.testing.assert_array_equal(found.full(), matrix.toarray())
+    assert found.nnz() == matrix.nnz

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
 import distributed
 import pandas
 import pytest
@@ -18,6 +20,7 @@ from study_cases import PROBLEM
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
+from hitchopt.sweeps.cluster import AHEAD, SETTINGS, finished
 from hitchopt.sweeps.dataset import MEASURED, ROWS, load_sweep, write_outcome, write_study
 from hitchopt.sweeps.study_file import study_from_dict
 from hitchopt.sweeps.sweep_summary import Share, column_of, summary
@@ -112,6 +115,19 @@ def test_workers_are_processes_of_this_machine(tmp_path: Path) -> None:
     assert list(rows["status"]) == ["planned"]
 
 
+def test_every_task_is_done_once_however_many_are_handed_out(scheduler: str) -> None:
+    tasks = {f"task-{k}": (k, k + 1) for k in range(3 * AHEAD * 2 + 1)}
+    done = [(key, future.result()) for key, future in finished(max, tasks, 1, scheduler)]
+    assert dict(done) == {key: second for key, (_, second) in tasks.items()}
+    assert len(done) == len(tasks)
+
+
+def test_workers_of_this_machine_are_not_profiled() -> None:
+    tasks = {name: (name,) for name in SETTINGS if name.startswith("distributed.worker")}
+    for name, future in finished(dask.config.get, tasks, 1):
+        assert future.result() == SETTINGS[name]
+
+
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
@@ -131,6 +147,7 @@ def test_a_limit_of_time_and_a_wrong_draw_are_rows() -> None:
 
 
 def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.umask(umask := os.umask(0o022))
     write_study(tmp_path, "", [], ["a", "b"])
     row: dict[str, Any] = {"problem": "p", "seed": None, "status": "failed", "message": "none"}
     write_outcome(tmp_path, Outcome("a", {**row, "digest": "a"}, {"x/y.bin": b"1"}))
@@ -142,6 +159,8 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(FileError, match="only what is missing is computed"):
         write_outcome(tmp_path, Outcome("b", {**row, "digest": "b"}, {"x/y.bin": b"1"}))
     assert [p.name for p in (tmp_path / ROWS).iterdir()] == ["a.parquet"]
+    others = stat.S_IRGRP | stat.S_IROTH
+    assert (tmp_path / ROWS / "a.parquet").stat().st_mode & others == others & ~umask
     assert not list(tmp_path.glob(".hitchopt-*"))
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
 

@@ -239,7 +239,7 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
         choices = [*faster, path]
         best = choices[int(np.argmin(_estimates(choices, search)))]
         for choice in dict.fromkeys([best, path]):
-            shape = choice.path()
+            shape = choice.path
             flight = judged(shape, search)
             if flight is not None:
                 return Candidate(choice.name, shape, flight)

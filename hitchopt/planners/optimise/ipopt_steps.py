@@ -95,7 +95,7 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not solver.stats()["success"] or not np.all(np.isfinite(x)):
         return None
-    table = program.path.table()
+    table = program.path.table.copy()
     inner = table[1:-1]
     inner[:] = x[: inner.size].reshape(inner.shape)
     return program.path.with_table(table)

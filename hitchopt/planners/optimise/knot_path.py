@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -116,8 +116,9 @@ class KnotPath:
         """(J + 1, n) [m]: what each cable has left for its two legs."""
         return cable_slack_of(self.team, self.edges, self.tensions)
 
+    @cached_property
     def path(self) -> ShapePath:
-        """Return the smooth path through the knots."""
+        """The smooth path through the knots."""
         level = np.full((*self.polygons.shape[:2], 1), self.altitude)
         steady = np.all(self.tensions == self.tensions[0])
         return ShapePath(
@@ -134,7 +135,7 @@ class KnotPath:
 
     def at(self, s: Array) -> KnotPath:
         """Return the hitches at s (K,) of its path, as if they were knots."""
-        path = self.path()
+        path = self.path
         shapes, tensions = shapes_along(path, s), path.flat(s).tensions[..., 0]
         q_legs = shapes.legs[..., 0]
         return replace(
@@ -146,8 +147,9 @@ class KnotPath:
         """The columns of its table."""
         return columns_of(self.team.robots)
 
+    @cached_property
     def table(self) -> Array:
-        """Return the table (knots, size) of all columns."""
+        """(knots, size): all columns, read-only."""
         edges = self.edges
         loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
         u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
@@ -158,7 +160,9 @@ class KnotPath:
         r_drones = np.roll(self.polygons, -1, axis=1) + leg_vectors(r_legs, r, sag)[..., :2]
         drones = np.stack([q_drones, r_drones], axis=2)
         parts = [self.polygons, self.q_legs, r_legs, drones, self.tensions]
-        return np.concatenate([part.reshape(len(edges), -1) for part in parts], axis=1)
+        table = np.concatenate([part.reshape(len(edges), -1) for part in parts], axis=1)
+        table.setflags(write=False)
+        return table
 
     def with_table(self, table: Array) -> KnotPath:
         """Return the path with the vertices, q-legs and tensions of a table (knots, size)."""

@@ -65,7 +65,7 @@ class MorphProgram:
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
     """Return the program around a path: its near pairs and their normals are the path's."""
-    columns, table, n = path.columns, path.table(), path.team.robots
+    columns, table, n = path.columns, path.table, path.team.robots
     draft = Draft()
     x = draft.variables("x", table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
     knots = ca.reshape(x, columns.size, path.steps - 1)

@@ -17,7 +17,8 @@ from hitchopt.planners.path.leg_law import CLEAR, leg_task_along
 from hitchopt.planners.path.path_feasibility import check_loads, check_shapes, exterior_angles
 from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.planners.timing.speed_profile import TimingError, time_estimate
+from hitchopt.planners.timing.speed_profile import TimingError
+from hitchopt.planners.timing.time_estimates import flight_estimate
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
@@ -45,10 +46,10 @@ SAME = 0.05
 HALVINGS = 3
 """Number of halvings of pieces, to bound their tensions closely."""
 
-GRID = 101
-"""Number of points at which paths are timed to be compared."""
+GRID = 65
+"""Number of points at which shapes, loads and distances to walls are evaluated before that."""
 
-PROBES = 65
+PROBES = 33
 """Number of points at which a path's distances are evaluated before the judge decides, and again
 near each end."""
 
@@ -108,12 +109,12 @@ def same(path: KnotPath, other: KnotPath) -> bool:
 
 def clear(knots: KnotPath, search: Search) -> bool:
     """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
-    path = knots.path()
+    path = knots.path
     try:
-        check_shapes(path)
+        check_shapes(path, GRID)
         if not _distances_hold(path, search.requirements):
             return False
-        check_loads(path, search.requirements.limits)
+        check_loads(path, search.requirements.limits, GRID)
     except InfeasibleError:
         return False
     arena = search.requirements.arena
@@ -133,8 +134,8 @@ def judged(path: ShapePath, search: Search) -> Flight | None:
 
 
 def estimate(path: KnotPath, requirements: Requirements) -> float:
-    """Return an estimate of how long a path takes [s], without a limit of jerk, clear or not."""
-    return time_estimate(path.path(), requirements.limits, np.linspace(0.0, 1.0, GRID))
+    """Return an estimate of how long a flight along a path takes [s], clear or not."""
+    return flight_estimate(path.path, requirements.limits)
 
 
 def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:

@@ -137,7 +137,7 @@ def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Arra
     path, search: around which the bounds are, and what it must satisfy.
     stride: [m], how far a coordinate of a vertex or drone may go.
     """
-    columns, table, team = path.columns, path.table()[1:-1], path.team
+    columns, table, team = path.columns, path.table[1:-1], path.team
     margins = search.margins(path.steps, np.arange(1.0, path.steps))
     arena, limits = search.requirements.arena, search.requirements.limits
     lower = np.full(table.shape, -np.inf)

@@ -110,7 +110,7 @@ def instants(steps: int, parts: int) -> Array:
 
 def rows_at_knots(path: KnotPath, pairs: NearPairs) -> LinearRows:
     """Return rows that keep pairs at the inner knots on their sides of their normals."""
-    table = path.table()
+    table = path.table
     return _pairs_apart(path, table[1:-1], np.arange(1.0, path.steps), pairs)
 
 
@@ -127,7 +127,7 @@ def rows_between(path: KnotPath, search: Search, parts: int, reach: float) -> Li
     """
     columns, limits = path.columns, search.requirements.limits
     places = instants(path.steps, parts)
-    at_knots, there = path.table(), path.at(places / path.steps).table()
+    at_knots, there = path.table, path.at(places / path.steps).table
     margins = search.margins(path.steps, places)
     separation = search.requirements.separation
     pairs = near_pairs(there[:, columns.nodes], separation, margins, reach)
@@ -149,7 +149,7 @@ def _pairs_apart(path: KnotPath, there: Array, places: Array, pairs: NearPairs) 
     pair, a, b = pairs.sides()
     slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
     sums = (pairs.frame[pair], np.concatenate([nodes[a], nodes[b]], axis=1), slopes)
-    rows, bow = _chords(path.table(), there, places, sums)
+    rows, bow = _chords(path.table, there, places, sums)
     return LinearRows(rows, pairs.enforced[pair] - bow)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from hitchopt.geometry.vectors import length
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.speed_profile import path_grid, time_estimate
+from hitchopt.planners.timing.time_estimates import flight_estimate
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
@@ -33,10 +33,7 @@ SMALLER = 0.4
 """Factor on the best share: where that breaks a distance, one that slides less may not."""
 
 GAIN = 0.995
-"""Largest share of toppra's optimum that an estimate may take to be worth flying."""
-
-GRID = 80
-"""Number of steps of toppra's grid on which shares are compared."""
+"""Largest share of the path's own estimate that another one may take to be worth flying."""
 
 
 def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
@@ -54,9 +51,9 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     if led > HELPS * usual:
         return
     paths = {share: _slid(path, share * slopes) for share in SHARES}
-    times = {share: time_estimate(p, limits, path_grid(GRID)) for share, p in paths.items()}
+    times = {share: flight_estimate(p, limits) for share, p in paths.items()}
     best = min(SHARES, key=lambda share: times[share])
-    if times[best] < GAIN * time_estimate(path, limits, path_grid(GRID)):
+    if times[best] < GAIN * flight_estimate(path, limits):
         yield paths[best]
         yield _slid(path, SMALLER * best * slopes)
 

@@ -35,9 +35,9 @@ def exterior_angles(layout: Layout, edges: Array) -> Array:
     return angles
 
 
-def check_shapes(path: Path) -> None:
+def check_shapes(path: Path, probes: int = PROBES) -> None:
     """Raise InfeasibleError where the path has no hitch to fly."""
-    s = np.linspace(0.0, 1.0, PROBES)
+    s = np.linspace(0.0, 1.0, probes)
     layout = path.team.layout
     shapes = shapes_along(path, s)
     edges = layout.edges(shapes.polygons)
@@ -64,9 +64,9 @@ def check_shapes(path: Path) -> None:
         raise InfeasibleError([short])
 
 
-def check_loads(path: Path, limits: Limits) -> None:
+def check_loads(path: Path, limits: Limits, probes: int = LOAD_PROBES) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path."""
-    s = np.linspace(0.0, 1.0, LOAD_PROBES)
+    s = np.linspace(0.0, 1.0, probes)
     demands = Demands.along(path, limits, s)
     thrust, tilt = demands.at_rest()
     most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))

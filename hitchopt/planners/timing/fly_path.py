@@ -7,13 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.planners.path.jets import chained, polynomials_through
 from hitchopt.planners.path.shape_path import Path, path_jets
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
-from hitchopt.planners.timing.speed_profile import SpeedProfile, fastest_profile, path_grid
+from hitchopt.planners.timing.speed_profile import (
+    SpeedProfile,
+    acceleration_ramp,
+    fastest_profile,
+    path_grid,
+)
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.time_warp import Clock, first_clock, jerk_limited
 from hitchopt.requirements import Limits
@@ -79,7 +83,7 @@ def _timed(path: Path, aimed: Limits, limits: Limits | None = None) -> tuple[Fli
     grid = path_grid(GRID)
     demands = Demands.along(path, aimed, grid)
     profile = fastest_profile(grid, demands)
-    ramp = max(_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
+    ramp = max(acceleration_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
     finer = 1
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
@@ -90,24 +94,6 @@ def _timed(path: Path, aimed: Limits, limits: Limits | None = None) -> tuple[Fli
     kept = limits or aimed
     slower = needed_stretch(path.team, kept, flight.drones, flight.vertices, flight.pulls)
     return flight, slower * flight.duration
-
-
-def _ramp(profile: SpeedProfile, demands: Demands) -> float:
-    """Return how long the acceleration takes from one limit to the other [s].
-
-    Where the jerk never lets it reach its limits: as long as the largest speed that is reached
-    takes, or the longest path of a drone.
-    """
-    rates = length(demands.drones[..., 1])
-    speed = float(np.max(rates * profile.speed[:, None]))
-    steps = np.diff(profile.s)[:, None]
-    longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
-    limits = demands.limits
-    return min(
-        2.0 * limits.acceleration / limits.jerk,
-        2.0 * math.sqrt(speed / limits.jerk),
-        math.pow(32.0 * longest / limits.jerk, 1.0 / 3.0),
-    )
 
 
 def _polynomials(path: Path, clock: Clock) -> Flight:

@@ -15,9 +15,7 @@ from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
-from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
-from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
 logging.getLogger("toppra").setLevel(logging.ERROR)  # its complaints become a TimingError
@@ -108,12 +106,22 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     return SpeedProfile(s, speed * np.sqrt(unit / length))
 
 
-def time_estimate(path: Path, limits: Limits, s: Array) -> float:
-    """Return the optimum [s] without a limit of jerk on the grid s (J,); infinite if none."""
-    try:
-        return fastest_profile(s, Demands.along(path, limits, s)).duration
-    except TimingError:
-        return math.inf
+def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
+    """Return how long the acceleration takes from one limit to the other [s].
+
+    Where the jerk never lets it reach its limits: as long as the largest speed that is reached
+    takes, or the longest path of a drone.
+    """
+    rates = length(demands.drones[..., 1])
+    speed = float(np.max(rates * profile.speed[:, None]))
+    steps = np.diff(profile.s)[:, None]
+    longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
+    limits = demands.limits
+    return min(
+        2.0 * limits.acceleration / limits.jerk,
+        2.0 * math.sqrt(speed / limits.jerk),
+        math.pow(32.0 * longest / limits.jerk, 1.0 / 3.0),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +141,23 @@ class AccelerationRows:
     fastest: Array
 
 
-def acceleration_rows(demands: Demands) -> AccelerationRows:
-    """Return an inner approximation of what all drones' limits allow, of fixed size in n.
+@dataclass(frozen=True, eq=False)
+class AllowedCorners:
+    """Polygons of (s̈, ṡ²) that all drones allow together, of fixed size in n.
+
+    Attributes
+    ----------
+    points: (J, RAYS + 1, 2), corners from the largest s̈ at ṡ = 0 to the smallest.
+    steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
+    """
+
+    points: Array
+    steepest: Array
+    fastest: Array
+
+
+def allowed_corners(demands: Demands) -> AllowedCorners:
+    """Return an inner approximation of what all drones' limits allow.
 
     Vector norms are no boxes: rays from rest find the boundary of the convex set that all drones
     allow together, and the polygon through their ends lies inside of it.
@@ -149,13 +172,19 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     ends = _cast(demands, u, x)
     moving = np.where(x > 0.0, x, 1.0)
     ends = np.minimum(ends, np.where(x > 0.0, fastest[:, None] / moving, np.inf))
-    corners = np.stack([ends * u, ends * x], axis=-1)
+    return AllowedCorners(np.stack([ends * u, ends * x], axis=-1), steepest, fastest)
+
+
+def acceleration_rows(demands: Demands) -> AccelerationRows:
+    """Return the half planes of the polygons of ``allowed_corners``."""
+    allowed = allowed_corners(demands)
+    corners = allowed.points
     along = np.diff(corners, axis=1)
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # rays run counter-clockwise
     size = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
     bounds = np.sum(normals * corners[:, :-1], axis=-1)
-    return AccelerationRows(normals, bounds, steepest, fastest)
+    return AccelerationRows(normals, bounds, allowed.steepest, allowed.fastest)
 
 
 def _cast(demands: Demands, u: Array, x: Array) -> Array:
