@@ -7,11 +7,8 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-<<<<<<< HEAD
-from hitchopt.hitch.leg_lengths import quick_split, split_slack
-=======
 from hitchopt.hitch import parts
->>>>>>> wt-scale
+from hitchopt.hitch.leg_lengths import quick_split, split_slack
 from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
