@@ -34,6 +34,9 @@ ROUNDS = 8
 GROWTH = 1.04
 """Least factor by which it is."""
 
+ROUNDING = 1e-6
+"""Relative difference of durations that rounding may make of equal states."""
+
 
 def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: float) -> float:
     """Return how many times slower a motion would have to be at its samples, at most.
@@ -96,7 +99,7 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
         inner = np.linspace(0.0, end, SAMPLES, endpoint=False)
         times = np.append(inner, [brake * (1.0 - AFTER), shift * (1.0 - AFTER)])
         found = excess(path, limits, times, brake, shift)
-        if found <= SHARE:
+        if found <= SHARE * (1.0 + ROUNDING):  # a prolonged shift often just keeps it
             return shift
         if not math.isfinite(found):
             return None
