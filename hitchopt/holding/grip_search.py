@@ -101,17 +101,17 @@ def best_grip(task: GripTask) -> Grip:
     ------
     InfeasibleError: none was found; the violation is that of the nearest one.
     """
-    starts, best_first = _starts(task), partial(_merit, task)
+    starts, best_first = _starts(task), partial(merit, task)
     for iterations, kept in ((SCREENING, FINALISTS), (ITERATIONS, 1)):
         found = [_refined(task, start, iterations) for start in starts]
         ranked = sorted((each for each in found if each), key=best_first, reverse=True)[:kept]
         starts = [each.vertices[..., :2] for each in ranked]
-    if not ranked or _merit(task, ranked[0]) <= 0.0:
+    if not ranked or merit(task, ranked[0]) <= 0.0:
         raise _no_grip(task, ranked)
     return ranked[0]
 
 
-def _merit(task: GripTask, grip: Grip) -> float:
+def merit(task: GripTask, grip: Grip) -> float:
     """Return the slip load over friction [N] of a grip within all limits; else what it lacks."""
     short = min(float(np.min(each)) for each in task.margins(grip).values())
     unbalanced = float(task.imbalance(grip)) - BALANCED

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from hitchopt.checks.cable_length import LIMIT
-from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.hitch import Hitch
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
@@ -45,8 +45,11 @@ but the more their weight brings drones together."""
 LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
 
-KEPT, NEAREST, SAMPLES = 1.02, 1.002, 65
+KEPT, NEAREST, SAMPLES = 1.02, 1.0005, 65
 """Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+
+PUSHED = 0.9
+"""Share of friction with its support with which edges may push what stands."""
 
 SEAM = 0.8 * LIMIT
 """Largest relative error of cable lengths where edges meet other corners."""
@@ -92,11 +95,7 @@ def grip_closed(
     holding = Holding(name, polygons, asked, held)
     here = replace(task, before=replace(task.before, holding=holding))
     check_grip(here)
-    pulled = [
-        changed_move(here, law, tension=pulls, closed=(0.0, 0.0))
-        for law, pulls in _pulls(team.tension, asked)
-    ]
-    moves = [*pulled, *_closing(here, 0.0, 1.0)]
+    moves = _passing(here, (team.tension, asked), (0.0, 1.0), (math.inf, *reversed(LOOSE)))
     motion = held_motion(here, [held_flight(held, move) for move in moves], step)
     motion = _remarked_lean(lasting(motion, duration, task.index, step), moves)
     return ended_holding(task, holding, motion, place_of(body))
@@ -107,7 +106,7 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
     body, team, holding = object_of(task, name), task.before.team, task.holding
     held = holding.held
     assert isinstance(held, GrippedHitch)
-    moves = next(_opening(task, held))
+    moves = _passing(task, (holding.tension, team.tension), (1.0, 0.0), LOOSE)
     motion = held_motion(task, [held_flight(held, move) for move in moves], step)
     motion = _remarked_lean(lasting(motion, duration, task.index, step), moves)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
@@ -117,31 +116,60 @@ def grip_opened(task: StepTask, name: str, duration: float | None, step: str) ->
     return StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
 
 
-def _opening(task: StepTask, held: GrippedHitch) -> Iterator[list[Move]]:
-    """Yield moves that open a hitch, those with the least tension at which drones stay apart first.
+def _passing(
+    task: StepTask,
+    tension: tuple[Array, Array],
+    closed: tuple[float, float],
+    tried: Iterable[float],
+) -> list[Move]:
+    """Return moves that close or open a hitch, the first at which all is as it has to be.
 
-    The team's tensions come back when it is open: legs that pull harder do not close clasps.
+    Drones stay apart, edges do not push what stands, and cables keep their lengths. Where drones
+    never stay apart, the first with all else is taken.
 
-    Where they never do, those with the least tension follow all the same.
+    Parameters
+    ----------
+    tension: (n,) [N], before and after; that in between is no larger than while the object is held.
+    closed: how far the hitch is closed before and after.
+    tried: tensions in between [N].
+
+    Raises
+    ------
+    InfeasibleError: edges would push the object along its support at any of these tensions.
     """
-    holding, team = task.holding, task.before.team
-    found: list[list[Move]] = []
-    for value in LOOSE:
-        loose = np.minimum(holding.tension, value)
-        lax = replace(task, before=replace(task.before, holding=replace(holding, tension=loose)))
-        moves = [
-            *(changed_move(task, law, tension=T) for law, T in _pulls(holding.tension, loose)),
-            *_closing(lax, 1.0, 0.0),
-        ]
-        for law, T in _pulls(loose, team.tension):
-            moves.append(changed_move(task, law, tension=T, closed=(0.0, 0.0)))
-        separation = task.requirements.separation
-        if held.largest_seam(loose) <= SEAM and all(
-            _apart(held, move, separation, NEAREST) for move in moves
+    holding = task.holding
+    held, name = holding.held, holding.name
+    assert isinstance(held, GrippedHitch)
+    friction = held.body.friction * held.body.mass * GRAVITY
+    push = math.inf
+    found: list[tuple[bool, list[Move]]] = []
+    for value in tried:
+        between = np.minimum(holding.tension, value)
+        pushed = held.largest_push(between)
+        push = min(push, pushed)
+        if pushed > PUSHED * friction:
+            continue
+        lax = replace(task, before=replace(task.before, holding=replace(holding, tension=between)))
+        ends = ((tension[0], between), closed[0]), ((between, tension[1]), closed[1])
+        first, last = (
+            [changed_move(task, law, tension=T, closed=(at, at)) for law, T in _pulls(*pulls)]
+            for pulls, at in ends
+        )
+        moves = [*first, *_closing(lax, *closed), *last]
+        even = held.largest_seam(between) <= SEAM
+        if even and all(
+            _apart(held, move, task.requirements.separation, NEAREST) for move in moves
         ):
-            yield moves
-        found.append(moves)
-    yield found[0]
+            return moves
+        found.append((even, moves))
+    if not found:
+        remedy = f"give it more weight, raise objects.{name}.friction, or give it a rim"
+        when = "on its support, which its edges push it along as they close around it one by one"
+        over = Violation(
+            "grip", push, PUSHED * friction, "max", "N", (f"objects.{name}",), when, remedy
+        )
+        raise InfeasibleError([over])
+    return max(found, key=lambda each: each[0])[1]
 
 
 def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array, Array]]]:
@@ -223,6 +251,8 @@ def check_grip(task: StepTask) -> None:
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
         capacity, remedies = grip_suggestion(*given)
+        if capacity.mass >= body.mass:
+            return "smooth the outline: edges come to bend otherwise as they take the weight"
         return f"{remedies} ({capacity.binding} binds)"
 
     try:

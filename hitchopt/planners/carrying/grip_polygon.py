@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.holding.capacity import Capacity
 from hitchopt.holding.grip_limits import largest_tension
-from hitchopt.holding.grip_search import BALANCED, GripTask, best_grip, grip_capacity
+from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
@@ -30,9 +29,8 @@ LARGER, TURN = np.linspace(1.0, 1.05, 21), math.radians(2.0)
 """Sizes of grips that are tried, over the best one's; and by how much [rad] edges are to turn
 before they meet other corners."""
 
-BALANCING, FARTHEST = 8, 0.05
-"""Newton's steps with which they are balanced, and how far these may move a clasp, over the
-section's size."""
+BALANCING = 30
+"""Newton's steps with which they are balanced."""
 
 TENSIONS = np.geomspace(0.2, 5.0, 60)
 """[N] Tensions that are tried for a suggestion."""
@@ -95,8 +93,8 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
     """Return a grip (n, 2) [m] whose edges meet no other corners when clasps move a little.
 
     The best grip often has an edge along a side; clasps of one that is larger by some per cent are
-    as far from there as inertia moves them. They are balanced again, those that are not then, or
-    that this moves far, left out.
+    as far from there as inertia moves them. Of those, balanced again and within all limits, the one
+    with the largest slip load times the angle by which edges may turn is taken.
     """
     section = task.section
     if section.outline is None:
@@ -108,13 +106,9 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
         contacts = contacts_of(centre + grips, wraps, section.core)
         parts = straight_parts(centre + grips, contacts, np.zeros_like(pulls))
         grips = balanced(grips, pulls, parts, contacts - centre, none)
-    moved = np.max(length(grips - larger), axis=-1)
     turns = wraps_around(section, centre + grips).least_turns(section)
-    lacking = task.imbalance(task.grip(centre + grips))
-    near = (moved <= FARTHEST * section.circumradius) & (lacking <= BALANCED)
-    near[0] = True
-    reached = np.where(near, np.minimum(turns, TURN), -np.inf)
-    found: Array = centre + grips[np.argmax(reached)]
+    merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
+    found: Array = centre + grips[np.argmax(np.minimum(turns, TURN) * np.maximum(merits, 0.0))]
     return found
 
 

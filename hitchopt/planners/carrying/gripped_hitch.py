@@ -123,6 +123,15 @@ class GrippedHitch:
         errors = np.abs(seams) * sag_factors(self.team, tension) / self.team.cable_length
         return float(np.max(errors, initial=0.0))
 
+    def largest_push(self, tension: Array) -> float:
+        """Return the largest level force [N] of edges on what stands, with tensions (n,) [N].
+
+        Edges do not come to touch it all at once.
+        """
+        wraps = wraps_around(self.body.section, self._polygon(np.linspace(0.0, 1.0, SCAN + 1)))
+        force = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
+        return float(np.max(length(force)))
+
     def _bends(self, shares: Array | float) -> Bends:
         """Return (…, n) about what edges turn at shares (…) of the way to the grip."""
         return wraps_around(self.body.section, self._polygon(np.asarray(shares))).bends
