@@ -80,7 +80,9 @@ Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
 class Keys(BaseModel):
     """A mapping of known keys."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 def key(text: str, default: Any = ..., **options: Any) -> Any:

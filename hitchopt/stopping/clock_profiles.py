@@ -31,7 +31,7 @@ def to_rate(jet: Array, rate: float, acceleration: float, jerk: float) -> ClockP
 def to_time(
     jet: Array, time: float, fastest: float, acceleration: float, jerk: float
 ) -> ClockPhases | None:
-    """Return the fastest way to rest at a plan time [s], at rates of at most ``fastest``."""
+    """Return the fastest course to rest at a plan time [s], at rates of at most ``fastest``."""
     from ruckig import InputParameter
 
     task = InputParameter(1)

@@ -36,10 +36,10 @@ PASSES = 6
 """Times that heights and places of clasps are computed from each other: to 1e-9 m."""
 
 TOGETHER, BEYOND = 1e-6, 3e-6
-"""Shares of the way that are nearer to each other are one event; so far from one it is over."""
+"""Shares of the path that are nearer to each other are one event; so far from one it is over."""
 
 SCAN = 400
-"""Places on the way from around the object to the grip at which edges are looked at."""
+"""Places on the path from around the object to the grip at which edges are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class GrippedHitch:
 
     @property
     def farthest(self) -> float:
-        """Longest way [m] of a clasp from around the object to the grip."""
+        """Longest path [m] of a clasp from around the object to the grip."""
         return float(np.max(length(self.closed - self.around)))
 
     @cached_property
@@ -133,14 +133,14 @@ class GrippedHitch:
         return float(np.max(length(force)))
 
     def _bends(self, shares: Array | float) -> Bends:
-        """Return (…, n) about what edges turn at shares (…) of the way to the grip."""
+        """Return (…, n) about what edges turn at shares (…) of the path to the grip."""
         return wraps_around(self.body.section, self._polygon(np.asarray(shares))).bends
 
     def _seam(self, share: float, bends: Bends) -> Array:
         """Return half of what spans (n,) [m³] change by where edges come to bend otherwise.
 
         Where an edge meets another corner, the straight part that sags is longer or shorter at
-        once; moves before and after it meet half way.
+        once; moves before and after it meet halfway.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class GrippedHitch:
         return 0.5 * (spans[-1] - spans[0])
 
     def _polygon(self, share: Array) -> Array:
-        """Return the clasps (…, n, 2) [m] at shares of the way to the grip."""
+        """Return the clasps (…, n, 2) [m] at shares of the path to the grip."""
         polygon: Array = self.around + share[..., None, None] * (self.closed - self.around)
         return polygon
 
