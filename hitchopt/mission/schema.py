@@ -80,9 +80,7 @@ Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
 class Keys(BaseModel):
     """A mapping of known keys."""
 
-    model_config = ConfigDict(
-        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
-    )
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def key(text: str, default: Any = ..., **options: Any) -> Any:

@@ -37,6 +37,9 @@ UNDATED: dict[str, dict[str, str | None]] = {
 }
 """Kinds of pictures, and what would make their bytes depend on more than their content."""
 
+COMPRESSION = 3
+"""Level of zlib: PNG files are 8 % larger than with 6 and take half the time."""
+
 
 def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as SVG or PDF if its name ends so, else as PNG.
@@ -53,7 +56,10 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         kind = Path(path).suffix[1:].lower()
         kind = kind if kind in UNDATED else "png"
         with rc_context({"svg.hashsalt": "hitchopt"}):
-            figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
+            packed = {"compress_level": COMPRESSION} if kind == "png" else {}
+            figure.savefig(
+                path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind], pil_kwargs=packed
+            )
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:
