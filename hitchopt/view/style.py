@@ -55,11 +55,16 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         kind = Path(path).suffix[1:].lower()
         kind = kind if kind in UNDATED else "png"
+        packed = {"compress_level": COMPRESSION} if kind == "png" else {}
+        layout = figure.get_layout_engine()
+        if layout is not None:  # savefig would draw all of it once more for that
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         with rc_context({"svg.hashsalt": "hitchopt"}):
-            packed = {"compress_level": COMPRESSION} if kind == "png" else {}
             figure.savefig(
                 path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind], pil_kwargs=packed
             )
+        figure.set_layout_engine(layout)
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:
