@@ -14,6 +14,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion
+from hitchopt.planners.carrying.clasp_opening import grip_left
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
@@ -47,6 +48,9 @@ LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 
 KEPT, NEAREST, SAMPLES = 1.02, 1.0005, 65
 """Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+
+LEFT = 0.5
+"""Share of the weight below which has to be what a hitch that has opened still grips with."""
 
 PUSHED = 0.9
 """Share of friction with its support with which edges may push what stands."""
@@ -102,11 +106,17 @@ def grip_closed(
 
 
 def grip_opened(task: StepTask, name: str, duration: float | None, step: str) -> StepPlan:
-    """Return the plan by which cables that grip a standing object open to a hitch around it."""
+    """Return the plan by which cables that grip a standing object open to a hitch around it.
+
+    Raises
+    ------
+    InfeasibleError: clasps that stick would hold too much of it, or edges would push it.
+    """
     body, team, holding = object_of(task, name), task.before.team, task.holding
     held = holding.held
     assert isinstance(held, GrippedHitch)
     moves = _passing(task, (holding.tension, team.tension), (1.0, 0.0), LOOSE)
+    _check_let_go(name, held, moves)
     motion = held_motion(task, [held_flight(held, move) for move in moves], step)
     motion = _remarked_lean(lasting(motion, duration, task.index, step), moves)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
@@ -170,6 +180,23 @@ def _passing(
         )
         raise InfeasibleError([over])
     return max(found, key=lambda each: each[0])[1]
+
+
+def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
+    """Raise InfeasibleError where clasps that stick would hold half of the object's weight."""
+    opening = [move for move in moves if move.closed[0] > move.closed[1]][-1]
+    end = held.curves(opening, np.array([opening.law.duration]))
+    layout, body = held.team.layout, held.body
+    legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
+    pair = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
+    left = grip_left(pair, opening.tension[1], held.team.cable_friction, body.friction)
+    most = LEFT * body.mass * GRAVITY
+    if left > most:
+        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
+        broken = Violation(
+            "grip", left, most, "max", "N", (f"objects.{name}",), "left as clasps stick", remedy
+        )
+        raise InfeasibleError([broken])
 
 
 def _pulls(before: Array, after: Array) -> Iterator[tuple[SmoothLaw, tuple[Array, Array]]]:

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import hitchopt as ho
-from hitchopt.planners.carrying.clasp_opening import check_opens
+from hitchopt.planners.carrying.clasp_opening import check_opens, grip_left
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
@@ -70,3 +71,34 @@ def test_enclose_says_how_large_to_tie_it() -> None:
     }
     with pytest.raises(ho.InfeasibleError, match=r"as large as around objects\.drum, 0\.5\d? m"):
         ho.solve(ho.problem_from_dict(problem))
+
+
+def legs_at(angle: float, n: int) -> Array:
+    """Return legs (n, 2, 2) [m] of unequal lengths that enclose an angle [rad] at every clasp."""
+    turned = 0.7 + 2.0 * np.pi * np.arange(n) / n
+    pair = [[np.cos(turned + side), np.sin(turned + side)] for side in (-angle / 2, angle / 2)]
+    legs: Array = np.moveaxis(np.array(pair), (0, 1, 2), (1, 2, 0)) * [[[0.5], [0.3]]]
+    return legs
+
+
+def test_what_grip_is_left_solves_the_law_of_clasps() -> None:
+    """Found by bisection: edges pull e^(mu theta) times as hard as legs where clasps stick."""
+    between, mu = np.radians(50.0), 0.15
+
+    def excess(edges: float) -> float:
+        pulled = np.exp(mu * 0.5 * (edges + between)) * np.cos(0.5 * edges)
+        return float(np.cos(0.5 * between) - pulled)
+
+    edges = float(brentq(excess, between, np.pi))
+    wrapped = 3.0 * edges - np.pi
+    harder = np.exp(mu * 0.5 * (edges + between))
+    found = grip_left(legs_at(between, 3), np.array([0.3, 0.2, 0.1]), mu, 0.4)
+    assert found == pytest.approx(0.4 * 0.3 * harder * wrapped, rel=1e-9)
+    assert wrapped > 0.5
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_without_friction_an_open_polygon_grips_nothing(n: int) -> None:
+    inner = np.pi * (n - 2) / n
+    assert grip_left(legs_at(inner, n), np.full(n, 0.3), 0.0, 0.5) == pytest.approx(0.0, abs=1e-12)
+    assert grip_left(legs_at(inner, n), np.full(n, 0.3), 0.1, 0.5) > 0.03

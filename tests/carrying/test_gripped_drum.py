@@ -79,7 +79,7 @@ def stone() -> Motion:
     """A flat stone of nine corners, lopsided: edges bend round several of them."""
     angles = 0.1 - np.array([0.0, 0.6, 1.3, 2.1, 2.7, 3.5, 4.2, 4.8, 5.6])
     outline = np.column_stack([0.21 * np.cos(angles), 0.19 * np.sin(angles)])
-    changes = {"circle": None, "outline": outline.tolist(), "mass": 0.05, "friction": 1.0}
+    changes = {"circle": None, "outline": outline.tolist(), "mass": 0.05, "friction": 0.8}
     plan = ho.solve(ho.problem_from_dict(drum(**changes)))
     assert plan.certificate.certified
     return plan.motion

@@ -122,12 +122,13 @@ def test_grips_are_moved_off_corners_in_balance() -> None:
     assert 0.9 * held[0] < held[1] < held[0]
 
 
-def problem(mass: float, friction: float) -> ho.Problem:
+def problem(mass: float, friction: float, clasps: float = 0.0) -> ho.Problem:
     stone = {"outline": NINE.tolist(), "to": 0.3, "mass": mass, "friction": friction}
+    team = {"robots": 3, "cable_length": 1.6, "cable_density": 0.01, "tension": 1.0}
     polygon = 0.42 * np.array([[1.0, 0.0], [-0.5, -0.8667], [-0.5, 0.8667]])
     return ho.problem_from_dict(
         {
-            "team": {"robots": 3, "cable_length": 1.6, "cable_density": 0.01, "tension": 1.0},
+            "team": team | {"cable_friction": clasps},
             "limits": {"tilt_deg": 60},
             "objects": {"stone": stone | {"at": [0.0, 0.0, 0.0]}},
             "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.2}},
@@ -178,3 +179,8 @@ def test_lengths_err_most_at_seams(grasped: Motion) -> None:
 def test_what_edges_push_along_at_any_tension_is_refused() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"edges push it along.*objects.stone.friction"):
         ho.solve(problem(0.012, 1.0))
+
+
+def test_light_objects_that_sticking_clasps_would_hold_are_refused() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"left as clasps stick.*team.cable_friction"):
+        ho.solve(problem(0.05, 1.0, clasps=0.2))

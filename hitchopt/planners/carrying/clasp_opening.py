@@ -11,6 +11,9 @@ from hitchopt.hitch import Hitch
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
+PASSES = 60
+"""Times that an angle and the friction over it are computed from each other."""
+
 OUTWARD = 0.02
 """[m] Clasps are opened that go outward by more: they are nowhere to a centimetre."""
 
@@ -55,3 +58,27 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     raise InfeasibleError(
         [Violation("equilibrium", float(excess[worst]), 1.0, "max", "ratio", where, words, remedy)]
     )
+
+
+def grip_left(legs: Array, tension: Array, clasp_friction: float, friction: float) -> float:
+    """Return the largest slip load [N] of a hitch that has been opened as far as friction lets it.
+
+    Where legs enclose β, cables slide on each other until edges enclose ``β_edges``, ``cos(β_edges
+    /2) = e^{-μ θ} cos(β/2)``, θ the mean of both angles and μ the cables' friction. What these
+    angles add up to beyond those of a polygon is wrapped around the object.
+
+    Parameters
+    ----------
+    legs: (n, 2, 2) [m], the two legs at every clasp as seen from above.
+    tension: (n,) [N], of legs.
+    clasp_friction: coefficient of cables on each other.
+    friction: coefficient of cables on the object.
+    """
+    directions = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    between = np.arccos(np.clip(np.sum(directions[:, 0] * directions[:, 1], axis=-1), -1.0, 1.0))
+    edges = between
+    for _ in range(PASSES):
+        rubbed = np.exp(-clasp_friction * 0.5 * (edges + between))
+        edges = 2.0 * np.arccos(rubbed * np.cos(0.5 * between))
+    wrapped = max(float(np.sum(edges)) - (len(legs) - 2) * math.pi, 0.0)
+    return friction * float(np.max(tension) / np.min(rubbed)) * wrapped
