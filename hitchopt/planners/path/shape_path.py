@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.cable_spans import cable_slack_of
@@ -17,7 +18,9 @@ from hitchopt.values import Array
 
 
 class Path(Protocol):
-    """What can be timed and flown."""
+    """What can be timed and flown; paths are told apart by their identity."""
+
+    def __hash__(self) -> int: ...
 
     @property
     def team(self) -> Team:
@@ -158,6 +161,11 @@ class Shapes:
     polygons: Array
     legs: Array
     roll: Array | None = None
+
+    def chosen(self, which: NDArray[np.bool_]) -> Shapes:
+        """Return the shapes where ``which`` (J,) holds."""
+        roll = None if self.roll is None else self.roll[which]
+        return Shapes(self.polygons[which], self.legs[which], roll)
 
 
 def shapes_along(path: Path, s: Array) -> Shapes:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,15 +35,21 @@ RAMP_SHARE = 0.5
 a change from rest to full speed."""
 
 
+@lru_cache(maxsize=2)
+def grid_demands(path: Path, limits: Limits) -> Demands:
+    """Return the demands of a path on the grid of estimates; those of the last paths are stored."""
+    return Demands.along(path, limits, path_grid(GRID))
+
+
+@lru_cache(maxsize=16)
 def flight_estimate(path: Path, limits: Limits) -> float:
     """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
 
     Flights are mostly longer, by up to a tenth of the ramp.
     """
-    s = path_grid(GRID)
-    demands = Demands.along(path, limits, s)
+    demands = grid_demands(path, limits)
     try:
-        profile = quick_profile(s, demands)
+        profile = quick_profile(path_grid(GRID), demands)
     except TimingError:
         return math.inf
     return profile.duration + RAMP_SHARE * acceleration_ramp(profile, demands)
