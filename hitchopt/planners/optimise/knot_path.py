@@ -131,8 +131,6 @@ class KnotPath:
 
     def resampled(self, count: int) -> KnotPath:
         """Return the same path at ``count`` knots, evaluated on its spline."""
-        if count == self.steps + 1:
-            return self
         return self.at(np.linspace(0.0, 1.0, count))
 
     def at(self, s: Array) -> KnotPath:
