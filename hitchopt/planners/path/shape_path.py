@@ -66,7 +66,8 @@ class LegLaw:
 
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, 4) of ``d`` for those of the slack."""
-        return self.length.jet(s, JET) + jets.product(self.share.jet(s, JET), slack)
+        shared = jets.product(self.share.jet(s, JET), slack)
+        return self.length.jet(s, JET) + shared if np.any(self.length.coefficients) else shared
 
 
 @dataclass(frozen=True, eq=False)
