@@ -427,4 +427,6 @@ def test_rows_of_parameters_are_their_matrix() -> None:
     value = linear_value(draft, draft.variables(x, x, x), matrix)
     draft.bound(value, np.zeros(7), np.zeros(7))
     _, rows = costs_and_rows(expressions_of(draft.program()))(x)
-    np.testing.assert_allclose(np.asarray(rows).ravel(), matrix.toarray() @ x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        np.asarray(rows).ravel(), matrix.toarray() @ x, rtol=1e-12, atol=1e-12
+    )
