@@ -61,7 +61,7 @@ PLACES = np.unique(np.concatenate([DENSE, NEAR_ENDS]))
 """Where a path's shapes are evaluated."""
 
 DISTANCES = np.isin(PLACES, np.concatenate([SPARSE, NEAR_ENDS]))
-"""(PLACES,): at which of them its distances are."""
+"""(PLACES,): whether its distances are evaluated there too."""
 
 
 def sound(path: KnotPath) -> bool:

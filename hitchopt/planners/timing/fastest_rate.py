@@ -93,18 +93,17 @@ class SplineBasis:
     def transposed(self, forces: Array) -> Array:
         """Return what (M, 3) by value and derivatives is by coefficients (count,)."""
         local = np.einsum("mo,moj->mj", forces, self.values)
-        return _sums(self.seen.ravel(), local.ravel(), self.count)
+        return sum(
+            np.bincount(self.first + j, weights=local[:, j], minlength=self.count)
+            for j in range(DEGREE + 1)
+        ) + np.zeros(self.count)
 
     def banded(self, forms: Array) -> Array:
         """Return the lower band (4, count) of what quadratic forms (M, 3, 3) are together."""
         local = np.swapaxes(self.values, 1, 2) @ forms @ self.values
-        band = _sums(self.pairs, local[:, *LOWER].ravel(), (DEGREE + 1) * self.count)
-        return band.reshape(DEGREE + 1, self.count)
-
-
-def _sums(places: Indices, values: Array, count: int) -> Array:
-    """Return the sums (count,) of the values at each place."""
-    return np.bincount(places, weights=values, minlength=count).astype(np.float64, copy=False)
+        size = (DEGREE + 1) * self.count
+        band = np.bincount(self.pairs, weights=local[:, *LOWER].ravel(), minlength=size)
+        return band.reshape(DEGREE + 1, self.count).astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True, eq=False)
