@@ -13,6 +13,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.planners.timing.fly_path import fly
@@ -200,10 +201,10 @@ def _may_be_faster(own: Route[Any], other: OptimisedRoute, path: ShapePath) -> b
 
     Those of nearly the same paths err by nearly as much.
     """
-    straight, limits = own.problem, other.requirements.limits
-    if not isinstance(straight, ShapePath):
+    if not isinstance(own.planner, StraightMorph):
         return True
-    least = flight_estimate(straight, limits)
+    limits = other.requirements.limits
+    least = flight_estimate(own.planner.path, limits)
     return not math.isfinite(least) or least <= (other.duration or flight_estimate(path, limits))
 
 

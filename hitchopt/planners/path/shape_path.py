@@ -171,9 +171,14 @@ class Shapes:
 
 def shapes_along(path: Path, s: Array) -> Shapes:
     """Return the shapes at s (J,)."""
-    flat, layout = path.flat(s), path.team.layout
+    return shapes_of(path.team, path.flat(s))
+
+
+def shapes_of(team: Team, flat: FlatJets) -> Shapes:
+    """Return the shapes of flat outputs."""
+    layout = team.layout
     edges = layout.edges(flat.vertices[..., 0])
-    slack = cable_slack_of(path.team, edges, flat.tensions[..., 0])
+    slack = cable_slack_of(team, edges, flat.tensions[..., 0])
     legs = layout.legs_of(flat.q_legs[..., 0], slack)
     roll = None if flat.roll is None else flat.roll[..., 0]
     return Shapes(flat.vertices[:, :, :2, 0], legs, roll)

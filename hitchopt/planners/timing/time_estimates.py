@@ -30,6 +30,10 @@ from hitchopt.values import Array
 GRID = 80
 """Number of steps of the grid along the path: coarser ones mistake which of two paths is faster."""
 
+TIE = 1e-9
+"""Share of ṡ² below it at which the largest s̈ is read: at a limit of speed corners tie, and rounding
+would choose among them."""
+
 RAMP_SHARE = 0.5
 """Share of the acceleration's ramp by which a limit of jerk makes flights longer at least: that of
 a change from rest to full speed."""
@@ -75,7 +79,7 @@ def quick_profile(s: Array, demands: Demands) -> SpeedProfile:
         most[i] = _where(falling[i], squares[i], -most[i + 1], tops[i], ends[i])
     square = [0.0] * len(s)
     for i in range(len(steps)):
-        fastest = _where(squares[i], rates[i], square[i], 0, tops[i])
+        fastest = _where(squares[i], rates[i], (1.0 - TIE) * square[i], 0, tops[i])
         square[i + 1] = min(square[i] + 2.0 * lengths[i] * fastest, most[i + 1])
     if not min(square[1:-1]) > 0.0:
         raise TimingError("there is no speed profile from rest to rest on this path")
