@@ -31,8 +31,8 @@ GRID = 80
 """Number of steps of the grid along the path: coarser ones mistake which of two paths is faster."""
 
 TIE = 1e-9
-"""Share of ṡ² below it at which the largest s̈ is read: at a limit of speed corners tie, and rounding
-would choose among them."""
+"""Share of ṡ² below it at which the largest s̈ is read: at a limit of speed corners tie, and
+rounding would choose among them."""
 
 RAMP_SHARE = 0.5
 """Share of the acceleration's ramp by which a limit of jerk makes flights longer at least: that of
