@@ -37,7 +37,8 @@ LIMITATIONS = (
     "speed and acceleration only; "
     "rivals' times leave imports out but not the building of their programs, which they do anew "
     "every time, and get 6 GB; first and second are whole solves in one process, with their "
-    "certificates and without memory of earlier ones, and rivals are compared with these alone; "
+    "certificates and without memory of earlier ones, but with the solvers that earlier ones have "
+    "built for programs of the same structure, and rivals are compared with these alone; "
     "again is no solve: the same morph once more, its plan taken from memory"
 )
 STOPPED = 90.0

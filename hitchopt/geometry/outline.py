@@ -166,6 +166,17 @@ class ConvexArc(Outline):
             raise self._refused(f"an arc that turns by less than 360° in all ({turned})", remedy)
 
 
+def centroids(polygons: Array) -> Array:
+    """Return the centres (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
+    origin = polygons[..., :1, :]
+    points = polygons - origin
+    following = np.roll(points, -1, axis=-2)
+    cross = points[..., 0] * following[..., 1] - points[..., 1] * following[..., 0]
+    moments = np.sum((points + following) * cross[..., None], axis=-2)
+    centres: Array = origin[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]
+    return centres
+
+
 class ConvexPolygon(Outline):
     """A strictly convex polygon whose vertices run clockwise seen from above.
 
@@ -183,12 +194,7 @@ class ConvexPolygon(Outline):
     @property
     def centroid(self) -> Array:
         """(2,) [m]: centre of the polygon's area."""
-        origin = self.vertices[0]
-        points = self.vertices - origin
-        following = np.roll(points, -1, axis=0)
-        cross = points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]
-        moments: Array = np.sum((points + following) * cross[:, None], axis=0)
-        centroid: Array = origin + moments / (3.0 * np.sum(cross))
+        centroid: Array = centroids(self.vertices)
         return centroid
 
     @property

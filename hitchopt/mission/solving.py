@@ -6,7 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hitchopt.checks import Certificate, merged
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    TimeLimitError,
+    Violation,
+)
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.mission.memory import Progress, remembered
@@ -14,10 +20,18 @@ from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.requirements import Requirements
 from hitchopt.steps import Form, Step
-from hitchopt.steps.certified_motions import Certified, certified, check_at_rest, infeasible
+from hitchopt.steps.certified_motions import (
+    Certified,
+    certified,
+    check_at_rest,
+    infeasible,
+    seems_to_rest,
+)
 from hitchopt.steps.end_hitch import split_hitch
 from hitchopt.steps.free_cables import check_above_ground, check_start
 from hitchopt.steps.situation import Situation, StepTask
+
+AT_START = "at the start (t = 0)"
 
 
 def solve_problem(
@@ -60,7 +74,13 @@ def _solved(
         here = situation.at_objects(planned)
         try:
             part, situation = _step(progress, group, StepTask(situation, first, here, optimiser))
-        except InfeasibleError as error:
+        except TimeLimitError:
+            raise
+        except HitchoptError as error:
+            if first == 0 and situation.hitch is not None:
+                check_at_rest(situation.hitch, planned, AT_START)
+            if not isinstance(error, InfeasibleError):
+                raise
             raise _in_step(error, first, group) from None
         parts.append(part)
     motion = replace(joined_motions([part.motion for part in parts]), requirements=requirements)
@@ -96,7 +116,8 @@ def _begun(
         else:
             _tell(progress, "splitting the slack at the start")
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        check_at_rest(hitch, requirements, "at the start (t = 0)")
+        if not seems_to_rest(hitch, requirements):
+            check_at_rest(hitch, requirements, AT_START)
         return _Begun(Situation.formed(hitch))
     named = Situation(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))

@@ -17,7 +17,7 @@ from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
 from hitchopt.values import Array
 
-MANY = 256
+MANY = 64
 """Number of columns from which on ``array_machine`` is faster than casadi."""
 
 BATCH = MANY

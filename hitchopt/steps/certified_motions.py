@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.leg_lengths import reference_margin
+from hitchopt.hitch.leg_task import LegTask
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
@@ -69,6 +75,28 @@ def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
     checked(at_rest(hitch, requirements), when)
+
+
+def seems_to_rest(hitch: Hitch, requirements: Requirements) -> bool:
+    """Return whether a hitch at rest seems to satisfy all limits, without a certificate.
+
+    The certificate of a motion from or to it proves it: where that is refused, ``check_at_rest``
+    tells whether rest itself breaks a limit. With keep-outs or objects this says no.
+    """
+    team, limits, arena = hitch.team, requirements.limits, requirements.arena
+    if requirements.keep_out or requirements.objects:
+        return False
+    thrust, drones = loads_at_rest(team, hitch.cable_forces), hitch.drones
+    level = np.hypot(thrust[:, 0], thrust[:, 1])
+    fits = (
+        np.all(hitch.legs[team.layout.has_leg] >= limits.leg)
+        and np.all(length(thrust) <= team.max_thrust)
+        and np.all(np.arctan2(level, thrust[:, 2]) <= limits.tilt)
+        and (arena is None or np.all((drones >= arena.lower) & (drones <= arena.upper)))
+    )
+    shape = (hitch.polygon.vertices[None], hitch.q_legs[None], limits.leg, 1.0)
+    task = LegTask(team, requirements, *shape, roll=hitch.roll[None])
+    return bool(fits) and reference_margin(task) >= 1.0
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:

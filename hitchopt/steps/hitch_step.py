@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import HitchoptError, InputError, TimeLimitError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
@@ -16,7 +16,13 @@ from hitchopt.planners.actions.action import Action
 from hitchopt.planners.actions.flying import ActionFlight, Flying
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import check_at_rest, flying, resting
+from hitchopt.steps.certified_motions import (
+    Certified,
+    check_at_rest,
+    flying,
+    resting,
+    seems_to_rest,
+)
 from hitchopt.steps.edits import StepEdit, points_scaled
 from hitchopt.steps.end_hitch import End, broken_on_the_way, end_of_action
 from hitchopt.steps.friction_lean import against_friction
@@ -77,7 +83,25 @@ class ShapeStep(HitchStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         end = self.end(task)
-        self.check_end(end.hitch, task)
+        seems = seems_to_rest(end.hitch, task.requirements)
+        if not seems:
+            self.check_end(end.hitch, task)
+        try:
+            found, words = self._route(task, end)
+        except TimeLimitError:
+            raise
+        except HitchoptError:
+            if seems:
+                self.check_end(end.hitch, task)
+            raise
+        motion = found.motion
+        if words:
+            (phase,) = motion.phases
+            motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
+        return task.ended(motion, end.hitch, found.certificate)
+
+    def _route(self, task: StepTask, end: End) -> tuple[Certified, str]:
+        """Return the step's own motion or an optimised one, and why the other one is not taken."""
         own = self.own_route(task, end)
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
@@ -86,15 +110,9 @@ class ShapeStep(HitchStep):
         what = "other route" if duration is None else "route that is fast enough either"
         note = f"the optimiser found no {what}"
         if task.optimiser and (lead or tension is not None):
-            found, words = fastest_certified(own, other, note)
-        else:
-            found, tried = first_certified([own, other] if task.optimiser else [own], note)
-            words = SHUT if tried else ""
-        motion = found.motion
-        if words:
-            (phase,) = motion.phases
-            motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
-        return task.ended(motion, end.hitch, found.certificate)
+            return fastest_certified(own, other, note)
+        found, tried = first_certified([own, other] if task.optimiser else [own], note)
+        return found, SHUT if tried else ""
 
 
 class ActionStep(ShapeStep):

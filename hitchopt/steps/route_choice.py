@@ -13,6 +13,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.path.leg_law import legs_clear
 from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.planners.planner import Planner
 from hitchopt.planners.timing.flight_curves import Flight, check_duration
 from hitchopt.planners.timing.fly_path import fly
@@ -58,6 +59,15 @@ class Route(Generic[Solution]):
 
 
 @dataclass(frozen=True, eq=False)
+class _Accepted:
+    """A path, the flight along it, and the certificate of that."""
+
+    path: ShapePath
+    flight: Flight
+    certificate: Certificate
+
+
+@dataclass(frozen=True, eq=False)
 class OptimisedRoute:
     """The fastest route that the optimiser finds from one hitch to another.
 
@@ -89,7 +99,11 @@ class OptimisedRoute:
 
     def solve(self) -> Certified:
         """Return the fastest motion that was found, flown in the step's duration."""
-        accepted: list[tuple[Flight, Certificate]] = []
+        return self.search()[0]
+
+    def search(self) -> tuple[Certified, ShapePath]:
+        """Return the fastest motion that was found, and the path that it is on."""
+        accepted: list[_Accepted] = []
 
         def judge(path: ShapePath) -> Flight | None:
             return self._judged(path, accepted)
@@ -99,11 +113,11 @@ class OptimisedRoute:
             raise HitchoptError("no route was found")
         flight = found[0].flight
         remark = f"on an optimised route, first guess {found[0].name}"
+        taken = next(one for one in accepted if one.flight is flight)
         if self.duration is not None:
             check_duration(self.duration, flight.duration)
-            return checked(self._motion(flight.lasting(self.duration), remark))
-        certificate = next(held for judged, held in accepted if judged is flight)
-        return Certified(self._motion(flight, remark), certificate)
+            return checked(self._motion(flight.lasting(self.duration), remark)), taken.path
+        return Certified(self._motion(flight, remark), taken.certificate), taken.path
 
     def _planner(self, judge: Judge) -> OptimisedMorph:
         from hitchopt.planners.optimise.candidates import OptimisedMorph
@@ -116,15 +130,13 @@ class OptimisedRoute:
         phase = replace(self.phase, end=flight.duration, remark=remark)
         return flying(flight, self.start.team, self.requirements, [phase])
 
-    def _judged(
-        self, path: ShapePath, accepted: list[tuple[Flight, Certificate]] | None = None
-    ) -> Flight | None:
+    def _judged(self, path: ShapePath, accepted: list[_Accepted] | None = None) -> Flight | None:
         """Return the flight along a path, or one on which legs lead and lag, if it is certified.
 
         Parameters
         ----------
         path: as the search found it.
-        accepted: takes the flight and its certificate.
+        accepted: takes the flight with its path and certificate.
         """
         from hitchopt.planners.path.leading_legs import leading
 
@@ -140,7 +152,7 @@ class OptimisedRoute:
             certificate = certified(self._motion(flight)).certificate
             if certificate.certified:
                 if accepted is not None:
-                    accepted.append((flight, certificate))
+                    accepted.append(_Accepted(tried, flight, certificate))
                 return flight
         return None
 
@@ -160,37 +172,40 @@ def fastest_certified(own: Route[Any], other: OptimisedRoute, note: str) -> tupl
     ------
     InfeasibleError, HitchoptError: as ``first_certified``.
     """
-    found: dict[int, Certified] = {}
-    refusals: dict[int, HitchoptError] = {}
-    for i, route in ((1, other), (0, own)):
+    try:
+        found, path = other.search()
+    except TimeLimitError:
+        raise
+    except HitchoptError as error:
         try:
-            if i == 0 and found:
-                fastest = found[1].motion.duration
-                if _least_time(own, other.requirements) > fastest:
-                    return found[1], FASTER
-                motion = own.motion()
-                if motion.duration > fastest:  # whatever its certificate says
-                    return found[1], FASTER
-                found[0] = checked(motion)
-            else:
-                found[i] = route.solve()
+            return own.solve(), ""
         except TimeLimitError:
             raise
-        except HitchoptError as error:
-            refusals[i] = error
-    if not found:
-        raise _refusal([refusals[0], refusals[1]], note)
-    best = min(sorted(found), key=lambda i: found[i].motion.duration)
-    return found[best], (FASTER if 0 in found else SHUT) if best else ""
+        except HitchoptError as refusal:
+            raise _refusal([refusal, error], note) from None
+    try:
+        if not _may_be_faster(own, other, path):
+            return found, FASTER
+        motion = own.motion()
+        if motion.duration > found.motion.duration:  # whatever its certificate says
+            return found, FASTER
+        return checked(motion), ""
+    except TimeLimitError:
+        raise
+    except HitchoptError:
+        return found, SHUT
 
 
-def _least_time(own: Route[Any], requirements: Requirements) -> float:
-    """Return an estimate of the shortest duration of the step's own route [s], 0 if unknown."""
-    path = own.problem
-    if not isinstance(path, ShapePath):
-        return 0.0
-    least = flight_estimate(path, requirements.limits)
-    return least if math.isfinite(least) else 0.0
+def _may_be_faster(own: Route[Any], other: OptimisedRoute, path: ShapePath) -> bool:
+    """Return whether the step's own route may be faster than a path of the other, by estimates.
+
+    Those of nearly the same paths err by nearly as much.
+    """
+    if not isinstance(own.planner, StraightMorph):
+        return True
+    limits = other.requirements.limits
+    least = flight_estimate(own.planner.path, limits)
+    return not math.isfinite(least) or least <= (other.duration or flight_estimate(path, limits))
 
 
 def first_certified(

@@ -41,11 +41,14 @@ def basis(x: Array, order: int) -> Array:
 
 def derivative_basis(x: Array, order: int, derivative: int) -> Array:
     """Return a derivative of the basis by the local parameter at x (…), as (…, order + 1)."""
-    rows = np.eye(order + 1)
-    for _ in range(derivative):
-        rows = differentiate(rows)
+    rows = _derivative(order, derivative)
     values: Array = basis(x, degree(rows)) @ rows.T
     return values
+
+
+def jet_basis(x: Array, order: int, count: int) -> Array:
+    """Return the basis and derivatives of it by the local parameter, (…, order + 1, count)."""
+    return np.stack([derivative_basis(x, order, k) for k in range(count)], axis=-1)
 
 
 def evaluate(coefficients: Array, x: Array | float) -> Array:
@@ -166,6 +169,15 @@ def elevation(order: int, target: int) -> Array:
         for i in range(max(0, j - target + order), min(order, j) + 1):
             matrix[j, i] = comb(order, i) * comb(target - order, j - i) / comb(target, j)
     return _frozen(matrix)
+
+
+@lru_cache
+def _derivative(order: int, derivative: int) -> Array:
+    """(order + 1, order - derivative + 1): the derivatives of the basis, by their coefficients."""
+    rows = np.eye(order + 1)
+    for _ in range(derivative):
+        rows = differentiate(rows)
+    return _frozen(rows)
 
 
 @lru_cache

@@ -158,13 +158,13 @@ class PiecewisePolynomial(OneLine):
         InputError: as at.
         """
         piece, x = self._places(t)
-        h = self.durations[piece].reshape(x.shape)
+        weights = bernstein.jet_basis(x.reshape(piece.shape), self.degree, count)
+        weights /= self.durations[piece][..., None, None] ** np.arange(count)
         c = self.coefficients[piece]
-        orders = [bernstein.evaluate(c, x)]
-        for order in range(1, count):
-            c = bernstein.differentiate(c)
-            orders.append(bernstein.evaluate(c, x) / h**order)
-        return np.stack(orders, axis=-1)
+        jets: Array = c.reshape(*piece.shape, -1, c.shape[-1]) @ weights
+        jets = jets.reshape(*piece.shape, *self.shape, count)
+        jets[..., 0] = bernstein.evaluate(c, x)  # to the last bit what ``at`` returns
+        return jets
 
     def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         """Return the pieces (…) of times t, and where in them (…, 1, …, 1), from 0 to 1."""

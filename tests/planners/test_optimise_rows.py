@@ -1,6 +1,7 @@
 """The optimiser's programs: their rows, their derivatives, and what a solution keeps."""
 
 import math
+from collections import OrderedDict
 from dataclasses import replace
 
 import casadi as ca
@@ -16,10 +17,11 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
+from hitchopt.planners.optimise import ipopt_steps
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath, columns_of
-from hitchopt.planners.optimise.model_rows import Draft, casadi_matrix
+from hitchopt.planners.optimise.model_rows import Draft, Program, linear_value
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
 from hitchopt.planners.optimise.search_task import (
     STATIC_SHARE,
@@ -52,6 +54,15 @@ def search(
     return Search(requirements or Requirements(), lambda _: None, tension, end_margins, margin)
 
 
+def expressions_of(program: Program) -> dict[str, ca.MX]:
+    """Return x, f and g with the program's own parameters."""
+    built = program.expressions()
+    value = ca.Function("value", [built["x"], built["p"]], [built["f"], built["g"]])
+    x = ca.MX.sym("x", len(program.numbers["x0"]))
+    f, g = value(x, program.numbers["p"])
+    return {"x": x, "f": f, "g": g}
+
+
 def costs_and_rows(expressions: dict[str, ca.MX]) -> ca.Function:
     return ca.Function("value", [expressions["x"]], [expressions["f"], expressions["g"]])
 
@@ -62,12 +73,15 @@ def distances(nodes: np.ndarray, drones: NearPairs) -> np.ndarray:
     return np.asarray(np.linalg.norm(first - second, axis=1))
 
 
-def program_of(n: int, step: SolverStep, tension: tuple[float, float] | None) -> MorphProgram:
+def program_of(
+    n: int, step: SolverStep, tension: tuple[float, float] | None, shift: float = 0.0
+) -> MorphProgram:
     rng = np.random.default_rng(n)
     first = random_convex_polygon(n, 1.1, rng)
     pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
-    start, end = ends(Team(n, 2.2, tension=pulls), first, first.rotated(1.0).translated([0.4, 0.1]))
-    polygons = guesses(first, first.rotated(1.0).translated([0.4, 0.1]), 6)[1].polygons
+    last = first.rotated(1.0).translated([0.4, 0.1 + shift])
+    start, end = ends(Team(n, 2.2, tension=pulls), first, last)
+    polygons = guesses(first, last, 6)[1].polygons
     bounds = search(tension, 1.02, (1.5, 1.5))
     return build_program(KnotPath.through("turned", start, end, polygons), bounds, step)
 
@@ -84,18 +98,14 @@ def program_of(n: int, step: SolverStep, tension: tuple[float, float] | None) ->
 def test_the_optimisers_derivatives_are_those_of_finite_differences(
     step: SolverStep, tension: tuple[float, float] | None
 ) -> None:
-    program = program_of(3, step, tension)
+    program = program_of(3, step, tension).program
     rng = np.random.default_rng(1)
     multipliers = rng.normal(size=len(program.numbers["lbg"]))
-    x, f, g = (program.expressions[name] for name in "xfg")
+    x, f, g = expressions_of(program).values()
     lagrangian = f + ca.dot(ca.DM(multipliers), g)
     gradient = ca.gradient(lagrangian, x)
     value = ca.Function("value", [x], [lagrangian, gradient])
-    slope = ca.Function(
-        "slope",
-        [program.expressions["x"]],
-        [gradient, ca.jacobian(gradient, program.expressions["x"])],
-    )
+    slope = ca.Function("slope", [x], [gradient, ca.jacobian(gradient, x)])
     start = program.numbers["x0"]
     point = start + 1e-3 * rng.normal(size=len(start))
     exact_gradient, exact_hessian = (np.asarray(v) for v in slope(point))
@@ -189,12 +199,10 @@ def points_on(segment: np.ndarray, count: int) -> np.ndarray:
 
 
 def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
-    program = program_of(4, SolverStep(0.17, 2), None)
-    way = solve_program(program)
+    around = program_of(4, SolverStep(0.17, 2), None)
+    way, program = solve_program(around), around.program
     assert way is not None
-    value = ca.Function(
-        "value", [program.expressions["x"]], [program.expressions["f"], program.expressions["g"]]
-    )
+    value = costs_and_rows(expressions_of(program))
     x = way.table[1:-1].ravel()
     cost, rows = value(x)
     assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
@@ -204,11 +212,13 @@ def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
 
 def test_what_is_short_of_its_bound_may_stay_so_at_a_price_and_the_rest_may_not() -> None:
     draft = Draft()
-    x = draft.variables("x", np.array([0.0, 2.0]), np.full(2, -5.0), np.full(2, 5.0))
-    draft.soft_bound(x, np.array([1.0, 1.5]), np.array([0.0, 2.0]), 3.0)
-    draft.f += ca.sumsqr(x)
-    expressions, numbers = draft.program()
-    rows = costs_and_rows(expressions)
+    x = draft.variables(np.array([0.0, 2.0]), np.full(2, -5.0), np.full(2, 5.0))
+    least, now = np.array([1.0, 1.5]), np.array([0.0, 2.0])
+    draft.soft_bound(lambda at: at.variables[x], least, now, 3.0)
+    draft.cost(lambda at: ca.sumsqr(at.variables[x]))
+    program = draft.program()
+    expressions, numbers = program.expressions(), program.numbers
+    rows = costs_and_rows(expressions_of(program))
     cost, values = rows(numbers["x0"])
     np.testing.assert_allclose(np.asarray(values).ravel(), [1.0, 2.0])  # feasible where it starts
     assert float(cost) == pytest.approx(4.0 + 3.0 * 1.0)
@@ -342,7 +352,8 @@ def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> 
     )
     tilt = ho.Limits().tilt
     for top in (0.5, 5.0):
-        program = build_program(path, search((0.2, top), 1.02, (1.5, 1.5)), SolverStep(0.17))
+        task = search((0.2, top), 1.02, (1.5, 1.5))
+        program = build_program(path, task, SolverStep(0.17)).program
         size = path.columns.size * (path.steps - 1)
         upper = program.numbers["ubx"][:size].reshape(path.steps - 1, -1)[:, path.columns.tensions]
         lift = team.mass[::2] * 9.81 + team.cable_weight[::2]
@@ -352,10 +363,70 @@ def test_the_bounds_of_free_tensions_are_static_ones_or_those_of_the_range() -> 
         np.testing.assert_allclose(upper, np.tile(wanted, (path.steps - 1, 1)), rtol=1e-6)
 
 
-def test_sparse_matrices_are_the_same_in_casadi() -> None:
+@pytest.mark.parametrize(
+    ("step", "tension"),
+    [(SolverStep(0.12, 4), None), (SolverStep(0.12, 4, fastest=True), (0.2, 0.6))],
+)
+def test_programs_of_one_structure_differ_in_their_numbers_alone(
+    step: SolverStep, tension: tuple[float, float] | None
+) -> None:
+    one, other = (program_of(4, step, tension, shift).program for shift in (0.0, 1e-5))
+    assert one.structure == other.structure
+    assert not np.array_equal(one.numbers["p"], other.numbers["p"])
+    x = one.numbers["x0"] + 0.01 * np.random.default_rng(2).normal(size=len(one.numbers["x0"]))
+    found = []
+    for built in (one.expressions(), other.expressions()):
+        value = ca.Function("value", [built["x"], built["p"]], [built["f"], built["g"]])
+        found.append([np.asarray(part) for part in value(x, other.numbers["p"])])
+    for part, same in zip(*found, strict=True):
+        np.testing.assert_allclose(part, same, rtol=1e-12, atol=1e-12)
+
+
+def test_a_stored_solver_finds_what_a_new_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = SolverStep(0.12, 4)
+    first, second = (program_of(4, step, None, shift) for shift in (0.0, 1e-5))
+    stored: OrderedDict[object, ca.Function] = OrderedDict()
+    monkeypatch.setattr(ipopt_steps, "_SOLVERS", stored)
+    assert solve_program(first) is not None
+    (solver,) = stored.values()
+    again = solve_program(second)
+    assert list(stored.values()) == [solver]
+    stored.clear()
+    alone = solve_program(second)
+    assert list(stored.values()) != [solver]
+    assert again is not None
+    assert alone is not None
+    np.testing.assert_array_equal(again.table, alone.table)
+
+
+@pytest.mark.parametrize("change", ["cables", "speeds", "fastest", "knots"])
+def test_structures_tell_programs_apart(change: str) -> None:
+    square = regular_polygon(4, 1.2)
+    team = Team(4, 2.21 if change == "cables" else 2.2)
+    start, end = ends(team, square, square.rotated(0.3))
+    count = 7 if change == "knots" else 6
+    polygons = guesses(square, square.rotated(0.3), count)[1].polygons
+    limits = ho.Limits(vertex_speed=0.4 if change == "speeds" else 0.5)
+    task = search(None, 1.02, (1.5, 1.5), Requirements(limits))
+    step = SolverStep(0.17, fastest=change == "fastest")
+    plain = SolverStep(0.17)
+    usual = search(None, 1.02, (1.5, 1.5))
+    both = ends(Team(4, 2.2), square, square.rotated(0.3))
+    six = guesses(square, square.rotated(0.3), 6)[1].polygons
+    one = build_program(KnotPath.through("turned", *both, six), usual, plain)
+    other = build_program(KnotPath.through("turned", start, end, polygons), task, step)
+    again = build_program(KnotPath.through("turned", *both, six), usual, plain)
+    assert one.program.structure == again.program.structure != other.program.structure
+
+
+def test_rows_of_parameters_are_their_matrix() -> None:
     rng = np.random.default_rng(6)
     row, column = rng.integers(0, 7, 30), rng.integers(0, 5, 30)  # some places twice
     matrix = sparse.csc_matrix((rng.normal(size=30), (row, column)), shape=(7, 5))
-    found = casadi_matrix(matrix)
-    np.testing.assert_array_equal(found.full(), matrix.toarray())
-    assert found.nnz() == matrix.nnz
+    draft, x = Draft(), rng.normal(size=5)
+    value = linear_value(draft, draft.variables(x, x, x), matrix)
+    draft.bound(value, np.zeros(7), np.zeros(7))
+    _, rows = costs_and_rows(expressions_of(draft.program()))(x)
+    np.testing.assert_allclose(
+        np.asarray(rows).ravel(), matrix.toarray() @ x, rtol=1e-12, atol=1e-12
+    )

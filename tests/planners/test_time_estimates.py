@@ -1,6 +1,7 @@
 """Estimates of flights' durations, against toppra and against the flights themselves."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,6 +54,19 @@ def test_the_quick_profile_keeps_all_limits_at_its_points(seed: int) -> None:
     # A motion keeps its limits where the ray towards it reaches it.
     assert np.min(demands.reach(np.append(u, 0.0)[:, None], x[:, None])[:-1]) > 1.0 - 1e-9
     assert np.all(x <= demands.speed_bound * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize("limits", LIMITS)
+@pytest.mark.parametrize("seed", range(4))
+def test_rounding_does_not_change_a_profile(seed: int, limits: Limits) -> None:
+    """At a limit of speed corners tie."""
+    rng, s = np.random.default_rng(seed), path_grid(80)
+    demands = Demands.along(morph(seed), limits, s)
+    duration = quick_profile(s, demands).duration
+    for _ in range(5):
+        noise = 1.0 + 1e-14 * rng.normal(size=demands.drones.shape)
+        other = replace(demands, drones=demands.drones * noise)
+        assert quick_profile(s, other).duration == pytest.approx(duration, rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", LIMITS[:2])

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from toppra import SplineInterpolator
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, LinearConstraint
+from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
 from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
@@ -188,6 +192,32 @@ def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
     exact = Demands.along(path, limits, fine)
     optimum = fastest_profile(fine, exact).duration
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
+
+
+@pytest.mark.parametrize("tilt", [math.radians(45.0), math.radians(22.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_profiles_are_those_of_toppras_own_classes(seed: int, tilt: float) -> None:
+    limits = Limits(tilt=tilt)
+    grid = path_grid(GRID)
+    found = Demands.along(straight(3 + seed, seed, limits), limits, grid)
+    rows = acceleration_rows(found)
+
+    class Rule(LinearConstraint):  # type: ignore[misc]
+        identical = False
+        discretization_type = DiscretizationType.Interpolation
+
+        def compute_constraint_params(
+            self, _path: object, grid: np.ndarray, *_: object
+        ) -> tuple[object, ...]:
+            count = len(grid)
+            columns = (np.tile(row, (count, 1)) for row in ([1.0, 0.0], [0.0, 1.0], [0.0, 0.0]))
+            both = (*columns, rows.normals, rows.bounds, None, None, grid)
+            return tuple(canlinear_colloc_to_interpolate(*both))
+
+    line = SplineInterpolator([0.0, 1.0], [[0.0], [1.0]])
+    solver = TOPPRA([Rule()], line, gridpoints=grid, solver_wrapper="seidel")
+    _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+    np.testing.assert_allclose(fastest_profile(grid, found).speed, speed, atol=1e-6)
 
 
 def test_a_finer_grid_changes_toppras_optimum_little_and_less() -> None:

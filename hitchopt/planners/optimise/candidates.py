@@ -166,12 +166,14 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     found: list[Candidate] = []
     seen: list[KnotPath] = []
     fastest = np.inf
-    groups = _alike([path.resampled(_steps(path) + 1) for path in paths])
-    estimates = _estimates([group[0] for group in groups], search)
+    groups = _alike(paths)
+    firsts = [group[0].resampled(_steps(group[0]) + 1) for group in groups]
+    estimates = _estimates(firsts, search)
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
             break
-        settling = (_settled(knots, search, seen) for knots in groups[k])
+        others = (path.resampled(_steps(path) + 1) for path in groups[k][1:])
+        settling = (_settled(knots, search, seen) for knots in chain([firsts[k]], others))
         settled = next((path for path in settling if path is not None), None)
         if settled is None:
             continue

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.outline import centroids
 from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
 from hitchopt.values import Array
 
@@ -113,9 +114,8 @@ def _edgewise(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array)
         return None
     edges = closed[..., None] * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
     corners = np.cumsum(edges, axis=1) - edges
-    centres = np.array([ConvexPolygon(polygon).centroid for polygon in corners])
     wanted = _line(first.centroid[None], last.centroid[None], s)
-    placed: Array = corners + wanted - centres[:, None]
+    placed: Array = corners + wanted - centroids(corners)[:, None]
     return placed
 
 

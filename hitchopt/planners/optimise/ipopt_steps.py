@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from collections import deque
-from collections.abc import Iterator
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 
 from hitchopt.planners.optimise.knot_path import KnotPath
+from hitchopt.planners.optimise.model_rows import Program
 from hitchopt.planners.optimise.morph_program import MorphProgram, build_program
-from hitchopt.planners.optimise.search_task import Effort, Search, SolverStep
+from hitchopt.planners.optimise.search_task import SMALL, Effort, Search, SolverStep
 from hitchopt.time_limit import check_time, time_left
 
 TOLERANCE = 1e-3
@@ -31,9 +32,11 @@ LEAST_TIME = 1e-3
 SETTLED = 0.3
 """Share of its stride: a step of the optimiser that moves no vertex by more is the last one."""
 
-_LAST: deque[ca.Function] = deque(maxlen=1)
-"""The last solver: casadi keeps a function's derivatives as long as it is referenced, and the next
-solver is built a third faster."""
+STORED = 8
+"""Number of solvers that are stored: a search needs one or two for a team."""
+
+_SOLVERS: OrderedDict[Hashable, ca.Function] = OrderedDict()
+"""The last solvers, by the structure of their programs and the options."""
 
 NUMBERS = tuple(int(number) for number in signal.valid_signals())
 
@@ -69,11 +72,34 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     program: what is solved.
     effort: what may be spent on it, and is taken off; None for whatever it needs.
     """
-    rows = len(program.numbers["lbg"])
+    numbers = program.program.numbers
+    rows = len(numbers["lbg"])
     effort = effort or Effort(math.inf)
     iterations = effort.iterations(rows, program.iterations)
     if iterations == 0:
         return None
+    key = (iterations, program.program.structure)
+    solver = _SOLVERS.pop(key, None) if math.isinf(time_left()) else None
+    solver = solver or _new_solver(program.program, iterations)
+    with answered_later():
+        solution = solver(**numbers)
+    check_time()  # what has been cut short is no solution
+    effort.spend(rows, solver.stats()["iter_count"])
+    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
+    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
+        return None
+    if rows <= SMALL and math.isinf(time_left()):
+        _SOLVERS[key] = solver
+        if len(_SOLVERS) > STORED:
+            _SOLVERS.popitem(last=False)
+    table = program.path.table.copy()
+    inner = table[1:-1]
+    inner[:] = x[: inner.size].reshape(inner.shape)
+    return program.path.with_table(table)
+
+
+def _new_solver(program: Program, iterations: int) -> ca.Function:
+    """Return IPOPT with a program's expressions, for as long as there is time."""
     left = time_left()
     options: dict[str, int | float | str] = {
         "print_level": 0,
@@ -84,21 +110,12 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
         **LINEAR_SOLVER,
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
-    solver = ca.nlpsol(
-        "path", "ipopt", {**program.expressions}, {"print_time": False, "ipopt": options}
+    return ca.nlpsol(
+        "path",
+        "ipopt",
+        {**program.expressions()},
+        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
     )
-    _LAST.append(solver)
-    with answered_later():
-        solution = solver(**program.numbers)
-    check_time()  # what has been cut short is no solution
-    effort.spend(rows, solver.stats()["iter_count"])
-    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
-        return None
-    table = program.path.table.copy()
-    inner = table[1:-1]
-    inner[:] = x[: inner.size].reshape(inner.shape)
-    return program.path.with_table(table)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from scipy.interpolate import make_interp_spline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_along
+from hitchopt.planners.path.shape_path import LegLaw, ShapePath, shapes_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
@@ -135,8 +135,8 @@ class KnotPath:
 
     def at(self, s: Array) -> KnotPath:
         """Return the hitches at s (K,) of its path, as if they were knots."""
-        path = self.path
-        shapes, tensions = shapes_along(path, s), path.flat(s).tensions[..., 0]
+        flat = self.path.flat(s)
+        shapes, tensions = shapes_of(self.team, flat), flat.tensions[..., 0]
         q_legs = shapes.legs[..., 0]
         return replace(
             self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll

@@ -14,7 +14,14 @@ import casadi as ca
 import numpy as np
 
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.model_rows import Draft, keep_apart, tie_drones
+from hitchopt.planners.optimise.model_rows import (
+    Draft,
+    Expression,
+    Program,
+    Symbols,
+    keep_apart,
+    tie_drones,
+)
 from hitchopt.planners.optimise.search_task import Search, SolverStep, variable_bounds
 from hitchopt.values import Array
 
@@ -47,18 +54,16 @@ all."""
 
 @dataclass(frozen=True, eq=False)
 class MorphProgram:
-    """``min f(x)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x) ≤ ubg``, from x0.
+    """A program around a path.
 
     Attributes
     ----------
-    expressions: casadi's ``x``, ``f``, ``g``.
-    numbers: ``x0``, ``lbx``, ``ubx`` (variables,), ``lbg``, ``ubg`` (rows,).
+    program: its variables start with those of the inner knots.
     path: around which it is, to read the solution.
     iterations: after which it is given up.
     """
 
-    expressions: dict[str, ca.MX]
-    numbers: dict[str, Array]
+    program: Program
     path: KnotPath
     iterations: int
 
@@ -67,27 +72,48 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
     """Return the program around a path: its near pairs and their normals are the path's."""
     columns, table, n = path.columns, path.table, path.team.robots
     draft = Draft()
-    x = draft.variables("x", table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
-    knots = ca.reshape(x, columns.size, path.steps - 1)
-    tie_drones(draft, knots, path)
+    x = draft.variables(table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
+    tie_drones(draft, x, path)
     keep_apart(draft, x, path, search, step)
 
-    whole = ca.horzcat(table[0], knots, table[-1])
     limits = search.requirements.limits
     slowness = 1.0 / np.repeat([limits.vertex_speed, limits.speed], [2 * n, 4 * n])
-    scaled = whole[columns.nodes.ravel().tolist(), :] * ca.repmat(
-        ca.DM(slowness), 1, path.steps + 1
-    )
-    travel, energy, curvature = _roughness(scaled, n)
-    draft.f += _tension_cost(path, whole, search)
+    ends = draft.parameters(table[[0, -1]].ravel())
+    draft.structure(slowness, path.steps, step.fastest)
+
+    def whole(at: Symbols) -> ca.MX:
+        """Return all knots (size, J + 1)."""
+        first, last = ca.vertsplit(at.parameters[ends], columns.size)
+        knots = ca.reshape(at.variables[x], columns.size, path.steps - 1)
+        return ca.horzcat(first, knots, last)
+
+    def scaled(at: Symbols) -> ca.MX:
+        """Return the places of vertices and drones at all knots, in units of time."""
+        places = whole(at)[columns.nodes.ravel().tolist(), :]
+        return places * ca.repmat(ca.DM(slowness), 1, path.steps + 1)
+
+    if search.tension is not None:
+        draft.structure("tensions", path.team.tension)
+        draft.cost(lambda at: _tension_cost(path, whole(at)))
     if step.fastest:
         moved = np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0)
-        times = _times(draft, travel, np.linalg.norm(moved, axis=-1))
-        draft.f += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * curvature
+        times = _times(draft, scaled, np.linalg.norm(moved, axis=-1))
+
+        def time_cost(at: Symbols) -> ca.MX:
+            _, energy, curvature = _roughness(scaled(at), n)
+            total = ca.sum1(at.variables[times])
+            return total + TIME_ENERGY * energy + TIME_BEND * curvature
+
+        draft.cost(time_cost)
     else:
-        draft.f += energy + BEND * curvature
+
+        def energy_cost(at: Symbols) -> ca.MX:
+            _, energy, curvature = _roughness(scaled(at), n)
+            return energy + BEND * curvature
+
+        draft.cost(energy_cost)
     iterations = FASTEST_ITERATIONS if step.fastest else ITERATIONS
-    return MorphProgram(*draft.program(), path, iterations)
+    return MorphProgram(draft.program(), path, iterations)
 
 
 def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -98,29 +124,34 @@ def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX, ca.MX]:
     return change, steps * ca.sumsqr(change) / n, steps**3 * ca.sumsqr(bend) / n
 
 
-def _times(draft: Draft, travel: ca.MX, lengths: Array) -> ca.MX:
-    """Return how long every step takes, by its longest segment.
+def _times(draft: Draft, scaled: Expression, lengths: Array) -> int:
+    """Return variables that tell how long every step takes, by its longest segment.
 
     Parameters
     ----------
     draft: takes the rows.
-    travel: (6n, steps), both coordinates of every segment, in units of time.
-    lengths: (steps, 3n), their lengths now.
+    scaled: (6n, steps + 1), both coordinates of every node, in units of time.
+    lengths: (steps, 3n), of the segments now.
     """
     steps, nodes = lengths.shape
     longest = np.max(lengths, axis=1)
-    times = draft.variables("time", 1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
-    at, node = np.nonzero(lengths > LAGGING * longest[:, None])
-    flat, place = ca.vec(travel), 2 * (nodes * at + node)
-    squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
-    draft.bound(squared - times[at.tolist()] ** 2, -np.inf, 0.0)
+    times = draft.variables(1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
+    at_step, node = np.nonzero(lengths > LAGGING * longest[:, None])
+    place = 2 * (nodes * at_step + node)
+    draft.structure("times", place)
+
+    def lags(at: Symbols) -> ca.MX:
+        values = scaled(at)
+        flat = ca.vec(values[:, 1:] - values[:, :-1])
+        squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
+        return squared - at.variables[times][at_step.tolist()] ** 2
+
+    draft.bound(lags, np.full(len(place), -np.inf), np.zeros(len(place)))
     return times
 
 
-def _tension_cost(path: KnotPath, whole: ca.MX, search: Search) -> ca.MX:
+def _tension_cost(path: KnotPath, whole: ca.MX) -> ca.MX:
     """Return the cost of free tensions: their squares and, to a lesser degree, their changes."""
-    if search.tension is None:
-        return ca.MX(0.0)
     usual = ca.repmat(ca.DM(path.team.tension), 1, path.steps + 1)
     ratio = whole[path.columns.tensions.tolist(), :] / usual
     _, change, bend = _roughness(ratio, 1)

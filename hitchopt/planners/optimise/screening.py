@@ -13,12 +13,12 @@ from hitchopt.hitch.leg_lengths import reference_margin
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search
-from hitchopt.planners.path.leg_law import CLEAR, leg_task_along
-from hitchopt.planners.path.path_feasibility import check_loads, check_shapes, exterior_angles
-from hitchopt.planners.path.shape_path import ShapePath, drones_along, shapes_along
+from hitchopt.planners.path.leg_law import CLEAR, leg_task_of
+from hitchopt.planners.path.path_feasibility import check_shapes_at, exterior_angles
+from hitchopt.planners.path.shape_path import ShapePath, Shapes, shapes_along
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.speed_profile import TimingError
-from hitchopt.planners.timing.time_estimates import flight_estimate
+from hitchopt.planners.timing.time_estimates import flight_estimate, grid_demands
 from hitchopt.planners.timing.time_warp import WarpError
 from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
@@ -46,15 +46,22 @@ SAME = 0.05
 HALVINGS = 3
 """Number of halvings of pieces, to bound their tensions closely."""
 
-GRID = 65
-"""Number of points at which shapes, loads and distances to walls are evaluated before that."""
-
 PROBES = 33
 """Number of points at which a path's distances are evaluated before the judge decides, and again
-near each end."""
+near each end; its shapes at twice as many."""
 
 NEAR_END = 0.1
 """Share of the path that is near an end."""
+
+SPARSE, DENSE = (np.linspace(0.0, 1.0, count) for count in (PROBES, 2 * PROBES - 1))
+
+NEAR_ENDS = np.concatenate([NEAR_END * SPARSE[1:-1], 1.0 - NEAR_END * SPARSE[1:-1]])
+
+PLACES = np.unique(np.concatenate([DENSE, NEAR_ENDS]))
+"""Where a path's shapes are evaluated."""
+
+DISTANCES = np.isin(PLACES, np.concatenate([SPARSE, NEAR_ENDS]))
+"""(PLACES,): whether its distances are evaluated there too."""
 
 
 def sound(path: KnotPath) -> bool:
@@ -109,19 +116,19 @@ def same(path: KnotPath, other: KnotPath) -> bool:
 
 def clear(knots: KnotPath, search: Search) -> bool:
     """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
-    path = knots.path
+    path, requirements = knots.path, search.requirements
+    shapes = shapes_along(path, PLACES)
     try:
-        check_shapes(path, GRID)
-        if not _distances_hold(path, search.requirements):
-            return False
-        check_loads(path, search.requirements.limits, GRID)
+        check_shapes_at(PLACES, shapes, path.team.layout)
     except InfeasibleError:
         return False
-    arena = search.requirements.arena
-    if arena is None:
-        return True
-    drones = drones_along(path, np.linspace(0.0, 1.0, GRID)).positions[..., 0]
-    return bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
+    if not _distances_hold(path, requirements, shapes.chosen(DISTANCES)):
+        return False
+    demands = grid_demands(path, requirements.limits)
+    if max(float(np.max(ratios)) for ratios in demands.at_rest()) >= demands.share:
+        return False
+    arena, drones = requirements.arena, demands.drones[..., 0]
+    return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
 
 
 def judged(path: ShapePath, search: Search) -> Flight | None:
@@ -138,14 +145,11 @@ def estimate(path: KnotPath, requirements: Requirements) -> float:
     return flight_estimate(path.path, requirements.limits)
 
 
-def _distances_hold(path: ShapePath, requirements: Requirements) -> bool:
-    """Return whether legs are long enough and distances hold, with more points near the ends."""
-    inner = np.linspace(0.0, 1.0, PROBES)
-    near = NEAR_END * inner[1:-1]
-    s = np.unique(np.concatenate([inner, near, 1.0 - near]))
-    if np.min(shapes_along(path, s).legs[1:-1]) < requirements.limits.leg:
+def _distances_hold(path: ShapePath, requirements: Requirements, shapes: Shapes) -> bool:
+    """Return whether legs are long enough and distances hold at shapes of a path."""
+    if np.min(shapes.legs[1:-1]) < requirements.limits.leg:
         return False
-    return reference_margin(leg_task_along(path, requirements, s, CLEAR)) >= CLEAR
+    return reference_margin(leg_task_of(path, requirements, shapes, CLEAR)) >= CLEAR
 
 
 def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:

@@ -93,19 +93,20 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
     legs = shapes.legs[:, path.team.layout.has_leg]
     # The ends are given; whether they hold is reported apart from the path.
     long_enough = float(np.min(legs[1:-1])) >= requirements.limits.leg
-    return long_enough and reference_margin(_task(path, requirements, shapes, CLEAR)) >= CLEAR
+    return long_enough and reference_margin(leg_task_of(path, requirements, shapes, CLEAR)) >= CLEAR
 
 
 def leg_task_along(
     path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
 ) -> LegTask:
     """Return the task of choosing leg lengths at the points s (J,) of a path, the ends fixed."""
-    return _task(path, requirements, shapes_along(path, s), margin)
+    return leg_task_of(path, requirements, shapes_along(path, s), margin)
 
 
-def _task(
+def leg_task_of(
     path: ShapePath, requirements: Requirements, shapes: Shapes, margin: float | Array
 ) -> LegTask:
+    """Return the task of choosing leg lengths for shapes of a path, the first and last fixed."""
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
     wanted = (shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS, fixed, shapes.roll)

@@ -9,7 +9,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.layout import Layout
-from hitchopt.planners.path.shape_path import Path, shapes_along
+from hitchopt.planners.path.shape_path import Path, Shapes, shapes_along
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.requirements import Limits
 from hitchopt.values import Array
@@ -35,11 +35,14 @@ def exterior_angles(layout: Layout, edges: Array) -> Array:
     return angles
 
 
-def check_shapes(path: Path, probes: int = PROBES) -> None:
+def check_shapes(path: Path) -> None:
     """Raise InfeasibleError where the path has no hitch to fly."""
-    s = np.linspace(0.0, 1.0, probes)
-    layout = path.team.layout
-    shapes = shapes_along(path, s)
+    s = np.linspace(0.0, 1.0, PROBES)
+    check_shapes_at(s, shapes_along(path, s), path.team.layout)
+
+
+def check_shapes_at(s: Array, shapes: Shapes, layout: Layout) -> None:
+    """Raise InfeasibleError where one of the shapes at s (J,) of a path is no hitch to fly."""
     edges = layout.edges(shapes.polygons)
     lengths = length(edges)
     shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
@@ -64,9 +67,9 @@ def check_shapes(path: Path, probes: int = PROBES) -> None:
         raise InfeasibleError([short])
 
 
-def check_loads(path: Path, limits: Limits, probes: int = LOAD_PROBES) -> None:
+def check_loads(path: Path, limits: Limits) -> None:
     """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path."""
-    s = np.linspace(0.0, 1.0, probes)
+    s = np.linspace(0.0, 1.0, LOAD_PROBES)
     demands = Demands.along(path, limits, s)
     thrust, tilt = demands.at_rest()
     most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))

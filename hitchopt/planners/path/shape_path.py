@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.cable_spans import cable_slack_of
@@ -17,7 +18,9 @@ from hitchopt.values import Array
 
 
 class Path(Protocol):
-    """What can be timed and flown."""
+    """What can be timed and flown; paths are told apart by their identity."""
+
+    def __hash__(self) -> int: ...
 
     @property
     def team(self) -> Team:
@@ -63,7 +66,8 @@ class LegLaw:
 
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, 4) of ``d`` for those of the slack."""
-        return self.length.jet(s, JET) + jets.product(self.share.jet(s, JET), slack)
+        shared = jets.product(self.share.jet(s, JET), slack)
+        return self.length.jet(s, JET) + shared if np.any(self.length.coefficients) else shared
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,12 +163,22 @@ class Shapes:
     legs: Array
     roll: Array | None = None
 
+    def chosen(self, which: NDArray[np.bool_]) -> Shapes:
+        """Return the shapes where ``which`` (J,) holds."""
+        roll = None if self.roll is None else self.roll[which]
+        return Shapes(self.polygons[which], self.legs[which], roll)
+
 
 def shapes_along(path: Path, s: Array) -> Shapes:
     """Return the shapes at s (J,)."""
-    flat, layout = path.flat(s), path.team.layout
+    return shapes_of(path.team, path.flat(s))
+
+
+def shapes_of(team: Team, flat: FlatJets) -> Shapes:
+    """Return the shapes of flat outputs."""
+    layout = team.layout
     edges = layout.edges(flat.vertices[..., 0])
-    slack = cable_slack_of(path.team, edges, flat.tensions[..., 0])
+    slack = cable_slack_of(team, edges, flat.tensions[..., 0])
     legs = layout.legs_of(flat.q_legs[..., 0], slack)
     roll = None if flat.roll is None else flat.roll[..., 0]
     return Shapes(flat.vertices[:, :, :2, 0], legs, roll)

@@ -39,15 +39,20 @@ class StraightMorph:
     duration: float | None = None
 
     @cached_property
+    def path(self) -> ShapePath:
+        """The straight path, fractions changing evenly; raises InfeasibleError where it is shut."""
+        path = ShapePath.straight(self.start, self.end)
+        check_shapes(path)
+        return path
+
+    @cached_property
     def problem(self) -> ShapePath:
         """The path that is timed.
 
         Raises InfeasibleError where the polygon loses its convexity, or a leg or the thrust at rest
         gives out.
         """
-        path = ShapePath.straight(self.start, self.end)
-        check_shapes(path)
-        path = with_legs_clear(path, self.requirements)
+        path = with_legs_clear(self.path, self.requirements)
         check_loads(path, self.requirements.limits)
         return path
 

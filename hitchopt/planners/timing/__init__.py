@@ -1,5 +1,5 @@
 """Timing of paths: toppra's optimum, limited in jerk, as piecewise polynomials."""
 
-from hitchopt.planners.timing.deferred_pyplot import defer_pyplot
+from hitchopt.planners.timing.deferred_toppra import defer_toppra
 
-defer_pyplot()
+defer_toppra()

@@ -9,16 +9,20 @@ depends on that.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.planners.timing.rate_rows import RateRows
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array, Indices
 
 DEGREE = 3
+
+LOWER = np.tril_indices(DEGREE + 1)
+"""Pairs of the coefficients that a sample sees, the first not before the second."""
 
 STEPS = 60
 """Largest number of Newton steps; some 15 are usual."""
@@ -69,10 +73,21 @@ class SplineBasis:
         values = np.stack([whole(at, order)[rows, columns] for order in range(3)], axis=1)
         return cls(first, values, count)
 
+    @cached_property
+    def seen(self) -> Indices:
+        """(M, 4): the coefficients that a sample sees."""
+        return self.first[:, None] + np.arange(DEGREE + 1)
+
+    @cached_property
+    def pairs(self) -> Indices:
+        """(10 M,): places in the flat band of the pairs of coefficients that a sample sees."""
+        i, j = LOWER
+        places = self.count * (i - j) + j + self.first[:, None]
+        return places.ravel()
+
     def at(self, coefficients: Array) -> Array:
         """Return value and derivatives (M, 3)."""
-        seen = coefficients[self.first[:, None] + np.arange(DEGREE + 1)]
-        values: Array = np.einsum("moj,mj->mo", self.values, seen)
+        values: Array = np.einsum("moj,mj->mo", self.values, coefficients[self.seen])
         return values
 
     def transposed(self, forces: Array) -> Array:
@@ -86,13 +101,9 @@ class SplineBasis:
     def banded(self, forms: Array) -> Array:
         """Return the lower band (4, count) of what quadratic forms (M, 3, 3) are together."""
         local = np.swapaxes(self.values, 1, 2) @ forms @ self.values
-        band = np.zeros((DEGREE + 1, self.count))
-        for i in range(DEGREE + 1):
-            for j in range(i + 1):
-                band[i - j] += np.bincount(
-                    self.first + j, weights=local[:, i, j], minlength=self.count
-                )
-        return band
+        size = (DEGREE + 1) * self.count
+        band = np.bincount(self.pairs, weights=local[:, *LOWER].ravel(), minlength=size)
+        return band.reshape(DEGREE + 1, self.count).astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +209,10 @@ class _Newton:
         for convex in (False, True):
             band = basis.banded(forms + rows.curvature(p, own, convex=convex))
             band[0] += force[inner:] / slack[inner:]
-            try:
-                factor = cholesky_banded(band, lower=True, check_finite=False)
-            except LinAlgError:
-                continue
-            break
+            lower, failed = dpbtrf(band, lower=True)
+            if not failed:
+                factor = lower
+                break
         return cls(program, gradients, residual, force, slack, factor)
 
     @property
@@ -217,7 +227,7 @@ class _Newton:
         pull = aim / self.slack - self.force
         pushed = np.einsum("mr,mri->mi", pull[:inner].reshape(shape), self.gradients)
         right = pull[inner:] - self.residual - basis.transposed(pushed)
-        dc: Array = cho_solve_banded((self.factor, True), right, check_finite=False)
+        dc: Array = dpbtrs(self.factor, right, lower=True)[0]
         along = np.einsum("mri,mi->mr", self.gradients, basis.at(dc))
         dslack = np.append(-along.ravel(), dc)
         return dc, dslack, pull - self.force / self.slack * dslack

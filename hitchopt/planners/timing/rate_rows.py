@@ -11,6 +11,7 @@ Without C and e it would be convex; they are of the tilt and of the jerk only.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -119,15 +120,20 @@ class RateRows:
         )
         return cls(*(np.concatenate(part, axis=1) for part in zip(*rows, strict=True)))
 
+    @cached_property
+    def forms(self) -> Array:
+        """(M, R, 3, 3): the rows' quadratic forms."""
+        return self.Q - self.C
+
     def values(self, p: Array) -> Array:
         """Return the rows' left sides (M, R) for p (M, 3)."""
-        along = np.einsum("mrij,mj->mri", self.Q - self.C, p) + self.b
+        along = np.einsum("mrij,mj->mri", self.forms, p) + self.b
         values: Array = np.einsum("mri,mi->mr", along, p) + self.c - self.e / p[:, :1]
         return values
 
     def gradients(self, p: Array) -> Array:
         """Return their derivatives by p (M, R, 3)."""
-        gradients: Array = 2.0 * np.einsum("mrij,mj->mri", self.Q - self.C, p) + self.b
+        gradients: Array = 2.0 * np.einsum("mrij,mj->mri", self.forms, p) + self.b
         gradients[..., 0] += self.e / p[:, :1] ** 2
         return gradients
 
@@ -138,7 +144,7 @@ class RateRows:
         ----------
         convex: leave out the concave parts.
         """
-        forms = self.Q if convex else self.Q - self.C
+        forms = self.Q if convex else self.forms
         total: Array = 2.0 * np.einsum("mr,mrij->mij", weights, forms)
         if not convex:
             total[:, 0, 0] -= 2.0 * np.sum(weights * self.e, axis=1) / p[:, 0] ** 3

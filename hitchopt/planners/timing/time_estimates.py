@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from functools import lru_cache
 
 import numpy as np
 
@@ -29,20 +30,30 @@ from hitchopt.values import Array
 GRID = 80
 """Number of steps of the grid along the path: coarser ones mistake which of two paths is faster."""
 
+TIE = 1e-9
+"""Share of ṡ² below it at which the largest s̈ is read: at a limit of speed corners tie, and
+rounding would choose among them."""
+
 RAMP_SHARE = 0.5
 """Share of the acceleration's ramp by which a limit of jerk makes flights longer at least: that of
 a change from rest to full speed."""
 
 
+@lru_cache(maxsize=2)
+def grid_demands(path: Path, limits: Limits) -> Demands:
+    """Return the demands of a path on the grid of estimates; those of the last paths are stored."""
+    return Demands.along(path, limits, path_grid(GRID))
+
+
+@lru_cache(maxsize=16)
 def flight_estimate(path: Path, limits: Limits) -> float:
     """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
 
     Flights are mostly longer, by up to a tenth of the ramp.
     """
-    s = path_grid(GRID)
-    demands = Demands.along(path, limits, s)
+    demands = grid_demands(path, limits)
     try:
-        profile = quick_profile(s, demands)
+        profile = quick_profile(path_grid(GRID), demands)
     except TimingError:
         return math.inf
     return profile.duration + RAMP_SHARE * acceleration_ramp(profile, demands)
@@ -68,7 +79,7 @@ def quick_profile(s: Array, demands: Demands) -> SpeedProfile:
         most[i] = _where(falling[i], squares[i], -most[i + 1], tops[i], ends[i])
     square = [0.0] * len(s)
     for i in range(len(steps)):
-        fastest = _where(squares[i], rates[i], square[i], 0, tops[i])
+        fastest = _where(squares[i], rates[i], (1.0 - TIE) * square[i], 0, tops[i])
         square[i + 1] = min(square[i] + 2.0 * lengths[i] * fastest, most[i + 1])
     if not min(square[1:-1]) > 0.0:
         raise TimingError("there is no speed profile from rest to rest on this path")

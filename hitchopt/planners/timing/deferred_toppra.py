@@ -1,4 +1,4 @@
-"""Matplotlib's pyplot, deferred: toppra imports it and only draws with it."""
+"""The package toppra, deferred: of it planning needs the solver of linear programs alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib.util
 import sys
 from types import ModuleType
 
-PACKAGE, NAME = "matplotlib", "pyplot"
+PACKAGE = "toppra"
 
 
 class _Deferred(ModuleType):
@@ -23,18 +23,16 @@ class _Deferred(ModuleType):
         return getattr(self, name)
 
 
-def defer_pyplot() -> None:
-    """Let pyplot run when it is first used, unless it has run already or is not installed.
+def defer_toppra() -> None:
+    """Let toppra's package run when it is first used, unless it has run already.
 
-    Running it takes a tenth of what ``hitchopt solve`` needs for a small problem.
+    It imports matplotlib to draw with; its modules are imported without it.
     """
-    whole = f"{PACKAGE}.{NAME}"
-    if whole in sys.modules or importlib.util.find_spec(PACKAGE) is None:
+    if PACKAGE in sys.modules:
         return
-    spec = importlib.util.find_spec(whole)
+    spec = importlib.util.find_spec(PACKAGE)
     if spec is None:
         return
     module = importlib.util.module_from_spec(spec)
     module.__class__ = _Deferred
-    sys.modules[whole] = module
-    setattr(sys.modules[PACKAGE], NAME, module)
+    sys.modules[PACKAGE] = module
