@@ -138,6 +138,7 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
         "moving, sag included [cm]",
         "all, without sag [cm]",
         "drones to setpoints [cm]",
+        "at rest, seed by seed [cm]",
     )
     for n in robots:
         for name, problem in (
@@ -167,6 +168,7 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
                     mean([run.moving for run in found.runs]),
                     mean([run.without_sag for run in found.runs]),
                     mean([run.tracking for run in found.runs]),
+                    ", ".join(f"{100 * run.resting.mean:.2f}" for run in found.runs),
                 )
 
 
