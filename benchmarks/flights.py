@@ -51,7 +51,7 @@ from hitchopt.simulation.simulation_settings import (
     Preset,
     Settings,
 )
-from hitchopt.sweeps.campaign import run_campaign
+from hitchopt.sweeps.campaign import Campaign, run_campaign
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; drones feed forward "
@@ -139,6 +139,7 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
         "all, without sag [cm]",
         "drones to setpoints [cm]",
         "at rest, seed by seed [cm]",
+        "first failures",
     )
     for n in robots:
         for name, problem in (
@@ -169,6 +170,7 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
                     mean([run.without_sag for run in found.runs]),
                     mean([run.tracking for run in found.runs]),
                     ", ".join(f"{100 * run.resting.mean:.2f}" for run in found.runs),
+                    first_failures(found),
                 )
 
 
@@ -278,9 +280,6 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
     begin = time.perf_counter()
     found = run_campaign(task, settings, given.runs, given.processes)
     low, high = found.interval
-    failures = "; ".join(
-        f"{kind} {where}: {count}" for (kind, where), count in found.failures.most_common()
-    )
     kinds = ("moving", "resting", "without_sag")
     errors = "; ".join(mean([getattr(run, kind) for run in found.runs]) for kind in kinds)
     print_row(
@@ -289,10 +288,16 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
         f"{given.runs}",
         f"{found.successes} ({low:.0%} to {high:.0%})",
         errors,
-        failures or "none",
+        first_failures(found),
         f"{np.nanmedian([run.pace for run in found.runs]):.1f}",
     )
     print(f"({time.perf_counter() - begin:.0f} s)", file=sys.stderr)
+
+
+def first_failures(found: Campaign) -> str:
+    """Return what failed first in how many flights."""
+    counts = found.failures.most_common()
+    return "; ".join(f"{kind} {where}: {count}" for (kind, where), count in counts) or "none"
 
 
 def mean(errors: list[Spread]) -> str:
