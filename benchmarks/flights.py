@@ -2,13 +2,13 @@
 
 Usage: python -m benchmarks.flights [weight] [capstan] [experiments] [moved] [irregular] [perturbed]
                                     [formed] [--runs N] [--seed S] [--processes P] [--only WORD]
-                                    [--robots N ...] [--preset NAME]
+                                    [--robots N ...] [--preset NAME] [--of NAME ...]
 
 Without names: all of them. Minutes; results are printed as they come, as the lines of tables.
 
 weight: vertex errors with sag of hitches that stand, that move and that are formed, ropes of 10 g/m
     and plans that know it, calm and perturbed; of N robots, 3 by default, with a preset, ``fast``
-    by default.
+    by default, and with the usual perturbations or those of them that are named.
 
 capstan: tension ratio of a right-angled clasp, per preset and friction.
 experiments: the paper's that move a hitch, at low and at high friction: calm flights with the
@@ -25,7 +25,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -48,10 +48,11 @@ from hitchopt.simulation.simulation_settings import (
     FAST,
     PRESETS,
     USUAL,
+    Perturbations,
     Preset,
     Settings,
 )
-from hitchopt.sweeps.campaign import run_campaign
+from hitchopt.sweeps.campaign import Campaign, run_campaign
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, thicker than real ones; drones feed forward "
@@ -84,6 +85,7 @@ class Campaigns:
     seed: seed of the first one.
     processes: number at a time.
     preset: resolution of the part weight.
+    perturbations: those of the part weight.
     """
 
     only: str
@@ -91,6 +93,7 @@ class Campaigns:
     seed: int
     processes: int
     preset: Preset
+    perturbations: Perturbations
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -103,12 +106,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="problems whose names contain this")
     parser.add_argument("--robots", type=int, nargs="*", default=[3], help="of the part weight")
     parser.add_argument("--preset", choices=PRESETS, default="fast", help="of the part weight")
+    parser.add_argument("--of", nargs="*", choices=asdict(USUAL), help="of the part weight")
     given = parser.parse_args(arguments)
     parts = given.parts or PARTS
     if not set(parts) <= set(PARTS):
         parser.error(f"parts are {', '.join(PARTS)}, not {', '.join(parts)}")
     preset = PRESETS[given.preset]
-    campaigns = Campaigns(given.only, given.runs, given.seed, given.processes, preset)
+    some = {name: getattr(USUAL, name) for name in given.of or asdict(USUAL)}
+    campaigns = Campaigns(
+        given.only, given.runs, given.seed, given.processes, preset, Perturbations(**some)
+    )
     print_environment(LIMITATIONS)
     print(f"calm flights: seed 0; perturbed: seeds from {given.seed} on; load {busy():.1f}")
     if "weight" in parts:
@@ -138,6 +145,8 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
         "moving, sag included [cm]",
         "all, without sag [cm]",
         "drones to setpoints [cm]",
+        "at rest, seed by seed [cm]",
+        "first failures",
     )
     for n in robots:
         for name, problem in (
@@ -152,7 +161,9 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
                 ("calm", Settings(preset=given.preset), 1),
                 (
                     "perturbed",
-                    Settings(preset=given.preset, perturbations=USUAL, seed=given.seed),
+                    Settings(
+                        preset=given.preset, perturbations=given.perturbations, seed=given.seed
+                    ),
                     given.runs,
                 ),
             ):
@@ -167,6 +178,8 @@ def weight(given: Campaigns, robots: Sequence[int]) -> None:
                     mean([run.moving for run in found.runs]),
                     mean([run.without_sag for run in found.runs]),
                     mean([run.tracking for run in found.runs]),
+                    ", ".join(f"{100 * run.resting.mean:.2f}" for run in found.runs),
+                    first_failures(found),
                 )
 
 
@@ -276,9 +289,6 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
     begin = time.perf_counter()
     found = run_campaign(task, settings, given.runs, given.processes)
     low, high = found.interval
-    failures = "; ".join(
-        f"{kind} {where}: {count}" for (kind, where), count in found.failures.most_common()
-    )
     kinds = ("moving", "resting", "without_sag")
     errors = "; ".join(mean([getattr(run, kind) for run in found.runs]) for kind in kinds)
     print_row(
@@ -287,10 +297,16 @@ def campaign(task: Task, name: str, given: Campaigns) -> None:
         f"{given.runs}",
         f"{found.successes} ({low:.0%} to {high:.0%})",
         errors,
-        failures or "none",
+        first_failures(found),
         f"{np.nanmedian([run.pace for run in found.runs]):.1f}",
     )
     print(f"({time.perf_counter() - begin:.0f} s)", file=sys.stderr)
+
+
+def first_failures(found: Campaign) -> str:
+    """Return what failed first in how many flights."""
+    counts = found.failures.most_common()
+    return "; ".join(f"{kind} {where}: {count}" for (kind, where), count in counts) or "none"
 
 
 def mean(errors: list[Spread]) -> str:

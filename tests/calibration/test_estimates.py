@@ -8,16 +8,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import approx_fprime, least_squares
-from synthetic_flight import recorded, shaken
+from synthetic_flight import recorded, shaken, turns
 
 from hitchopt.calibration.calibrate import estimate_team
-from hitchopt.calibration.clasp_sliding import COSINES, IN_SPACE, TURNS, friction_pulls
+from hitchopt.calibration.clasp_sliding import (
+    BLURRED,
+    COSINES,
+    IN_SPACE,
+    TURNS,
+    friction_pulls,
+    sliding_clasps,
+)
 from hitchopt.calibration.estimates import robust_mean
-from hitchopt.calibration.flight_windows import windows_of
+from hitchopt.calibration.flight_windows import WINDOW, windows_of
 from hitchopt.calibration.force_balance import ForceBalance
 from hitchopt.calibration.plan_comparison import compare
 from hitchopt.calibration.stiffness_fit import _Residuals
 from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
 from hitchopt.hitch.cable_parts import CableParts
 
@@ -93,6 +101,35 @@ def test_friction_acts_along_the_cables_relative_velocity() -> None:
         np.testing.assert_allclose(found, capstan * np.asarray(expected), atol=1e-12)
     slow = friction_pulls(turns, np.array([5e-3, 0.0]), blurred=5e-3)
     np.testing.assert_allclose(slow, capstan * np.array([1.0, -c]) / np.sqrt(2.0))
+
+
+def test_cables_that_noise_slides_back_and_forth_count_with_every_direction() -> None:
+    """Against pulls at fine times: cables sway by 2 cm, a window being half a period."""
+    task, recording = recorded(*hitches(), K, DENSITY)
+    team, layout, t = task.team, task.team.layout, recording.t
+    windows = windows_of(recording, task)
+    balance = ForceBalance.of(team, windows, DENSITY)
+    legs = recording.drones - recording.vertices[:, layout.anchors]
+    sense, turning, size = np.tile([1.0, -1.0], 3), 2.0 * np.pi, 0.02
+    sway = size * np.sin(turning * t)[:, None] * sense
+    swayed = replace(recording, drones=recording.drones + sway[..., None] * unit(legs))
+    tensions = np.ones((len(windows.t), balance.per_window))
+    found = sliding_clasps(team, swayed, balance, tensions)
+    assert len(found.windows) > 20
+
+    fine = np.linspace(0.0, t[-1], 20001)
+    rates = np.gradient(np.linalg.norm(legs, axis=-1), t, axis=0)
+    rates = np.stack([np.interp(fine, t, column) for column in rates.T], axis=-1)
+    rates += size * turning * np.cos(turning * fine)[:, None] * sense
+    expected = []
+    for w, c in zip(found.windows, found.clasps, strict=True):
+        pair = [2 * layout.ahead[c], 2 * layout.behind[c] + 1]
+        angles = turns(team, windows.drones[w], windows.vertices[w])[pair]
+        within = rates[np.abs(fine - windows.t[w]) <= 0.5 * WINDOW][:, pair]
+        pulls = friction_pulls(np.broadcast_to(angles, within.shape), within, BLURRED)
+        expected.append(np.mean(pulls, axis=0))
+    assert np.sum(found.pulls * expected) == pytest.approx(np.sum(np.square(expected)), rel=0.1)
+    assert np.sqrt(np.mean((found.pulls - expected) ** 2)) < 0.3
 
 
 def test_a_steady_wind_is_no_stiffness() -> None:

@@ -17,7 +17,14 @@ from hitchopt.planners.forming.assigning import assigned
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears, swap
-from hitchopt.planners.forming.tying_stages import Stage, tied, undone
+from hitchopt.planners.forming.tying_stages import (
+    PULL_SECONDS,
+    SMOOTH,
+    Stage,
+    rise_seconds,
+    tied,
+    undone,
+)
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
@@ -107,6 +114,7 @@ def test_all_stages_keep_the_limits_and_follow_one_another(density: float) -> No
                 np.testing.assert_allclose(rates[[0, -1]], 0.0, atol=1e-9)
     fastest = max(np.max(np.linalg.norm(sampled(s, 2), axis=-1)) for s in stages[:2])
     assert fastest > 0.9 * 2.0  # the limit that binds is used
+    assert stages[-1].drones.duration == pytest.approx(rise_seconds(hitch.team))
 
 
 def test_drones_stay_on_their_ellipses_and_change_places_twice() -> None:
@@ -180,6 +188,57 @@ def test_release_is_form_reversed() -> None:
     assert pull is not None
     assert pull[0, 0] == 1.0
     assert pull[0, -1] == 0.0
+
+
+def kept_swing(team: Team, seconds: float, beads: int = 60) -> float:
+    """Return the swing of a string of beads over its lift, after a rise along ``SMOOTH``.
+
+    The string is robot 0's cable, its mass and half of the loads at its clasps spread evenly.
+    """
+    length, tension = team.cable_length[0], team.tension[0]
+    mass = team.cable_density * length + 0.5 * (team.load[0] + team.load[1])
+    bead, spacing = mass / beads, length / (beads + 1)
+    bends = 2.0 * np.eye(beads) - np.eye(beads, k=1) - np.eye(beads, k=-1)
+    squares, modes = np.linalg.eigh(tension / spacing / bead * bends)
+    s, weights = np.polynomial.legendre.leggauss(200)
+    s, weights = 0.5 * (s + 1.0), 0.5 * weights
+    rate = sum(
+        7.0 * (SMOOTH[i + 1] - SMOOTH[i]) * math.comb(6, i) * s**i * (1.0 - s) ** (6 - i)
+        for i in range(7)
+    )
+    turned = np.exp(1j * np.sqrt(squares)[:, None] * seconds * s)
+    left = np.abs(turned @ (weights * rate)) * (modes.T @ np.ones(beads)) / squares
+    lift = modes @ (modes.T @ np.ones(beads) / squares)
+    return float(np.max(np.abs(modes) @ np.abs(left)) / np.max(lift))
+
+
+@pytest.mark.parametrize(
+    "team",
+    [
+        Team(4, 2.2, tension=0.5, cable_density=0.01),
+        Team(4, 2.9, tension=0.4, cable_density=0.003, load=[0.02, 0.01, 0.0, 0.0]),
+        Team(4, 2.4, tension=0.7, load=0.03),
+    ],
+)
+def test_tensions_rise_so_slowly_that_cables_hang_still(team: Team) -> None:
+    """Against the modes of a string of beads: a rise of half the time leaves a tenth or more."""
+    seconds = rise_seconds(team)
+    assert seconds > PULL_SECONDS
+    assert kept_swing(team, seconds) < 0.03
+    assert kept_swing(team, 0.5 * seconds) > 0.1
+
+
+def test_the_slowest_cable_sets_the_rise_and_none_has_the_shortest() -> None:
+    """A quarter of the tension or four times the mass double it; a chain's ends have one clasp."""
+    plain = Team(3, [2.0, 2.6, 2.2], tension=[0.4, 0.5, 0.6], cable_density=0.01)
+    assert rise_seconds(plain) == pytest.approx(6.0 * 2.6 * math.sqrt(0.01 / 0.5))
+    weak = Team(3, plain.cable_length, tension=0.25 * plain.tension, cable_density=0.01)
+    assert rise_seconds(weak) == pytest.approx(2.0 * rise_seconds(plain))
+    assert rise_seconds(Team(3, 2.4, tension=0.5)) == PULL_SECONDS
+    chain = Team(3, 2.5, topology="open", tension=0.5, load=[0.03, 0.0])
+    assert rise_seconds(chain) == pytest.approx(6.0 * math.sqrt(2.5 * 0.015 / 0.5))
+    middle = Team(3, 2.5, topology="open", tension=0.5, load=[0.03, 0.01])
+    assert rise_seconds(middle) == pytest.approx(6.0 * math.sqrt(2.5 * 0.02 / 0.5))
 
 
 @pytest.mark.parametrize("shift", [1, 3])

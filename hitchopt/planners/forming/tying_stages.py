@@ -17,7 +17,10 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 PULL_SECONDS = 1.0
-"""[s] Duration of the rise of the tensions, against which drones tilt."""
+"""[s] Shortest rise of the tensions, against which drones tilt."""
+
+PULL_PERIODS = 3.0
+"""Shortest rise of the tensions over the longest period of a cable (see ``rise_seconds``)."""
 
 SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of the rise from 0 to 1 with three derivatives zero at both ends."""
@@ -35,7 +38,7 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
     legs = float(np.max(hitch.legs))
     shorter = (1.0 - pre.share) * legs  # no drone goes farther, whatever the polygon
     flights = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
-    rest = PiecewisePolynomial.constant([0.0, PULL_SECONDS], hitch.drones)
+    rest = PiecewisePolynomial.constant([0.0, rise_seconds(team)], hitch.drones)
     return [
         Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds), CableState.CLASPING),
         Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds), CableState.CLASPING),
@@ -45,6 +48,24 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
         ),
         Stage("tension", rest, CableState.HITCHED, SMOOTH[None]),
     ]
+
+
+def rise_seconds(team: Team) -> float:
+    """Return how long the tensions rise, so that vertices hang still at the end [s].
+
+    Cables sag until tension comes, and what lifts them fast leaves them swinging. The slowest swing
+    of a regular hitch is that of its cables as strings, ends at rest: a wave runs to and fro in
+    ``2 √(L m / T)``, m being the mass of the cable and of half the load at each of its clasps.
+    After a rise along ``SMOOTH`` an oscillator of that period keeps 19 % of the lift if the rise
+    lasts 1.6 periods, nothing at 2.2, and 2.2 % at most from there on; three periods allow for the
+    tensions that are still low, at which it is slower.
+    """
+    layout = team.layout
+    meet, halves = np.append(layout.ahead, layout.behind), np.tile(0.5 * team.load, 2)
+    loads = np.bincount(meet, halves, team.robots)
+    masses = team.cable_density * team.cable_length + loads
+    periods = 2.0 * np.sqrt(team.cable_length * masses / team.tension)
+    return max(PULL_SECONDS, PULL_PERIODS * float(np.max(periods)))
 
 
 def undone(stages: Sequence[Stage]) -> list[Stage]:
