@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import certify
+from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -98,7 +99,8 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        self._certificate = certify(self.motion, reports=IN_FLIGHT)
+        with kernels():
+            self._certificate = certify(self.motion, reports=IN_FLIGHT)
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 
@@ -142,6 +144,11 @@ class Replanner(OneLine):
         """
         at = not_negative("at", at)
         outline, altitude, turned = self._asked(polygon, vertex, to, yaw)
+        with kernels():
+            return self._answered(outline, altitude, turned, at)
+
+    def _answered(self, outline: Outline, altitude: float, turned: float, at: float) -> Retarget:
+        """Return the answer to a goal, and fly there if it is accepted."""
         refusal = ""
         for wait in WAITS:
             try:

@@ -1,0 +1,94 @@
+"""Smallest and largest values by compiled code, where that is on and knows the bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.trajectory import bernstein, extremum
+from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
+from hitchopt.trajectory.extremum import Bound, Cells, Extremum
+from hitchopt.values import Array
+
+BLOCKS = 4
+"""Number of blocks that compiled code takes."""
+
+LENGTHS = "lengths"
+"""Kind of the bound that encloses lengths rather than directions."""
+
+
+@dataclass(frozen=True)
+class KnownBound:
+    """A bound that compiled code has as well.
+
+    Attributes
+    ----------
+    kind: its name in ``hitchopt.compiled.search_kernel``.
+    blocks: number of blocks that it takes; cells with others are left to numpy.
+    noise: of positions [m].
+    short: vectors this short have no direction [m].
+    rounding: relative.
+    """
+
+    kind: str
+    blocks: int = 1
+    noise: float = 0.0
+    short: float = 0.0
+    rounding: float = 0.0
+
+
+def smallest(cells: Cells, bound: Bound, known: KnownBound, target: float = -np.inf) -> Extremum:
+    """Return what ``extremum.smallest`` does."""
+    found = _compiled(cells, known, 1.0, target)
+    return extremum.smallest(cells, bound, target) if found is None else found
+
+
+def largest(cells: Cells, bound: Bound, known: KnownBound, target: float = np.inf) -> Extremum:
+    """Return what ``extremum.largest`` does."""
+    found = _compiled(cells, known, -1.0, -target)
+    return extremum.largest(cells, bound, target) if found is None else found
+
+
+def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Extremum | None:
+    """Return the extremum, the sign and the target being those of a smallest value."""
+    if not kernels_on() or not 0 < len(cells) <= extremum.BATCH:
+        return None
+    if len(cells.blocks) != known.blocks:
+        return None
+    from hitchopt.compiled import search_kernel
+
+    blocks = [np.array(block, order="C") for block in cells.blocks]
+    largest = max(bernstein.degree(block) for block in blocks)
+    if largest > search_kernel.MOST or not all(
+        np.max(np.abs(block), initial=0.0) < search_kernel.HUGE for block in blocks
+    ):
+        return None
+    blocks += [np.empty((len(cells), 0, 1))] * (BLOCKS - len(blocks))
+    order = NORM_ORDER if known.kind == LENGTHS else DIRECTION_ORDER
+    row = 1 if known.kind in ("thrust", "tilt") else 0
+    worst, value, item, time = search_kernel.search(
+        search_kernel.KINDS[known.kind],
+        sign,
+        (blocks[0], blocks[1], blocks[2], blocks[3]),
+        _weights(bernstein.degree(blocks[row]), order),
+        np.array([known.noise, known.short, known.rounding]),
+        cells.item,
+        np.stack([cells.start, cells.end, cells.margin]),
+        np.array([extremum.RELATIVE, extremum.ABSOLUTE, target]),
+        np.array([extremum.MAX_HALVINGS, extremum.MAX_CELLS]),
+    )
+    return Extremum(sign * worst, sign * value, int(item), time)
+
+
+@lru_cache
+def _weights(degree: int, order: int) -> Array:
+    """Return the weights (degree + 1 + order + 1, order + 1) of values at nodes, and through them.
+
+    What ``bernstein.interpolate`` takes, and what it makes of it.
+    """
+    at = bernstein.basis(bernstein.nodes(order), degree)
+    through = bernstein.interpolate(np.eye(order + 1))
+    return np.concatenate([at.T, through])
