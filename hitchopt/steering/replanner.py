@@ -264,7 +264,7 @@ class Replanner(OneLine):
             raise _NotNowError(f"{when} there is no hitch")
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
-        model = still.drones(np.zeros(1), 1.0, math.inf)[1].positions[0, ..., 0]
+        model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
         if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
             raise _NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return state
