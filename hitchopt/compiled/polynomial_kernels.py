@@ -85,7 +85,7 @@ def inner(a: Array, b: Array) -> float:
 
 
 @kernel
-def _combined(rows: Array, weights: Array) -> Array:
+def combined(rows: Array, weights: Array) -> Array:
     """Return the product of two matrices, small ones."""
     out = np.zeros((len(rows), weights.shape[1]))
     for i in range(len(rows)):
@@ -101,11 +101,11 @@ def _inverse_length(y: Array, weights: Array, noise: float) -> tuple[Array, Arra
     scale = np.max(np.abs(y))
     y = y / (scale if scale > 0.0 else 1.0)
     count = y.shape[1]
-    lengths = column_norms(_combined(y, weights[:count]))
+    lengths = column_norms(combined(y, weights[:count]))
     nothing = np.zeros(len(lengths))
     if not (scale > 0.0 and np.min(lengths) > 0.0):
         return y, nothing, 1.0
-    w = _combined((1.0 / lengths).reshape(1, -1), weights[count:])[0]
+    w = combined((1.0 / lengths).reshape(1, -1), weights[count:])[0]
     squared = product(y[0], y[0]) + product(y[1], y[1]) + product(y[2], y[2])
     size = np.max(np.abs(w))
     residual = np.max(np.abs(product(squared, product(w, w)) - 1.0))
@@ -133,8 +133,8 @@ def length(y: Array, weights: Array) -> tuple[Array, float]:
     scale = np.max(np.abs(y))
     y = y / (scale if scale > 0.0 else 1.0)
     count = y.shape[1]
-    lengths = column_norms(_combined(y, weights[:count]))
-    v = _combined(lengths.reshape(1, -1), weights[count:])[0]
+    lengths = column_norms(combined(y, weights[:count]))
+    v = combined(lengths.reshape(1, -1), weights[count:])[0]
     squared = product(y[0], y[0]) + product(y[1], y[1]) + product(y[2], y[2])
     order = max(len(squared), 2 * len(v) - 1) - 1
     residual = elevated(squared, order) - elevated(product(v, v), order)

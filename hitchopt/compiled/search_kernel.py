@@ -1,7 +1,7 @@
 """Branch and bound as in ``hitchopt.trajectory.extremum``, compiled, for bounds known here.
 
 A cell is bounded number by number: what follows says the same as the functions that are named, for
-cells of ordinary cables. Numbers that are not below HUGE are as bad as can be.
+cells of ordinary cables.
 """
 
 from __future__ import annotations
@@ -28,12 +28,6 @@ KINDS = {
 }
 """Kinds of bounds, of ``rates``, ``distance``, ``thrust``, ``tilt``, ``equilibrium``,
 ``cable_length``, ``convexity`` and ``tension``."""
-
-MOST = 24
-"""Largest degree of a block that is compiled."""
-
-HUGE = 1e60
-"""Numbers below this have products that do not overflow."""
 
 
 @kernel

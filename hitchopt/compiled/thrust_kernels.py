@@ -9,6 +9,7 @@ from hitchopt.compiled.polynomial_kernels import (
     Blocks,
     Found,
     column_norms,
+    combined,
     direction,
     inner,
     product,
@@ -98,3 +99,28 @@ def thrust(blocks: Blocks, weights: Array, numbers: Array) -> Found:
     x = k / max(1, len(sizes) - 1)
     there, off = _thrust_at(blocks, x, numbers[1])
     return sizes[k] + radius, np.sqrt(inner(there, there)) + off, x
+
+
+@kernel
+def static_thrusts(
+    blocks: Blocks, weights: Array, noise: float, lower: Array
+) -> tuple[Array, Array]:
+    """Return thrusts (cells, 3, ·) and errors (cells,) as ``thrust_enclosure`` and ``reduced``.
+
+    Parameters
+    ----------
+    blocks: (cells, rows, ·) each, of ``thrust_cells``.
+    weights: as of a search.
+    noise: of positions [m].
+    lower: the same for polynomials of thrusts, in the degree to which they are reduced.
+    """
+    count, order = len(blocks[0]), lower.shape[1] - 1
+    thrusts, radii = np.empty((count, 3, order + 1)), np.empty(count)
+    for c in range(count):
+        cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
+        found, radius = _enclosed(cell, weights, noise)
+        degree = found.shape[1] - 1
+        thrusts[c] = combined(combined(found, lower[: degree + 1]), lower[degree + 1 :])
+        lost = column_norms(rows_elevated(thrusts[c], degree) - found)
+        radii[c] = radius + np.max(lost)
+    return thrusts, radii

@@ -13,6 +13,12 @@ from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
 from hitchopt.trajectory.extremum import Bound, Cells, Extremum
 from hitchopt.values import Array
 
+MOST = 24
+"""Largest degree of a block that is compiled."""
+
+HUGE = 1e60
+"""Numbers below this have products that do not overflow."""
+
 BLOCKS = 4
 """Number of blocks that compiled code takes."""
 
@@ -60,11 +66,8 @@ def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Ex
         return None
     from hitchopt.compiled import search_kernel
 
-    blocks = [np.array(block, order="C") for block in cells.blocks]
-    largest = max(bernstein.degree(block) for block in blocks)
-    if largest > search_kernel.MOST or not all(
-        np.max(np.abs(block), initial=0.0) < search_kernel.HUGE for block in blocks
-    ):
+    blocks = compiled_blocks(cells)
+    if blocks is None:
         return None
     blocks += [np.empty((len(cells), 0, 1))] * (BLOCKS - len(blocks))
     order = NORM_ORDER if known.kind == LENGTHS else DIRECTION_ORDER
@@ -73,7 +76,7 @@ def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Ex
         search_kernel.KINDS[known.kind],
         sign,
         (blocks[0], blocks[1], blocks[2], blocks[3]),
-        _weights(bernstein.degree(blocks[row]), order),
+        interpolation_weights(bernstein.degree(blocks[row]), order),
         np.array([known.noise, known.short, known.rounding]),
         cells.item,
         np.stack([cells.start, cells.end, cells.margin]),
@@ -83,11 +86,27 @@ def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Ex
     return Extremum(sign * worst, sign * value, int(item), time)
 
 
-@lru_cache
-def _weights(degree: int, order: int) -> Array:
-    """Return the weights (degree + 1 + order + 1, order + 1) of values at nodes, and through them.
+def compiled_blocks(cells: Cells) -> list[Array] | None:
+    """Return blocks as compiled code takes them; None of high degrees, or of numbers too large."""
+    if any(bernstein.degree(block) > MOST for block in cells.blocks):
+        return None
+    blocks = [np.array(block, order="C") for block in cells.blocks]
+    fine = all(np.max(np.abs(block), initial=0.0) < HUGE for block in blocks)
+    return blocks if fine else None
 
-    What ``bernstein.interpolate`` takes, and what it makes of it.
+
+@lru_cache
+def interpolation_weights(degree: int, order: int) -> Array:
+    """Return the weights of a polynomial's values at nodes, then of those through the nodes.
+
+    Parameters
+    ----------
+    degree: of the polynomial.
+    order: of the one through the nodes, as of ``bernstein.interpolate``.
+
+    Returns
+    -------
+    (degree + 1 + order + 1, order + 1)
     """
     at = bernstein.basis(bernstein.nodes(order), degree)
     through = bernstein.interpolate(np.eye(order + 1))
