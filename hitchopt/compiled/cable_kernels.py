@@ -7,6 +7,7 @@ import numpy as np
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.compiled.polynomial_kernels import (
     Found,
+    add_product,
     column_norms,
     direction,
     elevated,
@@ -33,7 +34,7 @@ def balance(rows: Array, pulls: Array, weights: Array, numbers: Array) -> Found:
         along, error = direction(rows[3 * i : 3 * i + 3], weights, noise)
         errors[i // 2] += error
         for j in range(3):
-            residual[j] += _SIGNS[i] * product(along[j], pulls[i // 2])
+            add_product(residual[j], _SIGNS[i], along[j], pulls[i // 2])
     tension, norms = rows_elevated(pulls, order), column_norms(residual)
     sizes = rows_elevated(np.abs(pulls), order)
     norms += sizes[0] * errors[0] + sizes[1] * errors[1]

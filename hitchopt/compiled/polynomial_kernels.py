@@ -20,19 +20,33 @@ Found = tuple[float, float, float]
 
 _BINOMIALS = np.array([[comb(n, k) for k in range(65)] for n in range(65)], dtype=np.float64)
 
+_INVERSES = 1.0 / np.maximum(_BINOMIALS, 1.0)
+
 
 @kernel
 def product(a: Array, b: Array) -> Array:
     """Return the product of two polynomials."""
     m, n = len(a) - 1, len(b) - 1
-    out = np.zeros(m + n + 1)
+    if n == 0:
+        return a * b[0]
+    scaled, out = np.empty(n + 1), np.zeros(m + n + 1)
+    for j in range(n + 1):
+        scaled[j] = b[j] * _BINOMIALS[n, j]
     for i in range(m + 1):
-        c = a[i] * _BINOMIALS[m, i]
+        c, onward = a[i] * _BINOMIALS[m, i], out[i : i + n + 1]
         for j in range(n + 1):
-            out[i + j] += c * b[j] * _BINOMIALS[n, j]
+            onward[j] += c * scaled[j]
     for k in range(m + n + 1):
-        out[k] /= _BINOMIALS[m + n, k]
+        out[k] *= _INVERSES[m + n, k]
     return out
+
+
+@kernel
+def add_product(out: Array, factor: float, a: Array, b: Array) -> None:
+    """Add a product of two polynomials, times a factor, to one of its degree."""
+    found = product(a, b)
+    for k in range(len(out)):
+        out[k] += factor * found[k]
 
 
 @kernel
@@ -51,21 +65,33 @@ def rows_elevated(a: Array, order: int) -> Array:
 
 
 @kernel
+def basis_at(order: int, x: float) -> Array:
+    """Return the Bernstein polynomials of a degree at x."""
+    out = np.zeros(order + 1)
+    out[0] = 1.0
+    for r in range(1, order + 1):
+        for k in range(r, 0, -1):
+            out[k] = out[k] * (1.0 - x) + out[k - 1] * x
+        out[0] *= 1.0 - x
+    return out
+
+
+@kernel
 def value_at(a: Array, x: float) -> float:
-    """Return a polynomial's value, by de Casteljau."""
-    c = a.copy()
-    for r in range(len(c) - 1, 0, -1):
-        for i in range(r):
-            c[i] = (1.0 - x) * c[i] + x * c[i + 1]
-    return float(c[0])
+    """Return a polynomial's value."""
+    weights, out = basis_at(len(a) - 1, x), 0.0
+    for k in range(len(a)):
+        out += weights[k] * a[k]
+    return out
 
 
 @kernel
 def values_at(rows: Array, x: float) -> Array:
     """Return the values (rows,) of polynomials."""
-    out = np.empty(len(rows))
+    weights, out = basis_at(rows.shape[1] - 1, x), np.zeros(len(rows))
     for i in range(len(rows)):
-        out[i] = value_at(rows[i], x)
+        for k in range(rows.shape[1]):
+            out[i] += weights[k] * rows[i, k]
     return out
 
 
@@ -73,9 +99,11 @@ def values_at(rows: Array, x: float) -> Array:
 def column_norms(rows: Array) -> Array:
     """Return the norms (columns,) of the columns of an array."""
     out = np.zeros(rows.shape[1])
-    for i in range(len(rows)):
-        out += rows[i] * rows[i]
-    return np.sqrt(out)
+    for k in range(rows.shape[1]):
+        for i in range(len(rows)):
+            out[k] += rows[i, k] * rows[i, k]
+        out[k] = np.sqrt(out[k])
+    return out
 
 
 @kernel
@@ -96,50 +124,79 @@ def combined(rows: Array, weights: Array) -> Array:
 
 
 @kernel
-def _inverse_length(y: Array, weights: Array, noise: float) -> tuple[Array, Array, float]:
-    """Return a scaled vector, its inverse length and error, as ``enclosure`` does."""
-    scale = np.max(np.abs(y))
-    y = y / (scale if scale > 0.0 else 1.0)
+def _scaled(y: Array) -> tuple[Array, float]:
+    """Return a vector whose largest coefficient is one, and by what it was divided."""
+    scale, out = 0.0, y.copy()
+    for i in range(len(y)):
+        for k in range(y.shape[1]):
+            scale = max(scale, abs(y[i, k]))
+    if scale > 0.0:
+        for i in range(len(y)):
+            for k in range(y.shape[1]):
+                out[i, k] /= scale
+    return out, scale
+
+
+@kernel
+def _squared(y: Array) -> Array:
+    """Return the square of a vector."""
+    out = np.zeros(2 * y.shape[1] - 1)
+    for i in range(len(y)):
+        add_product(out, 1.0, y[i], y[i])
+    return out
+
+
+@kernel
+def _farthest(values: Array, middle: float) -> float:
+    """Return the largest distance of values from one."""
+    out = 0.0
+    for k in range(len(values)):
+        out = max(out, abs(values[k] - middle))
+    return out
+
+
+@kernel
+def _inverse_length(y: Array, scale: float, weights: Array, noise: float) -> tuple[Array, float]:
+    """Return the inverse length of a scaled vector and its error, as ``enclosure`` does."""
     count = y.shape[1]
     lengths = column_norms(combined(y, weights[:count]))
     nothing = np.zeros(len(lengths))
     if not (scale > 0.0 and np.min(lengths) > 0.0):
-        return y, nothing, 1.0
+        return nothing, 1.0
     w = combined((1.0 / lengths).reshape(1, -1), weights[count:])[0]
-    squared = product(y[0], y[0]) + product(y[1], y[1]) + product(y[2], y[2])
-    size = np.max(np.abs(w))
-    residual = np.max(np.abs(product(squared, product(w, w)) - 1.0))
+    size = _farthest(w, 0.0)
+    residual = _farthest(product(_squared(y), product(w, w)), 1.0)
     residual += ENCLOSED * (1.0 + size * size)
     if not residual < 1.0:
-        return y, nothing, 1.0
+        return nothing, 1.0
     least = np.sqrt(1.0 - residual)
     error = residual / (1.0 + least) + 2.0 * noise / scale * size / least
-    return (y, w, error) if error < 1.0 else (y, nothing, 1.0)
+    return (w, error) if error < 1.0 else (nothing, 1.0)
 
 
 @kernel
 def direction(y: Array, weights: Array, noise: float) -> tuple[Array, float]:
     """Return the direction of a vector and its error, as ``enclosure.direction``."""
-    y, w, error = _inverse_length(y, weights, noise)
-    unit = np.empty((3, y.shape[1] + len(w) - 1))
+    y, scale = _scaled(y)
+    w, error = _inverse_length(y, scale, weights, noise)
+    unit = np.zeros((3, y.shape[1] + len(w) - 1))
     for i in range(3):
-        unit[i] = product(y[i], w)
+        add_product(unit[i], 1.0, y[i], w)
     return unit, error
 
 
 @kernel
 def length(y: Array, weights: Array) -> tuple[Array, float]:
     """Return the length of a vector and its error, as ``enclosure.norm``."""
-    scale = np.max(np.abs(y))
-    y = y / (scale if scale > 0.0 else 1.0)
+    y, scale = _scaled(y)
     count = y.shape[1]
     lengths = column_norms(combined(y, weights[:count]))
     v = combined(lengths.reshape(1, -1), weights[count:])[0]
-    squared = product(y[0], y[0]) + product(y[1], y[1]) + product(y[2], y[2])
+    squared = _squared(y)
     order = max(len(squared), 2 * len(v) - 1) - 1
     residual = elevated(squared, order) - elevated(product(v, v), order)
     least = np.min(v)
     if least > 0.0:
-        return v * scale, (np.max(np.abs(residual)) + ENCLOSED) / least * scale
+        return v * scale, (_farthest(residual, 0.0) + ENCLOSED) / least * scale
     largest = 0.5 * np.max(column_norms(y)) * (1.0 + ENCLOSED)
     return np.full(len(v), largest * scale), largest * scale

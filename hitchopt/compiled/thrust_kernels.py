@@ -8,11 +8,11 @@ from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.compiled.polynomial_kernels import (
     Blocks,
     Found,
+    add_product,
     column_norms,
     combined,
     direction,
     inner,
-    product,
     rows_elevated,
     value_at,
     values_at,
@@ -27,7 +27,7 @@ def _enclosed(blocks: Blocks, weights: Array, noise: float) -> tuple[Array, floa
     along, error = direction(legs, weights, noise)
     out = rows_elevated(free, along.shape[1] + pull.shape[1] - 2)
     for i in range(3):
-        out[i] += product(along[i], pull[0])
+        add_product(out[i], 1.0, along[i], pull[0])
     return out, np.max(np.abs(pull)) * error + slop[0, 0]
 
 

@@ -27,6 +27,7 @@ from hitchopt.geometry.broadphase import (
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.compiled_search import KnownBound, smallest
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Bound, Cells, Extremum, Search
 from hitchopt.values import Array
@@ -127,12 +128,16 @@ def smallest_distance(
         every = all_pairs(len(first), None if second is None else count)
         every = every.take(allowed(every.first, every.second))
         group = max(1, GROUP // max(1, len(every)))  # pieces at a time
+        alone = len(breaks) - 1 <= group and metric is DISTANCE and math.isinf(known)
         for start in range(0, len(breaks) - 1 if len(every) else 0, group):
             a = first.corners[start : start + group]
             b = a if second is None else second.corners[start : start + group]
             times = breaks[start : start + group + 1]
             piece, pair = _near(a, b, every, margin, metric)
-            search.add(_cells(times, a, b, piece, every.take(pair), count, margin))
+            cells = _cells(times, a, b, piece, every.take(pair), count, margin)
+            if alone:
+                return _not_negative(smallest(cells, metric.bound, KnownBound("distance"), target))
+            search.add(cells)
         return _not_negative(search.finish())
     for span in _spans(breaks, first, second, search, allowed, margin, metric):
         a, b = span.first, span.second if span.second is not None else span.first
