@@ -53,9 +53,11 @@ def certify(
         if not isinstance(report, ReportRule):
             raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
     found: dict[str, tuple[Found, ...]] = {}
-    names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
     reports = [report for report in reports if not (part and report.whole)]
-    names += [report.name for report in reports]
+    names: list[str] = []
+    if progress is not None:
+        names += [rule.name for rule in RULES if rule.limit_of(motion) is not None]
+        names += [report.name for report in reports]
 
     def tell(name: str) -> None:
         if progress is not None and name in names:

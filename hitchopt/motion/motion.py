@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -144,7 +145,8 @@ class Motion(OneLine):
     @property
     def untimed(self) -> Motion:
         """The same motion without a limit on its duration."""
-        return replace(self, requirements=self.requirements.untimed)
+        needed = self.requirements.untimed
+        return self if needed is self.requirements else replace(self, requirements=needed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -180,7 +182,7 @@ class Motion(OneLine):
         middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
         return PiecewisePolynomial(self.vertices.breaks, np.stack([middles, middles], axis=2))
 
-    @property
+    @cached_property
     def cable_states(self) -> frozenset[CableState]:
         """States of the cables in the phases; of no phases, hitched or without cables."""
         if not self.phases:

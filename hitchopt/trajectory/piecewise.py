@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
+KEPT = 2**16
+"""Numbers up to which a derivative is kept: 0.5 MB."""
+
+
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial(OneLine):
     """Functions of time with values of any shape, polynomial between common breaks.
@@ -53,11 +57,13 @@ class PiecewisePolynomial(OneLine):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def _with(self, coefficients: Array) -> PiecewisePolynomial:
-        """Return other functions on the same breaks, unchecked: computed from checked ones."""
+    def _with(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
+        """Return other functions, unchecked: computed from checked ones."""
         made = object.__new__(PiecewisePolynomial)
-        coefficients.setflags(write=False)
-        object.__setattr__(made, "breaks", self.breaks)
+        breaks = self.breaks if breaks is None else breaks
+        for array in (coefficients, breaks):
+            array.setflags(write=False)
+        object.__setattr__(made, "breaks", breaks)
         object.__setattr__(made, "coefficients", coefficients)
         return made
 
@@ -160,10 +166,11 @@ class PiecewisePolynomial(OneLine):
         piece, x = self._places(t)
         h = self.durations[piece].reshape(x.shape)
         c = self.coefficients[piece]
-        orders = [bernstein.evaluate(c, x)]
+        at_end = bool(np.all(x == 1.0))
+        orders = [c[..., -1] if at_end else bernstein.evaluate(c, x)]
         for order in range(1, count):
             c = bernstein.differentiate(c)
-            orders.append(bernstein.evaluate(c, x) / h**order)
+            orders.append((c[..., -1] if at_end else bernstein.evaluate(c, x)) / h**order)
         return np.stack(orders, axis=-1)
 
     def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
@@ -178,15 +185,27 @@ class PiecewisePolynomial(OneLine):
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of the given order by time."""
-        c = self.coefficients
-        h = self.durations.reshape(-1, *(1,) * (c.ndim - 1))
-        for _ in range(order):
-            c = bernstein.differentiate(c) / h
-        return self._with(c)
+        if order == 0:
+            return self
+        if (known := self._derivatives.get(order)) is not None:
+            return known
+        lower = self.differentiated(order - 1).coefficients
+        h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
+        found = self._with(bernstein.differentiate(lower) / h)
+        if lower.size <= KEPT:
+            self._derivatives[order] = found
+        return found
+
+    @cached_property
+    def _derivatives(self) -> dict[int, PiecewisePolynomial]:
+        """Derivatives by their order, of small polynomials: several checks ask for the same."""
+        return {}
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
-        return PiecewisePolynomial(self.breaks, bernstein.elevate(self.coefficients, order))
+        if order == self.degree:
+            return self
+        return self._with(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
         """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
@@ -201,7 +220,9 @@ class PiecewisePolynomial(OneLine):
     def taken(self, pieces: slice) -> PiecewisePolynomial:
         """Return a run of pieces (at least one), at the same times."""
         first, last, _ = pieces.indices(self.pieces)
-        return PiecewisePolynomial(self.breaks[first : last + 1], self.coefficients[first:last])
+        if last <= first:
+            raise InputError("pieces", pieces, "at least one", "take a run of pieces")
+        return self._with(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
         """Return the same curves flown backwards, over the same span of time."""

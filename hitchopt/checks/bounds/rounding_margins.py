@@ -22,14 +22,20 @@ ROUNDING = 2.0**-40
 _KNOWN: WeakKeyDictionary[PiecewisePolynomial, dict[int, Array]] = WeakKeyDictionary()
 """Margins of derivatives, by their order, as long as the polynomials are in use."""
 
+_MAGNITUDES: WeakKeyDictionary[Motion, float] = WeakKeyDictionary()
+"""Largest coordinates of motions in use."""
+
 LAST_PLACE = 2.0**-50
 """What a difference of two numbers errs by at most, relative to it, with room to spare."""
 
 
 def magnitude(motion: Motion) -> float:
-    """Return the largest coordinate of the plan [m]."""
-    parts = (motion.drones, motion.vertices)
-    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+    """Return the largest coordinate of the plan [m]; all checks ask for it."""
+    if motion not in _MAGNITUDES:
+        parts = (motion.drones, motion.vertices)
+        sizes = (np.max(np.abs(part.coefficients), initial=0.0) for part in parts)
+        _MAGNITUDES[motion] = float(max(sizes))
+    return _MAGNITUDES[motion]
 
 
 def position_margin(motion: Motion) -> float:
