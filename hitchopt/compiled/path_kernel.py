@@ -13,96 +13,110 @@ from hitchopt.values import Array, Indices
 JET = 4
 """Number of derivatives, the zeroth included."""
 
+Jet = tuple[float, float, float, float]
+"""Taylor coefficients."""
+
 _FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
 
 
 @kernel
-def _times(a: Array, b: Array) -> Array:
+def _times(a: Jet, b: Jet) -> Jet:
     """Return a product."""
-    out = np.zeros(JET)
-    for i in range(JET):
-        for j in range(JET - i):
-            out[i + j] += a[i] * b[j]
-    return out
+    return (
+        a[0] * b[0],
+        a[0] * b[1] + a[1] * b[0],
+        a[0] * b[2] + a[1] * b[1] + a[2] * b[0],
+        a[0] * b[3] + a[1] * b[2] + a[2] * b[1] + a[3] * b[0],
+    )
 
 
 @kernel
-def _square_root(a: Array) -> Array:
+def _minus(a: Jet, b: Jet) -> Jet:
+    """Return a difference."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+
+
+@kernel
+def _plus(a: Jet, b: Jet) -> Jet:
+    """Return a sum."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
+
+
+@kernel
+def _square_root(a: Jet) -> Jet:
     """Return a square root; nan where there is none."""
-    out = np.empty(JET)
-    out[0] = np.sqrt(a[0])
-    for k in range(1, JET):
-        known = a[k]
-        for i in range(1, k):
-            known -= out[i] * out[k - i]
-        out[k] = known / (2.0 * out[0])
-    return out
+    first = np.sqrt(a[0])
+    second = a[1] / (2.0 * first)
+    third = (a[2] - second * second) / (2.0 * first)
+    return first, second, third, (a[3] - 2.0 * second * third) / (2.0 * first)
 
 
 @kernel
-def _over(a: Array, b: Array) -> Array:
+def _over(a: Jet, b: Jet) -> Jet:
     """Return a quotient; nan where there is none."""
-    out = np.empty(JET)
-    for k in range(JET):
-        known = a[k]
-        for i in range(k):
-            known -= out[i] * b[k - i]
-        out[k] = known / b[0]
-    return out
+    first = a[0] / b[0]
+    second = (a[1] - first * b[1]) / b[0]
+    third = (a[2] - first * b[2] - second * b[1]) / b[0]
+    return first, second, third, (a[3] - first * b[3] - second * b[2] - third * b[1]) / b[0]
 
 
 @kernel
-def _slowed(start: Array, t: float, b: float) -> Array:
+def _jet(row: Array) -> Jet:
+    """Return a jet of an array."""
+    return row[0], row[1], row[2], row[3]
+
+
+@kernel
+def _slowed(start: Array, t: float, b: float) -> Jet:
     """Return the quartic of ``SmoothChange`` that brakes for b seconds."""
     p, v, a = start[0], start[1], start[2]
     cubic, quartic = -(v / b + 2.0 * a / 3.0) / b, (0.5 * v / b + 0.25 * a) / b**2
-    out, s = np.zeros(JET), min(t, b)
-    out[0] = p + s * (v + s * (0.5 * a + s * (cubic + s * quartic)))
-    if t < b:
-        out[1] = v + s * (a + s * (3.0 * cubic + s * 4.0 * quartic))
-        out[2] = 0.5 * a + s * (3.0 * cubic + s * 6.0 * quartic)
-        out[3] = cubic + s * 4.0 * quartic
-    return out
+    s = min(t, b)
+    value = p + s * (v + s * (0.5 * a + s * (cubic + s * quartic)))
+    if t >= b:
+        return value, 0.0, 0.0, 0.0
+    first = v + s * (a + s * (3.0 * cubic + s * 4.0 * quartic))
+    return value, first, 0.5 * a + s * (3.0 * cubic + s * 6.0 * quartic), cubic + s * 4.0 * quartic
 
 
 @kernel
-def _quintic(t: float, duration: float) -> Array:
+def _quintic(t: float, duration: float) -> Jet:
     """Return the quintic of ``SmoothChange`` from 0 to 1."""
-    out, x = np.zeros(JET), min(t / duration, 1.0)
-    out[0] = x**3 * (10.0 + x * (6.0 * x - 15.0))
-    if t < duration:
-        out[1] = x**2 * (30.0 + x * (30.0 * x - 60.0)) / duration
-        out[2] = x * (30.0 + x * (60.0 * x - 90.0)) / duration**2
-        out[3] = (10.0 + x * (60.0 * x - 60.0)) / duration**3
-    return out
+    if t >= duration:
+        return 1.0, 0.0, 0.0, 0.0
+    x = t / duration
+    return (
+        x**3 * (10.0 + x * (6.0 * x - 15.0)),
+        x**2 * (30.0 + x * (30.0 * x - 60.0)) / duration,
+        x * (30.0 + x * (60.0 * x - 90.0)) / duration**2,
+        (10.0 + x * (60.0 * x - 60.0)) / duration**3,
+    )
 
 
 @kernel
-def _turned(shape: Array, angle: Array) -> None:
-    """Turn vectors (points, 3, 4) about the vertical."""
-    c, s = np.zeros(JET), np.zeros(JET)
-    c[0], s[0] = np.cos(angle[0]), np.sin(angle[0])
-    for k in range(1, JET):
-        for i in range(1, k + 1):
-            c[k] -= i * angle[i] * s[k - i] / k
-            s[k] += i * angle[i] * c[k - i] / k
+def _turned(shape: Array, yaw: float, moved: Jet) -> None:
+    """Turn vectors (points, 3, 4) about the vertical by a share of an angle."""
+    a1, a2, a3 = yaw * moved[1], yaw * moved[2], yaw * moved[3]
+    c0, s0 = np.cos(yaw * moved[0]), np.sin(yaw * moved[0])
+    c1, s1 = -a1 * s0, a1 * c0
+    c2, s2 = -0.5 * a1 * s1 - a2 * s0, 0.5 * a1 * c1 + a2 * c0
+    c3 = -(a1 * s2 + 2.0 * a2 * s1) / 3.0 - a3 * s0
+    s3 = (a1 * c2 + 2.0 * a2 * c1) / 3.0 + a3 * c0
+    c, s = (c0, c1, c2, c3), (s0, s1, s2, s3)
     for i in range(len(shape)):
-        x, y = shape[i, 0].copy(), shape[i, 1].copy()
-        shape[i, 0] = _times(c, x) - _times(s, y)
-        shape[i, 1] = _times(c, y) + _times(s, x)
+        x, y = _jet(shape[i, 0]), _jet(shape[i, 1])
+        across, along = _minus(_times(c, x), _times(s, y)), _plus(_times(c, y), _times(s, x))
+        for k in range(JET):
+            shape[i, 0, k], shape[i, 1, k] = across[k], along[k]
 
 
 @kernel
-def _unit(points: Array, first: int, last: int) -> Array:
-    """Return the direction (3, 4) from one point to another."""
-    along = points[last] - points[first]
-    squared = np.zeros(JET)
-    for axis in range(3):
-        squared += _times(along[axis], along[axis])
-    size = _square_root(squared)
-    for axis in range(3):
-        along[axis] = _over(along[axis], size)
-    return along
+def _edge(points: Array, first: int, last: int) -> tuple[Jet, Jet, Jet, Jet]:
+    """Return the vector from one point to another, and its length."""
+    x = _minus(_jet(points[last, 0]), _jet(points[first, 0]))
+    y = _minus(_jet(points[last, 1]), _jet(points[first, 1]))
+    z = _minus(_jet(points[last, 2]), _jet(points[first, 2]))
+    return x, y, z, _square_root(_plus(_plus(_times(x, x), _times(y, y)), _times(z, z)))
 
 
 @kernel
@@ -139,33 +153,33 @@ def path_jets(
         moved = _quintic(t[step], shift)
         for i in range(len(goal)):
             stop = start[i, 0] + 0.5 * brake * start[i, 1] + brake**2 / 12.0 * start[i, 2]
-            rows[i] = _slowed(start[i], t[step], brake) + (goal[i] - stop) * moved
+            slowed = _slowed(start[i], t[step], brake)
+            for k in range(JET):
+                rows[i, k] = slowed[k] + (goal[i] - stop) * moved[k]
         points = rows[3 : 3 + 3 * count].copy().reshape(count, 3, JET)
         if yaw != 0.0:
-            _turned(points, yaw * moved)
+            _turned(points, yaw, moved)
         points += rows[:3]
         for k in range(n):
             before, here, there, after = stencil[k]
-            onward = points[there] - points[here]
-            squared = np.zeros(JET)
-            for axis in range(3):
-                squared += _times(onward[axis], onward[axis])
-            slack = -_square_root(squared)
-            slack[0] += team[k, 0]
-            q_leg = _times(rows[3 + 3 * count + k], slack)
-            q_leg = q_leg if has_leg[k, 0] else np.zeros(JET)
+            chord, nothing = _edge(points, here, there)[3], (0.0, 0.0, 0.0, 0.0)
+            slack = _minus((team[k, 0], 0.0, 0.0, 0.0), chord)
+            q_leg = _times(_jet(rows[3 + 3 * count + k]), slack) if has_leg[k, 0] else nothing
             q_leg = q_leg if has_leg[k, 1] else slack
-            legs[step, k, 0], legs[step, k, 1] = q_leg, slack - q_leg
             for end in range(2):
+                leg = q_leg if end == 0 else _minus(slack, q_leg)
                 place = here if end == 0 else there
-                along = _unit(points, before, here) if end == 0 else _unit(points, after, there)
+                x, y, z, size = _edge(points, before if end == 0 else after, place)
                 for axis in range(3):
-                    curve = points[place, axis] + _times(legs[step, k, end], along[axis])
-                    drones[step, 2 * k + end, axis] = curve * _FACTORIALS
+                    along = _over(x if axis == 0 else (y if axis == 1 else z), size)
+                    curve = _plus(_jet(points[place, axis]), _times(leg, along))
                     lift = team[k, 4] if axis == 2 else 0.0
                     force = team[k, 2 + end] * (2.0 * curve[2] + lift)
-                    thrusts[step, 2 * k + end, axis] = force + team[k, 1] * along[axis, 0]
-        legs[step] *= _FACTORIALS
+                    thrusts[step, 2 * k + end, axis] = force + team[k, 1] * along[0]
+                    for order in range(JET):
+                        drones[step, 2 * k + end, axis, order] = curve[order] * _FACTORIALS[order]
+                for order in range(JET):
+                    legs[step, k, end, order] = leg[order] * _FACTORIALS[order]
         vertices[step] = points * _FACTORIALS
     return vertices, drones, legs, thrusts
 

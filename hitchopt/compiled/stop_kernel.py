@@ -98,19 +98,42 @@ def _bent(tables: StopTables, row: _Row, drone: int) -> tuple[float, float]:
 
 
 @kernel
-def _force_keeps(tables: StopTables, row: _Row, drone: int, bent: float, forces: Array) -> bool:
-    """Return whether a drone is shown to keep thrust and tilt, given accelerations (2, 3)."""
+def _ends(tables: StopTables, row: _Row, drone: int, end: int) -> tuple[float, float]:
+    """Return acceleration and jerk at an end of a row, between the grid's nodes on chords."""
+    first, second, third = tables.values[0], tables.values[1], tables.values[2]
+    node, share, s, a = tables.left[row.cell], row.tau[end], row.s[end], row.a[end]
+    acceleration = jerk = 0.0
+    for axis in range(3):
+        x1, x2, x3 = first[node, drone, axis], second[node, drone, axis], third[node, drone, axis]
+        x1 += share * (first[node + 1, drone, axis] - x1)
+        x2 += share * (second[node + 1, drone, axis] - x2)
+        x3 += share * (third[node + 1, drone, axis] - x3)
+        acceleration += (s**2 * x2 + a * x1) ** 2
+        jerk += (s**3 * x3 + 3.0 * s * a * x2 + row.j * x1) ** 2
+    return np.sqrt(acceleration), np.sqrt(jerk)
+
+
+@kernel
+def _force_keeps(tables: StopTables, row: _Row, drone: int, bent: float) -> bool:
+    """Return whether a drone is shown to keep thrust and tilt."""
     margins = tables.margins[:, tables.piece[row.cell], drone]
-    mass, strongest = tables.team[:, drone]
+    mass, strongest = tables.team[0, drone], tables.team[1, drone]
     cos, sin = np.cos(tables.limits[2]), np.sin(tables.limits[2])
     chord = 0.0 if row.whole else tables.width[row.cell] ** 2 / 8.0
     time, s, a = row.time**2 / 8.0, row.s[0], max(abs(row.a[0]), abs(row.a[1]))
     radius = margins[7] + mass * bent + chord * margins[9]
     radius += time * (s**2 * margins[9] + a * margins[8])
-    node = tables.left[row.cell]
+    node, force = tables.left[row.cell], np.empty(3)
+    first, second, static = tables.values[0], tables.values[1], tables.values[3]
     for end in range(2):
-        first, last = tables.values[3][node, drone], tables.values[3][node + 1, drone]
-        force = first + row.tau[end] * (last - first) + mass * forces[end]
+        share = row.tau[end]
+        for axis in range(3):
+            x1, x2 = first[node, drone, axis], second[node, drone, axis]
+            x1 += share * (first[node + 1, drone, axis] - x1)
+            x2 += share * (second[node + 1, drone, axis] - x2)
+            held = static[node, drone, axis]
+            held += share * (static[node + 1, drone, axis] - held)
+            force[axis] = held + mass * (row.s[end] ** 2 * x2 + row.a[end] * x1)
         level = np.hypot(force[0], force[1])
         if not np.hypot(level, force[2]) + radius <= strongest:
             return False
@@ -122,29 +145,18 @@ def _force_keeps(tables: StopTables, row: _Row, drone: int, bent: float, forces:
 @kernel
 def _keeps(tables: StopTables, row: _Row, drone: int) -> bool:
     """Return whether a drone is shown to keep all limits in a row."""
-    node, (V, A, J) = tables.left[row.cell], _sizes(tables, row.cell, drone)
     bent, bend = _bent(tables, row, drone)
-    acceleration, jerk, forces = 0.0, 0.0, np.empty((2, 3))
-    for end in range(2):
-        x, share, s, a = np.empty((3, 3)), row.tau[end], row.s[end], row.a[end]
-        for order in range(3):
-            values = tables.values[order]
-            first, last = values[node, drone], values[node + 1, drone]
-            x[order] = first + share * (last - first)
-        forces[end] = s**2 * x[1] + a * x[0]
-        there = s**3 * x[2] + 3.0 * s * a * x[1] + row.j * x[0]
-        acceleration = max(acceleration, np.sqrt(np.sum(forces[end] ** 2)))
-        jerk = max(jerk, np.sqrt(np.sum(there**2)))
-    most = _sized(V, A, J, row)
-    acceleration = min(acceleration + bent, most[0]) * (1.0 + SLACK)
-    jerk = min(jerk + bend, most[1]) * (1.0 + SLACK)
+    begin, end = _ends(tables, row, drone, 0), _ends(tables, row, drone, 1)
+    most = _sized(*_sizes(tables, row.cell, drone), row)
+    acceleration = min(max(begin[0], end[0]) + bent, most[0]) * (1.0 + SLACK)
+    jerk = min(max(begin[1], end[1]) + bend, most[1]) * (1.0 + SLACK)
     if not (acceleration <= tables.limits[0] and jerk <= tables.limits[1]):
         return False
     margins = tables.margins[:, tables.piece[row.cell], drone]
     extra = tables.team[0, drone] * acceleration
     if margins[5] + extra <= tables.team[1, drone] and margins[6] + extra <= 0.0:
         return True
-    return _force_keeps(tables, row, drone, bent, forces)
+    return _force_keeps(tables, row, drone, bent)
 
 
 @kernel
