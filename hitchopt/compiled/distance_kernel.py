@@ -41,7 +41,7 @@ def _between(d: Array) -> Array:
 
 
 @kernel
-def _offset(d: Array) -> Array:
+def shortest_offset(d: Array) -> Array:
     """Return the shortest offset of differences (1, 2 or 4, 3)."""
     if len(d) == 1:
         return d[0].copy()
@@ -52,8 +52,8 @@ def _offset(d: Array) -> Array:
 def distance(rows: Array) -> Found:
     """Return bound, value and place as ``distance_bound``."""
     count, degree = len(rows) // 3, rows.shape[1] - 1
-    first = _offset(rows[:, 0].copy().reshape(count, 3))
-    last = _offset(rows[:, degree].copy().reshape(count, 3))
+    first = shortest_offset(rows[:, 0].copy().reshape(count, 3))
+    last = shortest_offset(rows[:, degree].copy().reshape(count, 3))
     begin, end = np.sqrt(inner(first, first)), np.sqrt(inner(last, last))
     u = first / begin if begin > 0.0 else np.zeros(3)
     v = last / end if end > 0.0 else np.zeros(3)

@@ -99,8 +99,17 @@ def before(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exactly."""
     breaks = motion.drones.breaks
     breaks = np.append(breaks[breaks < time - 1e-9], time)
-    phases = [replace(p, end=min(p.end, time)) for p in motion.overlapping(breaks[0], time)]
-    return motion.changed(lambda part: on_breaks(part, breaks), phases)
+    phases = [
+        p if p.end <= time else replace(p, end=time) for p in motion.overlapping(breaks[0], time)
+    ]
+    count = len(breaks) - 1
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        found = whole.coefficients[:count].copy()
+        found[-1] = on_breaks(whole.taken(slice(count - 1, count)), breaks[-2:]).coefficients[0]
+        return PiecewisePolynomial(breaks, found)
+
+    return motion.changed(part, phases)
 
 
 def followed(first: Motion, second: Motion) -> Motion:

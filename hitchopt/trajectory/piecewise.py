@@ -49,9 +49,9 @@ class PiecewisePolynomial(OneLine):
             bound = f"({len(breaks) - 1}, …, degree + 1)"
             remedy = "give one row of coefficients per piece"
             raise InputError("coefficients", coefficients.shape, bound, remedy)
-        if not (np.all(np.isfinite(breaks)) and np.all(np.diff(breaks) > 0.0)):
+        if not ((breaks[1:] > breaks[:-1]).all() and np.isfinite(breaks[[0, -1]]).all()):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
-        if not np.all(np.isfinite(coefficients)):
+        if not np.isfinite(coefficients).all():
             raise InputError("coefficients", "nan or inf", "finite", "check how they were made")
         for name, array in (("breaks", breaks), ("coefficients", coefficients)):
             array.setflags(write=False)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import (
     Boxes,
@@ -206,6 +207,15 @@ def _near(
     By the boxes over each piece of (pieces, bodies, 1 or 2, 3, degree + 1), held against what the
     few pairs are apart in a piece's middle whose boxes come closest.
     """
+    if kernels_on() and metric is DISTANCE and pairs:
+        from hitchopt.compiled.near_kernel import near_pairs
+
+        count, each = (
+            min(NEIGHBOURS, len(pairs)),
+            (np.ascontiguousarray(a), np.ascontiguousarray(b)),
+        )
+        kept = near_pairs(*each, pairs.first, pairs.second, margin, count, SLACK)
+        return kept.nonzero()
     with np.errstate(all="ignore"):  # what is no number rules nothing out
         drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
         (a_lower, a_upper), (b_lower, b_upper) = (
