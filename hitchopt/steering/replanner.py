@@ -23,7 +23,7 @@ from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steering.retarget import IN_FLIGHT, SLOWER, Retarget, certified_retarget
+from hitchopt.steering.retarget import DISTANCES, IN_FLIGHT, SLOWER, Retarget, certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import brakes
 from hitchopt.steps.certified_motions import infeasible
@@ -204,6 +204,7 @@ class Replanner(OneLine):
         team, need = past.team, self.requirements
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
+        refused: tuple[RetargetPath, float] | None = None
         before: Hitch | None = None
         for chosen in (False, True):
             try:
@@ -218,15 +219,20 @@ class Replanner(OneLine):
             tried = False
             for brake in islice(brakes(path, need.planned.limits), BRAKES):
                 tried = True
-                found = certified_retarget(past, path, brake, need)
+                found = certified_retarget(past, path, brake, need, complete=False)
                 if isinstance(found, Retarget):
                     return found, end
-                refusal = refusal or found
-                if not {each.constraint for each in found.violations} <= SLOWER.keys():
+                if refusal is None:
+                    refusal, refused = found, (path, brake)
+                broken = {each.constraint for each in found.violations}
+                if not broken <= SLOWER.keys():
                     break
             if not tried:
                 raise _NotNowError(f"from t = {at:.4g} s: no brake keeps all limits")
         assert refusal is not None
+        if refused and all(each.constraint in DISTANCES for each in refusal.violations):
+            found = certified_retarget(past, *refused, need)  # all that is to be said of it
+            refusal = found if isinstance(found, InfeasibleError) else refusal
         raise refusal
 
     def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
