@@ -5,66 +5,92 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import Found, inner
+from hitchopt.compiled.polynomial_kernels import Found
 from hitchopt.values import Array
 
+Vector = tuple[float, float, float]
+"""A vector in space."""
+
 
 @kernel
-def _nearest(a: Array, b: Array) -> Array:
+def _dot(a: Vector, b: Vector) -> float:
+    """Return a scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _moved(a: Vector, share: float, b: Vector) -> Vector:
+    """Return ``a + share b``."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@kernel
+def _nearest(a: Vector, b: Vector) -> Vector:
     """Return the point of a segment that is nearest to the origin."""
-    along = a - b
-    squared = inner(along, along)
-    share = min(max(inner(a, along) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-    return a - share * along
+    along = _moved(a, -1.0, b)
+    squared = _dot(along, along)
+    share = min(max(_dot(a, along) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    return _moved(a, -share, along)
 
 
 @kernel
-def _between(d: Array) -> Array:
-    """Return the shortest vector between segments with differences (4, 3) of their ends."""
+def _between(d: tuple[Vector, Vector, Vector, Vector]) -> Vector:
+    """Return the shortest vector between segments with differences of their ends."""
     best = _nearest(d[0], d[1])
-    least = inner(best, best)
+    least = _dot(best, best)
     for i, j in ((2, 3), (0, 2), (1, 3)):
         other = _nearest(d[i], d[j])
-        size = inner(other, other)
+        size = _dot(other, other)
         if size < least:
             best, least = other, size
-    w, u, v = d[0], d[2] - d[0], d[0] - d[1]
-    uu, uv, vv, uw, vw = inner(u, u), inner(u, v), inner(v, v), inner(u, w), inner(v, w)
+    w, u, v = d[0], _moved(d[2], -1.0, d[0]), _moved(d[0], -1.0, d[1])
+    uu, uv, vv, uw, vw = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, w), _dot(v, w)
     det = uu * vv - uv * uv
     if det > 1e-14 * uu * vv:
         s, t = (uv * vw - vv * uw) / det, (uu * vw - uv * uw) / det
         if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
-            other = w + s * u - t * v
-            if inner(other, other) < least:
+            other = _moved(_moved(w, s, u), -t, v)
+            if _dot(other, other) < least:
                 best = other
     return best
 
 
 @kernel
-def shortest_offset(d: Array) -> Array:
-    """Return the shortest offset of differences (1, 2 or 4, 3)."""
-    if len(d) == 1:
-        return d[0].copy()
-    return _nearest(d[0], d[1]) if len(d) == 2 else _between(d)
+def _column(rows: Array, i: int, k: int) -> Vector:
+    """Return a coefficient of a difference."""
+    return rows[3 * i, k], rows[3 * i + 1, k], rows[3 * i + 2, k]
+
+
+@kernel
+def shortest_offset(rows: Array, k: int) -> Vector:
+    """Return the shortest offset of differences in a column of rows (3 · 1, 2 or 4, columns)."""
+    first = _column(rows, 0, k)
+    if len(rows) == 3:
+        return first
+    if len(rows) == 6:
+        return _nearest(first, _column(rows, 1, k))
+    return _between((first, _column(rows, 1, k), _column(rows, 2, k), _column(rows, 3, k)))
+
+
+@kernel
+def _unit(a: Vector, size: float) -> Vector:
+    """Return a direction, zero of a vector without length."""
+    return (a[0] / size, a[1] / size, a[2] / size) if size > 0.0 else (0.0, 0.0, 0.0)
 
 
 @kernel
 def distance(rows: Array) -> Found:
     """Return bound, value and place as ``distance_bound``."""
-    count, degree = len(rows) // 3, rows.shape[1] - 1
-    first = shortest_offset(rows[:, 0].copy().reshape(count, 3))
-    last = shortest_offset(rows[:, degree].copy().reshape(count, 3))
-    begin, end = np.sqrt(inner(first, first)), np.sqrt(inner(last, last))
-    u = first / begin if begin > 0.0 else np.zeros(3)
-    v = last / end if end > 0.0 else np.zeros(3)
-    least = np.inf
-    for i in range(count):
-        d = rows[3 * i : 3 * i + 3]
+    degree = rows.shape[1] - 1
+    first, last = shortest_offset(rows, 0), shortest_offset(rows, degree)
+    begin, end = np.sqrt(_dot(first, first)), np.sqrt(_dot(last, last))
+    u, v, least = _unit(first, begin), _unit(last, end), np.inf
+    for i in range(len(rows) // 3):
+        before = 0.0
         for k in range(degree + 2):
-            w, found = k / (degree + 1), 0.0
+            w, here = k / (degree + 1), (0.0, 0.0, 0.0)
             if k <= degree:
-                found += (1.0 - w) * (u[0] * d[0, k] + u[1] * d[1, k] + u[2] * d[2, k])
-            if k > 0:
-                found += w * (v[0] * d[0, k - 1] + v[1] * d[1, k - 1] + v[2] * d[2, k - 1])
-            least = min(least, found)
+                here = _column(rows, i, k)
+            least = min(least, (1.0 - w) * _dot(u, here) + w * before)
+            before = _dot(v, here)
     return max(least, 0.0), min(begin, end), 1.0 if end < begin else 0.0

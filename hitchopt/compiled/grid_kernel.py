@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.compiled.polynomial_kernels import basis_at
 from hitchopt.values import Array, Indices
 
 
 @kernel
 def grid_values(c: Array, pieces: Indices, x: Array) -> Array:
-    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces."""
-    count, drones, m = len(x), c.shape[1], c.shape[3]
-    out, weights = np.zeros((count, drones, 3)), np.empty(m)
-    for i in range(count):
-        weights[0] = 1.0
-        for order in range(1, m):  # one degree higher each time
-            weights[order] = weights[order - 1] * x[i]
-            for k in range(order - 1, 0, -1):
-                weights[k] = weights[k] * (1.0 - x[i]) + weights[k - 1] * x[i]
-            weights[0] *= 1.0 - x[i]
-        for drone in range(drones):
-            for axis in range(3):
-                total, row = 0.0, c[pieces[i], drone, axis]
-                for k in range(m):
-                    total += weights[k] * row[k]
-                out[i, drone, axis] = total
-    return out
+    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces.
+
+    Pieces are in order.
+    """
+    columns, m, last = c.shape[1] * 3, c.shape[3], -1
+    out, turned = np.zeros((len(x), columns)), np.empty((m, columns))
+    for i in range(len(x)):
+        if pieces[i] != last:
+            last = pieces[i]
+            turned[:] = c[last].reshape(columns, m).T
+        weights, row = basis_at(m - 1, x[i]), out[i]
+        for k in range(m):
+            w, onward = weights[k], turned[k]
+            for j in range(columns):
+                row[j] += w * onward[j]
+    return out.reshape(len(x), c.shape[1], 3)
 
 
 @kernel

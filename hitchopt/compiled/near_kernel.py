@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hitchopt.compiled.distance_kernel import shortest_offset
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import basis_at, inner
+from hitchopt.compiled.polynomial_kernels import basis_at
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
@@ -41,15 +41,30 @@ def _gap(a: Array, i: int, b: Array, j: int) -> float:
 @kernel
 def _apart(a: Array, b: Array, half: Array) -> float:
     """Return the distance of two bodies (ends, 3, m) in the middle."""
-    offsets = np.zeros((len(a) * len(b), 3))
+    offsets = np.zeros((3 * len(a) * len(b), 1))
     for first in range(len(a)):
         for second in range(len(b)):
             for axis in range(3):
+                row = 3 * (first * len(b) + second) + axis
                 for k in range(len(half)):
-                    x = a[first, axis, k] - b[second, axis, k]
-                    offsets[first * len(b) + second, axis] += half[k] * x
-    offset = shortest_offset(offsets)
-    return np.sqrt(inner(offset, offset))
+                    offsets[row, 0] += half[k] * (a[first, axis, k] - b[second, axis, k])
+    x, y, z = shortest_offset(offsets, 0)
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _smallest(values: Array, count: int) -> Indices:
+    """Return the indices of the smallest values, the first ones where some are equal."""
+    found, kept = np.empty(count, dtype=np.intp), 0
+    for i in range(len(values)):
+        if kept == count and not values[i] < values[found[kept - 1]]:
+            continue
+        k = min(kept, count - 1)
+        while k > 0 and values[i] < values[found[k - 1]]:
+            found[k] = found[k - 1]
+            k -= 1
+        found[k], kept = i, min(kept + 1, count)
+    return found
 
 
 @kernel
@@ -77,6 +92,6 @@ def near_pairs(
         lower, upper = _boxes(a[piece], drift), _boxes(b[piece], drift)
         for pair in range(len(first)):
             gaps[piece, pair] = _gap(lower, first[pair], upper, second[pair])
-        for pair in np.argsort(gaps[piece])[:count]:
+        for pair in _smallest(gaps[piece], count):
             attained = min(attained, _apart(a[piece, first[pair]], b[piece, second[pair]], half))
     return ~(gaps > (attained + margin) * (1.0 + slack))

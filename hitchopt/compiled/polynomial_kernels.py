@@ -24,6 +24,15 @@ _INVERSES = 1.0 / np.maximum(_BINOMIALS, 1.0)
 
 
 @kernel
+def _convolve(out: Array, a: Array, b: Array) -> None:
+    """Add the products of coefficients times their binomials."""
+    for i in range(len(a)):
+        c, onward = a[i], out[i : i + len(b)]
+        for j in range(len(b)):
+            onward[j] += c * b[j]
+
+
+@kernel
 def product(a: Array, b: Array) -> Array:
     """Return the product of two polynomials."""
     m, n = len(a) - 1, len(b) - 1
@@ -156,32 +165,66 @@ def _farthest(values: Array, middle: float) -> float:
 
 
 @kernel
-def _inverse_length(y: Array, scale: float, weights: Array, noise: float) -> tuple[Array, float]:
-    """Return the inverse length of a scaled vector and its error, as ``enclosure`` does."""
-    count = y.shape[1]
-    lengths = column_norms(combined(y, weights[:count]))
-    nothing = np.zeros(len(lengths))
-    if not (scale > 0.0 and np.min(lengths) > 0.0):
-        return nothing, 1.0
-    w = combined((1.0 / lengths).reshape(1, -1), weights[count:])[0]
-    size = _farthest(w, 0.0)
-    residual = _farthest(product(_squared(y), product(w, w)), 1.0)
-    residual += ENCLOSED * (1.0 + size * size)
-    if not residual < 1.0:
-        return nothing, 1.0
-    least = np.sqrt(1.0 - residual)
-    error = residual / (1.0 + least) + 2.0 * noise / scale * size / least
-    return (w, error) if error < 1.0 else (nothing, 1.0)
+def _inverse(y: Array, weights: Array) -> Array:
+    """Return the inverse length of a vector as a polynomial; zero where that is not known.
+
+    Its coefficients times their binomials, as those of the vector are.
+    """
+    count, nodes = y.shape[1], weights.shape[1]
+    lengths, w = np.zeros(nodes), np.zeros(nodes)
+    for i in range(3):
+        for node in range(nodes):
+            value = 0.0
+            for k in range(count):
+                value += y[i, k] * _INVERSES[count - 1, k] * weights[k, node]
+            lengths[node] += value * value
+    if not np.min(lengths) > 0.0:
+        return w
+    for k in range(nodes):
+        for node in range(nodes):
+            w[k] += weights[count + node, k] / np.sqrt(lengths[node])
+        w[k] *= _BINOMIALS[nodes - 1, k]
+    return w
+
+
+@kernel
+def _residual(y: Array, w: Array) -> float:
+    """Return a bound of ``|y|² w² - 1`` for coefficients times their binomials."""
+    m, n = y.shape[1] - 1, len(w) - 1
+    squared, inverse = np.zeros(2 * m + 1), np.zeros(2 * n + 1)
+    whole, found = np.zeros(2 * (m + n) + 1), 0.0
+    for i in range(3):
+        _convolve(squared, y[i], y[i])
+    _convolve(inverse, w, w)
+    _convolve(whole, squared, inverse)
+    for k in range(len(whole)):
+        found = max(found, abs(whole[k] * _INVERSES[len(whole) - 1, k] - 1.0))
+    return found
 
 
 @kernel
 def direction(y: Array, weights: Array, noise: float) -> tuple[Array, float]:
     """Return the direction of a vector and its error, as ``enclosure.direction``."""
     y, scale = _scaled(y)
-    w, error = _inverse_length(y, scale, weights, noise)
-    unit = np.zeros((3, y.shape[1] + len(w) - 1))
+    m, n, size = y.shape[1] - 1, weights.shape[1] - 1, 0.0
+    unit = np.zeros((3, m + n + 1))
     for i in range(3):
-        add_product(unit[i], 1.0, y[i], w)
+        for k in range(m + 1):
+            y[i, k] *= _BINOMIALS[m, k]
+    w = _inverse(y, weights)
+    for k in range(n + 1):
+        size = max(size, abs(w[k] * _INVERSES[n, k]))
+    residual = _residual(y, w) + ENCLOSED * (1.0 + size * size)
+    if not (size > 0.0 and residual < 1.0):
+        return unit, 1.0
+    least = np.sqrt(1.0 - residual)
+    error = residual / (1.0 + least) + 2.0 * noise / scale * size / least
+    if not error < 1.0:
+        return unit, 1.0
+    for i in range(3):
+        _convolve(unit[i], y[i], w)
+        for k in range(m + n + 1):
+            unit[i, k] *= _INVERSES[m + n, k]
     return unit, error
 
 

@@ -80,6 +80,15 @@ def _halved(block: Array, chosen: Indices) -> Array:
 
 
 @kernel
+def _below(block: Array, most: float) -> bool:
+    """Return whether all numbers are smaller than one; nan is not."""
+    fine = True
+    for number in block.flat:
+        fine = fine and abs(number) < most
+    return fine
+
+
+@kernel
 def _twice(values: Array, chosen: Indices) -> Array:
     return np.concatenate((values[chosen], values[chosen]))
 
@@ -94,7 +103,7 @@ def search(
     item: Indices,
     spans: Array,
     aims: Array,
-    most: Indices,
+    most: tuple[int, int],
 ) -> tuple[float, float, int, float]:
     """Return worst, value, item and time of an extremum, times the sign; item -1 if not found.
 
@@ -107,10 +116,18 @@ def search(
     numbers: noise [m], length [m] without a direction, and relative rounding.
     item: (cells,)
     spans: (3, cells), start [s], end [s] and margin.
-    aims: relative and absolute tightness, and target, as of a Search.
+    aims: relative and absolute tightness, and target, as of a Search; and from which number on
+        blocks are not looked at, as their products might overflow.
     most: numbers of halvings and of cells.
     """
     value, which, time, floor, looked, depth = np.inf, -1, 0.0, np.inf, 0, 0
+    if not (
+        _below(blocks[0], aims[3])
+        and _below(blocks[1], aims[3])
+        and _below(blocks[2], aims[3])
+        and _below(blocks[3], aims[3])
+    ):
+        return -np.inf, -np.inf, -1, 0.0
     bounds, enough = np.full(len(item), -np.inf), most[1]
     while True:
         for c in range(len(item)):

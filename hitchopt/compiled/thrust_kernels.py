@@ -57,24 +57,31 @@ def angle_of(across: float, upward: float) -> float:
 
 
 @kernel
-def _leaning(f: Array, radius: float) -> tuple[float, float]:
-    """Return the bound of ``tilt_bound`` and the place of the largest angle."""
+def _beyond_horizon(f: Array, radius: float) -> float:
+    """Return the bound of ``tilt_bound`` for thrusts that may point below the horizon."""
     middle = values_at(f[:2], 0.5)
     size = np.sqrt(middle[0] ** 2 + middle[1] ** 2)
     azimuth = middle / size if size > 0.0 else np.zeros(2)
-    upright, level, least, most, x = -np.inf, -np.inf, np.inf, -np.inf, 0.0
+    level, least = -np.inf, np.inf
+    for k in range(f.shape[1]):
+        across = azimuth[0] * f[0, k] + azimuth[1] * f[1, k]
+        spread = _spread(radius, np.hypot(across, f[2, k]))
+        level = max(level, angle_of(across, f[2, k]) + spread)
+        least = min(least, across - radius)
+    return max(level, 90.0) if least > 0.0 else 180.0
+
+
+@kernel
+def _leaning(f: Array, radius: float) -> tuple[float, float]:
+    """Return the bound of ``tilt_bound`` and the place of the largest angle."""
+    upright, most, x = -np.inf, -np.inf, 0.0
     for k in range(f.shape[1]):
         flat = np.sqrt(f[0, k] ** 2 + f[1, k] ** 2)
         angle = angle_of(flat, f[2, k])
         if angle > most:
             most, x = angle, k / max(1, f.shape[1] - 1)
-        upright = max(upright, angle + _spread(radius, np.hypot(flat, f[2, k])))
-        across = azimuth[0] * f[0, k] + azimuth[1] * f[1, k]
-        spread = _spread(radius, np.hypot(across, f[2, k]))
-        level = max(level, angle_of(across, f[2, k]) + spread)
-        least = min(least, across - radius)
-    sideways = max(level, 90.0) if least > 0.0 else 180.0
-    return min(upright if upright < 90.0 else 180.0, sideways), x
+        upright = max(upright, angle + _spread(radius, np.sqrt(flat**2 + f[2, k] ** 2)))
+    return (upright if upright < 90.0 else _beyond_horizon(f, radius)), x
 
 
 @kernel

@@ -79,20 +79,18 @@ def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Ex
         interpolation_weights(bernstein.degree(blocks[row]), order),
         np.array([known.noise, known.short, known.rounding]),
         cells.item,
-        np.stack([cells.start, cells.end, cells.margin]),
-        np.array([extremum.RELATIVE, extremum.ABSOLUTE, target]),
-        np.array([extremum.MAX_HALVINGS, extremum.MAX_CELLS]),
+        np.array([cells.start, cells.end, cells.margin]),
+        np.array([extremum.RELATIVE, extremum.ABSOLUTE, target, HUGE]),
+        (extremum.MAX_HALVINGS, extremum.MAX_CELLS),
     )
-    return Extremum(sign * worst, sign * value, int(item), time)
+    return None if item < 0 else Extremum(sign * worst, sign * value, int(item), time)
 
 
 def compiled_blocks(cells: Cells) -> list[Array] | None:
-    """Return blocks as compiled code takes them; None of high degrees, or of numbers too large."""
-    if any(bernstein.degree(block) > MOST for block in cells.blocks):
+    """Return blocks as compiled code takes them, or None of high degrees."""
+    if max(block.shape[-1] for block in cells.blocks) > MOST + 1:
         return None
-    blocks = [np.array(block, order="C") for block in cells.blocks]
-    fine = all(np.max(np.abs(block), initial=0.0) < HUGE for block in blocks)
-    return blocks if fine else None
+    return [np.array(block, order="C") for block in cells.blocks]
 
 
 @lru_cache

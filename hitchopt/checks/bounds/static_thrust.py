@@ -15,7 +15,7 @@ from hitchopt.checks.tilt import tilt_bound
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import compiled_blocks, interpolation_weights
+from hitchopt.trajectory.compiled_search import HUGE, compiled_blocks, interpolation_weights
 from hitchopt.trajectory.enclosed_products import largest_norm, reduced
 from hitchopt.trajectory.enclosure import DIRECTION_ORDER, Enclosure
 from hitchopt.trajectory.extremum import Cells, largest
@@ -77,7 +77,7 @@ class StaticThrust:
 def _compiled(cells: Cells, noise: float) -> Enclosure | None:
     """Return the thrusts in degree ORDER by compiled code, or None where that is not on."""
     blocks = compiled_blocks(cells) if kernels_on() and len(cells.blocks) == 4 else None
-    if blocks is None:
+    if blocks is None or not all(np.max(np.abs(block)) < HUGE for block in blocks):
         return None
     from hitchopt.compiled.thrust_kernels import static_thrusts
 
