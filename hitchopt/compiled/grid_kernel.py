@@ -31,7 +31,7 @@ def grid_values(c: Array, pieces: Indices, x: Array) -> Array:
 
 @kernel
 def _size(v: Array) -> float:
-    return np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return float(np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
 
 
 @kernel

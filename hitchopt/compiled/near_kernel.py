@@ -35,7 +35,7 @@ def _gap(a: Array, i: int, b: Array, j: int) -> float:
     for axis in range(3):
         apart = max(a[0, i, axis] - b[1, j, axis], b[0, j, axis] - a[1, i, axis], 0.0)
         out += apart * apart
-    return np.sqrt(out)
+    return float(np.sqrt(out))
 
 
 @kernel
@@ -49,7 +49,7 @@ def _apart(a: Array, b: Array, half: Array) -> float:
                 for k in range(len(half)):
                     offsets[row, 0] += half[k] * (a[first, axis, k] - b[second, axis, k])
     x, y, z = shortest_offset(offsets, 0)
-    return np.sqrt(x * x + y * y + z * z)
+    return float(np.sqrt(x * x + y * y + z * z))
 
 
 @kernel

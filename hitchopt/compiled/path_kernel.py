@@ -6,6 +6,7 @@ Within, jets are Taylor coefficients: derivatives over factorials, so that produ
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.values import Array, Indices
@@ -126,7 +127,7 @@ def path_jets(
     t: Array,
     timing: Array,
     stencil: Indices,
-    has_leg: Array,
+    has_leg: NDArray[np.bool_],
     team: Array,
 ) -> tuple[Array, Array, Array, Array]:
     """Return the jets of vertices, drones and legs, and thrusts.
@@ -214,4 +215,4 @@ def largest_shares(
             most[0] = max(most[0], x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
     speed = max(np.sqrt(most[1]) / limits[0], np.sqrt(most[0]) / limits[3])
     others = max(np.sqrt(most[2]) / limits[1], most[4], most[5])
-    return max(speed, np.sqrt(others), np.cbrt(np.sqrt(most[3]) / limits[2]))
+    return float(max(speed, np.sqrt(others), np.cbrt(np.sqrt(most[3]) / limits[2])))

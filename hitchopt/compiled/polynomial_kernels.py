@@ -37,7 +37,8 @@ def product(a: Array, b: Array) -> Array:
     """Return the product of two polynomials."""
     m, n = len(a) - 1, len(b) - 1
     if n == 0:
-        return a * b[0]
+        constant: Array = a * b[0]
+        return constant
     scaled, out = np.empty(n + 1), np.zeros(m + n + 1)
     for j in range(n + 1):
         scaled[j] = b[j] * _BINOMIALS[n, j]

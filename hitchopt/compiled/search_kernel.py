@@ -84,7 +84,7 @@ def _below(block: Array, most: float) -> bool:
     """Return whether all numbers are smaller than one; nan is not."""
     fine = True
     for number in block.flat:
-        fine = fine and abs(number) < most
+        fine = fine and bool(abs(number) < most)
     return fine
 
 
@@ -167,4 +167,5 @@ def search(
             _halved(blocks[2], left),
             _halved(blocks[3], left),
         )
-        item, bounds, spans, depth = _twice(item, left), _twice(bounds, left), both, depth + 1
+        item = np.concatenate((item[left], item[left]))
+        bounds, spans, depth = _twice(bounds, left), both, depth + 1

@@ -199,7 +199,7 @@ def _kept(tables: StopTables, start: float, duration: float, samples: Array) -> 
 def _least(tables: StopTables, start: float, samples: Array, span: Array, rounds: int) -> float:
     """Return the duration [s] below which samples break a limit."""
     if _kept(tables, start, span[0], samples):
-        return span[0]
+        return float(span[0])
     low, high = np.log(span[0]), np.log(span[1])
     for _ in range(rounds):
         middle = 0.5 * (low + high)
@@ -207,7 +207,7 @@ def _least(tables: StopTables, start: float, samples: Array, span: Array, rounds
             high = middle
         else:
             low = middle
-    return np.exp(high)
+    return float(np.exp(high))
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 
@@ -25,7 +26,7 @@ from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steering.retarget import DISTANCES, IN_FLIGHT, SLOWER, Retarget, certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes
+from hitchopt.steering.retarget_timing import brakes, shortest_shift
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -99,10 +100,19 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        with kernels():
+        with kernels() as compiled:
             self._certificate = certify(self.motion, reports=IN_FLIGHT)
+            if compiled:
+                self._load()
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
+
+    def _load(self) -> None:
+        """Load compiled code, or compile it, before the first goal is given."""
+        with suppress(_NotNowError):
+            state = self._state(self.motion)
+            path = RetargetPath.to(self.motion.team, state, self._goal, 0.0)
+            shortest_shift(path, self.requirements.planned.limits, 1.0)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"

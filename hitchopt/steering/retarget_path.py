@@ -8,7 +8,7 @@ hitch that is to be turned keeps its shape.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -178,12 +178,16 @@ class RetargetPath:
         if kernels_on() and np.all(team.tension == team.tension[0]):
             from hitchopt.compiled.path_kernel import path_jets
 
-            own = np.column_stack([team.cable_length, team.tension, team.mass.reshape(-1, 2)])
-            own = np.column_stack([own, np.full(team.robots, GRAVITY)])
             change, timing = self._change, np.array([brake, shift, self.yaw])
             return PathJets(
                 *path_jets(
-                    change.start, change.goal, t, timing, layout.stencil, layout.has_leg, own
+                    change.start,
+                    change.goal,
+                    t,
+                    timing,
+                    layout.stencil,
+                    layout.has_leg,
+                    _rows(team),
                 )
             )
         flat = self.flat(t, brake, shift)
@@ -213,6 +217,13 @@ class RetargetPath:
         )
         tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
         return Flight(drones, vertices, leg_curves, tensions)
+
+
+@lru_cache(maxsize=16)
+def _rows(team: Team) -> Array:
+    """Return the row of every robot that compiled code takes, (n, 5)."""
+    columns = [team.cable_length, team.tension, team.mass.reshape(-1, 2)]
+    return np.column_stack([*columns, np.full(team.robots, GRAVITY)])
 
 
 def _turn(first: Array, last: Array) -> float:

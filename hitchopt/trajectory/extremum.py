@@ -80,7 +80,7 @@ class Cells:
             np.arange(count * items) % max(1, items),
             np.repeat(breaks[chosen], items),
             np.repeat(breaks[chosen + 1], items),
-            (np.zeros((count, items)) + margin).ravel(),
+            (np.zeros((count, items)) + np.asarray(margin, dtype=np.float64)).ravel(),
         )
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:

@@ -143,7 +143,7 @@ def _at(coefficients: Array, pieces: Indices, x: Array) -> Array:
     if kernels_on():
         from hitchopt.compiled.grid_kernel import grid_values
 
-        return grid_values(np.ascontiguousarray(coefficients), pieces, x)
+        return grid_values(coefficients.copy(), pieces, x)
     weights = bernstein.basis(x, bernstein.degree(coefficients))
     _, drones, axes, order = coefficients.shape
     found = np.empty((len(x), drones, axes))

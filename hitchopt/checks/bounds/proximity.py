@@ -210,12 +210,10 @@ def _near(
     if kernels_on() and metric is DISTANCE and pairs:
         from hitchopt.compiled.near_kernel import near_pairs
 
-        count, each = (
-            min(NEIGHBOURS, len(pairs)),
-            (np.ascontiguousarray(a), np.ascontiguousarray(b)),
-        )
-        kept = near_pairs(*each, pairs.first, pairs.second, margin, count, SLACK)
-        return kept.nonzero()
+        here, there, most = a.copy(), b.copy(), min(NEIGHBOURS, len(pairs))
+        kept = near_pairs(here, there, pairs.first, pairs.second, margin, most, SLACK)
+        piece, pair = np.nonzero(kept)
+        return piece, pair
     with np.errstate(all="ignore"):  # what is no number rules nothing out
         drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
         (a_lower, a_upper), (b_lower, b_upper) = (
