@@ -40,6 +40,6 @@ def kernel(function: F) -> F:
     Divisions by zero give what numpy makes of them. Kernels call only those of their own module:
     numba looks no further for what has changed.
     """
-    from numba import njit  # type: ignore[import-untyped,unused-ignore]
+    from numba import njit
 
     return cast(F, njit(cache=True, error_model="numpy")(function))

@@ -175,7 +175,8 @@ class RetargetPath:
     def jets(self, t: Array, brake: float, shift: float) -> PathJets:
         """Return vertices and drones at times t (J,) [s]."""
         team, layout = self.team, self.team.layout
-        if kernels_on() and np.all(team.tension == team.tension[0]):
+        simple = not team.loaded and np.all(team.tension == team.tension[0])
+        if simple and kernels_on():
             from hitchopt.compiled.path_kernel import path_jets
 
             change, timing = self._change, np.array([brake, shift, self.yaw])
