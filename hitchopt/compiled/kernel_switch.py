@@ -37,8 +37,8 @@ def kernels(*, on: bool = True) -> Iterator[bool]:
 def kernel(function: F) -> F:
     """Compile a function when it is first called, and keep the result on disk.
 
-    Divisions by zero give what numpy makes of them. Kernels call only those of their own module:
-    numba looks no further for what has changed.
+    Divisions by zero give what numpy makes of them. Numba notices changes of a kernel's own file
+    only, not of other kernels that it calls.
     """
     from numba import njit
 
