@@ -83,10 +83,8 @@ def _compiled(cells: Cells, noise: float) -> Enclosure | None:
 
     degree = bernstein.degree(blocks[1])
     order = degree + DIRECTION_ORDER + bernstein.degree(blocks[2])
-    if order < ORDER:
-        return None
     weights = interpolation_weights(degree, DIRECTION_ORDER)
-    lower = interpolation_weights(order, ORDER)
+    lower = interpolation_weights(order, min(order, ORDER))
     free, legs, pull, slop = blocks
     return Enclosure(*static_thrusts((free, legs, pull, slop), weights, noise, lower))
 
