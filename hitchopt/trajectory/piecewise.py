@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -187,19 +188,15 @@ class PiecewisePolynomial(OneLine):
         """Return the derivative of the given order by time."""
         if order == 0:
             return self
-        if (known := self._derivatives.get(order)) is not None:
-            return known
+        kept = _DERIVATIVES.setdefault(self, {})
+        if order in kept:
+            return kept[order]
         lower = self.differentiated(order - 1).coefficients
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         found = self._with(bernstein.differentiate(lower) / h)
         if lower.size <= KEPT:
-            self._derivatives[order] = found
+            kept[order] = found
         return found
-
-    @cached_property
-    def _derivatives(self) -> dict[int, PiecewisePolynomial]:
-        """Derivatives by their order, of small polynomials: several checks ask for the same."""
-        return {}
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
@@ -228,6 +225,12 @@ class PiecewisePolynomial(OneLine):
         """Return the same curves flown backwards, over the same span of time."""
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
         return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
+
+
+_DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomial]] = (
+    WeakKeyDictionary()
+)
+"""Derivatives by their order, of small polynomials in use: several checks ask for the same."""
 
 
 def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
