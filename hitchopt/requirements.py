@@ -270,9 +270,13 @@ class Requirements(OneLine):
     @property
     def planned(self) -> Requirements:
         """The same requirements with the limits that a plan keeps at full rate."""
+        if self.limits.reserve == 1.0:
+            return self
         return replace(self, limits=self.limits.planned)
 
     @property
     def untimed(self) -> Requirements:
         """The same requirements without a limit on the plan's duration."""
+        if self.limits.duration is None:
+            return self
         return replace(self, limits=replace(self.limits, duration=None))

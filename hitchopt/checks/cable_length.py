@@ -22,7 +22,8 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.extremum import Cells, Estimate, largest
+from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.extremum import Cells, Estimate
 from hitchopt.values import Array
 
 LIMIT = 1e-4
@@ -72,7 +73,8 @@ def _largest(motion: Motion, stored: list[Array]) -> Finding:
     rows = concatenated(parts, axis=2) / length[:, None, None]
     margin = 4.0 * position_margin(motion) / length  # of three lengths, and of their sum
     bound = partial(_bound, wrapped=len(blocks))
-    found = largest(Cells.over(motion.drones.breaks, [rows, *blocks, *stored], margin), bound)
+    cells = Cells.over(motion.drones.breaks, [rows, *blocks, *stored], margin)
+    found = largest(cells, bound, KnownBound("lengths", 2 if motion.contacts is None else 0))
     return Finding(found.worst, found.time, (f"cable {found.item}",))
 
 

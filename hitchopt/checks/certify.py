@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import Found, ReportRule
+from hitchopt.checks.rule import Findings, Found, ReportRule
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
@@ -21,6 +21,7 @@ def certify(
     *,
     part: bool = False,
     reports: Sequence[ReportRule] = REPORTS,
+    known: Findings | None = None,
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -42,6 +43,7 @@ def certify(
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
     part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
     reports: that are made after the checks; others than the usual ones where time is short.
+    known: what rules have found on the motion already, by their names.
 
     Raises
     ------
@@ -52,10 +54,12 @@ def certify(
     for i, report in enumerate(reports := sequence("reports", reports)):
         if not isinstance(report, ReportRule):
             raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
-    found: dict[str, tuple[Found, ...]] = {}
-    names = [rule.name for rule in RULES if rule.limit_of(motion) is not None]
+    found: dict[str, Sequence[Found]] = {}
     reports = [report for report in reports if not (part and report.whole)]
-    names += [report.name for report in reports]
+    names: list[str] = []
+    if progress is not None:
+        names += [rule.name for rule in RULES if rule.limit_of(motion) is not None]
+        names += [report.name for report in reports]
 
     def tell(name: str) -> None:
         if progress is not None and name in names:
@@ -63,7 +67,7 @@ def certify(
 
     for rule in RULES:
         tell(rule.name)
-        found[rule.name] = rule.findings(motion)
+        found[rule.name] = (known or {}).get(rule.name) or rule.findings(motion)
     checks = [most_pressing(each.check for each in spans) for spans in found.values()]
     for report in reports:
         tell(report.name)

@@ -7,6 +7,7 @@ import numpy as np
 from hitchopt.checks.bounds.bodies import PART_NAMES
 from hitchopt.checks.bounds.rounding_margins import derivative_margin, position_margin
 from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial
@@ -41,7 +42,7 @@ def _find(motion: Motion, _: float) -> Finding:
             continue
         for derivative in range(3):
             left, right = part.ends(derivative)
-            jump = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+            jump = length(left[1:] - right[:-1])
             if derivative == 0:
                 jump += position_margin(motion)
             else:

@@ -16,7 +16,8 @@ from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+from hitchopt.trajectory.compiled_search import KnownBound, smallest
+from hitchopt.trajectory.extremum import Cells, Estimate
 from hitchopt.values import Array
 
 BACKWARD = -180.0
@@ -48,8 +49,10 @@ def _find(motion: Motion, _: float) -> Finding:
         rows, offsets = np.concatenate([rows, ends], axis=1), np.append(offsets, 180.0)
         places.append((names[0], names[-1]))
     added = np.broadcast_to(offsets[:, None, None], (*rows.shape[:2], 1, 1))
-    bound = partial(_bound, noise=position_margin(motion))
-    found = smallest(Cells.over(motion.vertices.breaks, [rows, added]), bound)
+    noise = position_margin(motion)
+    known = KnownBound("turns", 2, noise, NO_DIRECTION, ROUNDING)
+    cells = Cells.over(motion.vertices.breaks, [rows, added])
+    found = smallest(cells, partial(_bound, noise=noise), known)
     worst, time, where = max(found.worst, BACKWARD), found.time, places[found.item]
     if worst > BACKWARD and room < min(worst, 0.0):
         worst, time = room, float(motion.vertices.breaks[0])

@@ -24,7 +24,8 @@ from hitchopt.motion.carried import object_loads
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
-from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.trajectory import bernstein, compiled_search, enclosure
+from hitchopt.trajectory.compiled_search import KnownBound
 from hitchopt.trajectory.extremum import Cells, Estimate, largest
 from hitchopt.values import Array
 
@@ -71,7 +72,9 @@ def _find(motion: Motion, _: float) -> Finding:
         blocks.append(pressed)
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
-    found = largest(cells, partial(_bound, noise=noise))
+    count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
+    known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING)
+    found = compiled_search.largest(cells, partial(_bound, noise=noise), known)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.friction_range import angles_at, wrapped, wrapping_vectors
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
-from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION, thrust_at, thrust_cells
+from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION, thrust_cells, thrust_from
 from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.motion.tensions import ranged_phases, stated_tensions
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Cells, Estimate, largest
+from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.extremum import Cells, Estimate
 from hitchopt.values import Array
 
 Mask = NDArray[np.bool_]
@@ -81,13 +83,13 @@ def _jump_of_thrusts(motion: Motion) -> Finding:
     blocks = thrust_cells(motion, np.ones(drones)).blocks
     noise = position_margin(motion)
     ends, slop = [], []
-    for end, x in ((0, 0.0), (-1, 1.0)):
-        there = thrust_at(blocks, np.full(len(blocks[0]), x))
-        legs = np.linalg.norm(blocks[1][..., end], axis=-1)
+    for end in (0, -1):
+        there = thrust_from([block[..., end] for block in blocks])
+        legs = length(blocks[1][..., end])
         turned = 2.0 * noise / np.maximum(legs, NO_DIRECTION) * np.abs(blocks[2][:, 0, end])
         ends.append(there.vectors.reshape(-1, drones, 3))
         slop.append((there.pull + turned + blocks[3][:, 0, 0]).reshape(-1, drones))
-    jumps = np.linalg.norm(ends[0][1:] - ends[1][:-1], axis=-1) + slop[0][1:] + slop[1][:-1]
+    jumps = length(ends[0][1:] - ends[1][:-1]) + slop[0][1:] + slop[1][:-1]
     return _largest_jump(motion, jumps, motion.team.robots)
 
 
@@ -120,7 +122,8 @@ def _farthest(motion: Motion, blocks: list[Array], first: int) -> Finding:
     cells = Cells.over(motion.drones.breaks, blocks, margin)
     cells = cells.take(np.repeat(motion.formed, blocks[0].shape[1]))
     friction, noise = motion.team.cable_friction, position_margin(motion)
-    found = largest(cells, partial(_bound, friction=friction, noise=noise))
+    bound = partial(_bound, friction=friction, noise=noise)
+    found = largest(cells, bound, KnownBound("band", 2))
     return _named(motion, found.worst, found.time, first + found.item)
 
 
@@ -170,6 +173,8 @@ def _off_at_ends(motion: Motion) -> Finding:
 
 def _ramps(motion: Motion) -> Mask:
     """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch."""
+    if np.all(motion.formed):  # no span without a hitch that a ramp could be next to
+        return np.zeros((motion.drones.pieces, motion.team.robots), dtype=np.bool_)
     resting = motion.formed
     for part in (motion.drones, motion.vertices):
         resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)

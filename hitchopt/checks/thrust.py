@@ -7,12 +7,18 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
-from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
+from hitchopt.checks.bounds.thrust_enclosure import (
+    NO_DIRECTION,
+    thrust_at,
+    thrust_cells,
+    thrust_enclosure,
+)
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Estimate, largest
+from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
 
 
@@ -22,11 +28,9 @@ def _find(motion: Motion, _: float) -> Finding:
     ``worst`` and ``limit`` are that drone's; the check holds if all drones satisfy theirs.
     """
     limits = motion.team.max_thrust
-    cells, bound = (
-        thrust_cells(motion, limits),
-        partial(thrust_bound, noise=position_margin(motion)),
-    )
-    found = largest(cells, bound, within(1.0, "max", share=0.5))
+    cells, noise = thrust_cells(motion, limits), position_margin(motion)
+    known = KnownBound("thrust", 4, noise, NO_DIRECTION)
+    found = largest(cells, partial(thrust_bound, noise=noise), known, within(1.0, "max", share=0.5))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)

@@ -8,13 +8,19 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.bounds.rounding_margins import position_margin
-from hitchopt.checks.bounds.thrust_enclosure import thrust_at, thrust_cells, thrust_enclosure
+from hitchopt.checks.bounds.thrust_enclosure import (
+    NO_DIRECTION,
+    thrust_at,
+    thrust_cells,
+    thrust_enclosure,
+)
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Estimate, largest
+from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
 
 UPSIDE_DOWN = 180.0
@@ -25,7 +31,9 @@ def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
     cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
     aim = within(limit, "max", share=0.5)
-    found = largest(cells, partial(tilt_bound, noise=position_margin(motion)), aim)
+    noise = position_margin(motion)
+    known = KnownBound("tilt", 4, noise, NO_DIRECTION)
+    found = largest(cells, partial(tilt_bound, noise=noise), known, aim)
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 

@@ -96,7 +96,8 @@ class Motion(OneLine):
                 continue
             if part.shape != shape:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
-            if not np.array_equal(part.breaks, self.drones.breaks):
+            breaks = self.drones.breaks
+            if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
         check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
         states = [str(phase.state) for phase in self.phases]
@@ -144,7 +145,8 @@ class Motion(OneLine):
     @property
     def untimed(self) -> Motion:
         """The same motion without a limit on its duration."""
-        return replace(self, requirements=self.requirements.untimed)
+        needed = self.requirements.untimed
+        return self if needed is self.requirements else replace(self, requirements=needed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -256,7 +258,10 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     phases: list[Phase] = []
     offset = 0.0
     for motion in motions:
-        phases += [replace(p, start=offset + p.start, end=offset + p.end) for p in motion.phases]
+        phases += [
+            replace(p, start=offset + p.start, end=offset + p.end) if offset else p
+            for p in motion.phases
+        ]
         offset += motion.duration
     parts: dict[str, Any] = {
         name: joined([getattr(motion, name) for motion in motions]) for name in POLYNOMIALS

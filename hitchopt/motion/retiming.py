@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import Array, Indices
 
 LONGEST = 0.1
@@ -99,8 +99,21 @@ def before(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exactly."""
     breaks = motion.drones.breaks
     breaks = np.append(breaks[breaks < time - 1e-9], time)
-    phases = [replace(p, end=min(p.end, time)) for p in motion.overlapping(breaks[0], time)]
-    return motion.changed(lambda part: on_breaks(part, breaks), phases)
+    phases = [
+        p if p.end <= time else replace(p, end=time) for p in motion.overlapping(breaks[0], time)
+    ]
+    count = len(breaks) - 1
+    start, end = motion.drones.breaks[count - 1 : count + 1]
+    share = 1.0 if end - time <= SAME_BREAK else (time - start) / (end - start)
+    orders = {part.degree for part in vars(motion).values() if hasattr(part, "degree")}
+    cuts = {order: bernstein.restrict(np.eye(order + 1), 0.0, share) for order in orders}
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        found = whole.coefficients[:count].copy()
+        found[-1] = found[-1] @ cuts[whole.degree]
+        return PiecewisePolynomial(breaks, found)
+
+    return motion.changed(part, phases)
 
 
 def followed(first: Motion, second: Motion) -> Motion:

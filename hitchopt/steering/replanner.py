@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import certify
+from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -22,9 +24,9 @@ from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steering.retarget import IN_FLIGHT, SLOWER, Retarget, certified_retarget
+from hitchopt.steering.retarget import DISTANCES, IN_FLIGHT, SLOWER, Retarget, certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes
+from hitchopt.steering.retarget_timing import brakes, shortest_shift
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -47,6 +49,9 @@ class Replanner(OneLine):
 
     Times are those since steering began. From a moving state positions, velocities and
     accelerations go on without a jump. What was flown until then stays as it is.
+
+    With numba installed, compiled code plans and certifies: results are the same to rounding. It is
+    compiled when the first replanner is made, which takes a minute, and kept on disk.
 
     Parameters
     ----------
@@ -98,9 +103,19 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        self._certificate = certify(self.motion, reports=IN_FLIGHT)
+        with kernels() as compiled:
+            self._certificate = certify(self.motion, reports=IN_FLIGHT)
+            if compiled:
+                self._load()
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
+
+    def _load(self) -> None:
+        """Load compiled code, or compile it, before the first goal is given."""
+        with suppress(_NotNowError):
+            state = self._state(self.motion)
+            path = RetargetPath.to(self.motion.team, state, self._goal, 0.0)
+            shortest_shift(path, self.requirements.planned.limits, 1.0)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"
@@ -142,6 +157,11 @@ class Replanner(OneLine):
         """
         at = not_negative("at", at)
         outline, altitude, turned = self._asked(polygon, vertex, to, yaw)
+        with kernels():
+            return self._answered(outline, altitude, turned, at)
+
+    def _answered(self, outline: Outline, altitude: float, turned: float, at: float) -> Retarget:
+        """Return the answer to a goal, and fly there if it is accepted."""
         refusal = ""
         for wait in WAITS:
             try:
@@ -197,6 +217,7 @@ class Replanner(OneLine):
         team, need = past.team, self.requirements
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
+        refused: tuple[RetargetPath, float] | None = None
         before: Hitch | None = None
         for chosen in (False, True):
             try:
@@ -211,15 +232,20 @@ class Replanner(OneLine):
             tried = False
             for brake in islice(brakes(path, need.planned.limits), BRAKES):
                 tried = True
-                found = certified_retarget(past, path, brake, need)
+                found = certified_retarget(past, path, brake, need, complete=False)
                 if isinstance(found, Retarget):
                     return found, end
-                refusal = refusal or found
-                if not {each.constraint for each in found.violations} <= SLOWER.keys():
+                if refusal is None:
+                    refusal, refused = found, (path, brake)
+                broken = {each.constraint for each in found.violations}
+                if not broken <= SLOWER.keys():
                     break
             if not tried:
                 raise _NotNowError(f"from t = {at:.4g} s: no brake keeps all limits")
         assert refusal is not None
+        if refused and all(each.constraint in DISTANCES for each in refusal.violations):
+            found = certified_retarget(past, *refused, need)  # all that is to be said of it
+            refusal = found if isinstance(found, InfeasibleError) else refusal
         raise refusal
 
     def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
@@ -257,7 +283,7 @@ class Replanner(OneLine):
             raise _NotNowError(f"{when} there is no hitch")
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
-        model = still.drones(np.zeros(1), 1.0, math.inf)[1].positions[0, ..., 0]
+        model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
         if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
             raise _NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return state

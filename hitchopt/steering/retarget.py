@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
@@ -43,6 +44,9 @@ ROUNDS = 3
 
 SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust": 2, "tilt": 2}
 """Checks that a longer shift eases, and the power of the duration with which they fall."""
+
+DISTANCES = ("separation", "cable_clearance", "crossing")
+"""Checks of what neither eases, looked at first: another path is tried where one is broken."""
 
 STRETCH = 1.02
 """Least factor by which a shift is prolonged then."""
@@ -83,7 +87,12 @@ class Retarget(OneLine):
 
 
 def certified_retarget(
-    past: Motion, path: RetargetPath, brake: float, requirements: Requirements
+    past: Motion,
+    path: RetargetPath,
+    brake: float,
+    requirements: Requirements,
+    *,
+    complete: bool = True,
 ) -> Retarget | InfeasibleError:
     """Return the answer for a path, or what keeps it from being certified.
 
@@ -93,6 +102,7 @@ def certified_retarget(
     path: from its end.
     brake: duration of the brake [s].
     requirements: what the plan must satisfy.
+    complete: whether an error tells all that keeps it; else a distance that is too small may do.
     """
     shift = shortest_shift(path, requirements.planned.limits, brake)
     if shift is None:
@@ -104,7 +114,13 @@ def certified_retarget(
         flight = path.flight(_breaks(brake, shift, finer, moving=path.state.moves), brake, shift)
         fresh = flying(flight, path.team, requirements, [phase])
         ahead = followed(recent, fresh)
-        certificate = certify(ahead.untimed, reports=())
+        checked = ahead.untimed
+        known = {name: RULE_OF[name].findings(checked) for name in DISTANCES}
+        short = [each.check for found in known.values() for each in found]
+        short = [check for check in short if not check.holds]
+        if short and not complete:
+            return infeasible(Certificate(ahead.duration, tuple(short)), ahead)
+        certificate = certify(checked, reports=(), known=known)
         if certificate.certified:
             stops = tuple(report.check(ahead, {}, GAMMA) for report in IN_FLIGHT)
             certificate = replace(certificate, checks=(*certificate.checks, *stops))

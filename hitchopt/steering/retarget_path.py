@@ -8,13 +8,14 @@ hitch that is to be turned keeps its shape.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Hitch, Team
-from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.model.evaluation import FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import jets
 from hitchopt.planners.timing.flight_curves import Flight
@@ -58,6 +59,24 @@ class MovingState:
     def moves(self) -> bool:
         """Whether anything moves or accelerates."""
         return bool(np.any(np.abs(self.drones[..., 1:3]) > 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class PathJets:
+    """A path at J times.
+
+    Attributes
+    ----------
+    vertices: (J, points, 3, 4) [m] and derivatives by time.
+    drones: (J, 2n, 3, 4)
+    legs: (J, n, 2, 4)
+    thrusts: (J, 2n, 3) [N]
+    """
+
+    vertices: Array
+    drones: Array
+    legs: Array
+    thrusts: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +172,35 @@ class RetargetPath:
         found[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
         return found
 
-    def drones(self, t: Array, brake: float, shift: float) -> tuple[FlatJets, DroneJets]:
-        """Return flat outputs and drones at times t (J,) [s]."""
+    def jets(self, t: Array, brake: float, shift: float) -> PathJets:
+        """Return vertices and drones at times t (J,) [s]."""
+        team, layout = self.team, self.team.layout
+        simple = not team.loaded and np.all(team.tension == team.tension[0])
+        if simple and kernels_on():
+            from hitchopt.compiled.path_kernel import path_jets
+
+            change, timing = self._change, np.array([brake, shift, self.yaw])
+            return PathJets(
+                *path_jets(
+                    change.start,
+                    change.goal,
+                    t,
+                    timing,
+                    layout.stencil,
+                    layout.has_leg,
+                    _rows(team),
+                )
+            )
         flat = self.flat(t, brake, shift)
-        return flat, drone_jets(self.team, flat)
+        found = drone_jets(team, flat)
+        return PathJets(flat.vertices, found.positions, found.legs, found.thrusts)
 
     def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
         """Return the polynomials, which meet the state itself at their start."""
         h = np.diff(breaks)
         count = len(h)
         sides = np.concatenate([breaks[:-1] + SIDE * h, breaks[1:] - SIDE * h])
-        flat, found = self.drones(sides, brake, shift)
+        found = self.jets(sides, brake, shift)
         legs = found.legs * self.team.layout.has_leg[..., None]
         starts = (self.state.drones, self.state.vertices, self.state.legs)
 
@@ -177,10 +214,17 @@ class RetargetPath:
 
         drones, vertices, leg_curves = (
             part(values, start)
-            for values, start in zip((found.positions, flat.vertices, legs), starts, strict=True)
+            for values, start in zip((found.drones, found.vertices, legs), starts, strict=True)
         )
         tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
         return Flight(drones, vertices, leg_curves, tensions)
+
+
+@lru_cache(maxsize=16)
+def _rows(team: Team) -> Array:
+    """Return the row of every robot that compiled code takes, (n, 5)."""
+    columns = [team.cable_length, team.tension, team.mass.reshape(-1, 2)]
+    return np.column_stack([*columns, np.full(team.robots, GRAVITY)])
 
 
 def _turn(first: Array, last: Array) -> float:

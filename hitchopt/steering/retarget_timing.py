@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
@@ -49,21 +50,29 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     t: (J,) times [s], the first one 0.
     brake, shift: durations [s].
     """
-    flat, drones = path.drones(t, brake, shift)
-    x, thrust = drones.positions, drones.thrusts
+    found = path.jets(t, brake, shift)
+    if kernels_on():
+        from hitchopt.compiled.path_kernel import largest_shares
+
+        given = [limits.speed, limits.acceleration, limits.jerk, limits.vertex_speed, limits.tilt]
+        share = largest_shares(
+            found.vertices, found.drones, found.thrusts, np.array(given), path.team.max_thrust
+        )
+        return share if math.isfinite(share) else math.inf
+    x, thrust = found.drones, found.thrusts
     squared = np.einsum("jdxk,jdxk->kjd", x, x)
     jerk = math.sqrt(float(np.max(squared[3]))) / limits.jerk
     speed = math.sqrt(float(np.max(squared[1, 1:]))) / limits.speed
     acceleration = math.sqrt(float(np.max(squared[2, 1:]))) / limits.acceleration
-    vertices = flat.vertices[1:, ..., 1]
+    vertices = found.vertices[1:, ..., 1]
     vertex = float(np.max(np.einsum("jdx,jdx->jd", vertices, vertices)))
     vertex = math.sqrt(vertex) / limits.vertex_speed
     level2 = thrust[1:, :, 0] ** 2 + thrust[1:, :, 1] ** 2
     up = thrust[1:, :, 2]
     force = float(np.max(np.sqrt(level2 + up * up) / path.team.max_thrust))
     lean = float(np.max(np.arctan2(np.sqrt(level2), up))) / limits.tilt
-    found = max(speed, vertex, math.sqrt(max(acceleration, force, lean)), float(np.cbrt(jerk)))
-    return found if math.isfinite(found) else math.inf
+    most = max(speed, vertex, math.sqrt(max(acceleration, force, lean)), float(np.cbrt(jerk)))
+    return most if math.isfinite(most) else math.inf
 
 
 def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:

@@ -127,7 +127,7 @@ def restrict(coefficients: Array, lower: Array | float, upper: Array | float) ->
     for r in range(1, order + 1):  # de Casteljau: keep [0, upper]
         c[..., r:] = (1.0 - upper) * c[..., r - 1 : -1] + upper * c[..., r:]
     start = np.divide(lower, upper, out=np.zeros_like(lower * upper), where=upper > 0.0)
-    for r in range(1, order + 1):  # then [lower / upper, 1] of that
+    for r in range(1, order + 1) if np.any(start) else ():  # then [lower / upper, 1] of that
         c[..., : order + 1 - r] = (1.0 - start) * c[..., : order + 1 - r] + start * c[
             ..., 1 : order + 2 - r
         ]

@@ -77,10 +77,10 @@ class Cells:
         chosen = np.arange(count) if pieces is None else pieces
         return cls(
             tuple(block.reshape(count * items, *block.shape[2:]) for block in blocks),
-            np.tile(np.arange(items), count),
+            np.arange(count * items) % max(1, items),
             np.repeat(breaks[chosen], items),
             np.repeat(breaks[chosen + 1], items),
-            np.broadcast_to(np.asarray(margin, dtype=np.float64), (count, items)).ravel(),
+            (np.zeros((count, items)) + np.asarray(margin, dtype=np.float64)).ravel(),
         )
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,10 @@ from hitchopt.values import Array, as_array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
+
+KEPT = 2**16
+"""Numbers up to which a derivative is kept: 0.5 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +50,21 @@ class PiecewisePolynomial(OneLine):
             bound = f"({len(breaks) - 1}, …, degree + 1)"
             remedy = "give one row of coefficients per piece"
             raise InputError("coefficients", coefficients.shape, bound, remedy)
-        if not (np.all(np.isfinite(breaks)) and np.all(np.diff(breaks) > 0.0)):
+        if not ((breaks[1:] > breaks[:-1]).all() and np.isfinite(breaks[[0, -1]]).all()):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
-        if not np.all(np.isfinite(coefficients)):
+        if not np.isfinite(coefficients).all():
             raise InputError("coefficients", "nan or inf", "finite", "check how they were made")
         for name, array in (("breaks", breaks), ("coefficients", coefficients)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def _with(self, coefficients: Array) -> PiecewisePolynomial:
-        """Return other functions on the same breaks, unchecked: computed from checked ones."""
+    def _with(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
+        """Return other functions, unchecked: computed from checked ones."""
         made = object.__new__(PiecewisePolynomial)
-        coefficients.setflags(write=False)
-        object.__setattr__(made, "breaks", self.breaks)
+        breaks = self.breaks if breaks is None else breaks
+        for array in (coefficients, breaks):
+            array.setflags(write=False)
+        object.__setattr__(made, "breaks", breaks)
         object.__setattr__(made, "coefficients", coefficients)
         return made
 
@@ -178,15 +185,23 @@ class PiecewisePolynomial(OneLine):
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of the given order by time."""
-        c = self.coefficients
-        h = self.durations.reshape(-1, *(1,) * (c.ndim - 1))
-        for _ in range(order):
-            c = bernstein.differentiate(c) / h
-        return self._with(c)
+        if order == 0:
+            return self
+        kept = _DERIVATIVES.setdefault(self, {})
+        if order in kept:
+            return kept[order]
+        lower = self.differentiated(order - 1).coefficients
+        h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
+        found = self._with(bernstein.differentiate(lower) / h)
+        if lower.size <= KEPT:
+            kept[order] = found
+        return found
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
-        return PiecewisePolynomial(self.breaks, bernstein.elevate(self.coefficients, order))
+        if order == self.degree:
+            return self
+        return self._with(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
         """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
@@ -201,12 +216,20 @@ class PiecewisePolynomial(OneLine):
     def taken(self, pieces: slice) -> PiecewisePolynomial:
         """Return a run of pieces (at least one), at the same times."""
         first, last, _ = pieces.indices(self.pieces)
-        return PiecewisePolynomial(self.breaks[first : last + 1], self.coefficients[first:last])
+        if last <= first:
+            raise InputError("pieces", pieces, "at least one", "take a run of pieces")
+        return self._with(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
         """Return the same curves flown backwards, over the same span of time."""
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
         return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
+
+
+_DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomial]] = (
+    WeakKeyDictionary()
+)
+"""Derivatives by their order, of small polynomials in use: several checks ask for the same."""
 
 
 def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:

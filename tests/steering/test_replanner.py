@@ -135,9 +135,9 @@ def test_a_path_that_no_slack_split_changes_is_certified_once(
     replanner.motion = replace(replanner.motion, requirements=replanner.requirements)
     tried = []
 
-    def counted(*given: Any) -> ho.Retarget | ho.InfeasibleError:
+    def counted(*given: Any, **options: Any) -> ho.Retarget | ho.InfeasibleError:
         tried.append(given)
-        return certified_retarget(*given)
+        return certified_retarget(*given, **options)
 
     monkeypatch.setattr("hitchopt.steering.replanner.certified_retarget", counted)
     answer = replanner.retarget(to=[9.0, 2.0, 1.0], at=0.5)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
@@ -59,6 +60,7 @@ class DerivativeGrid:
     ----------
     piece: (cells,) in which each lies.
     begin, until, width: (cells,) [s].
+    left: (cells,), the node at which each begins.
     values: (nodes, drones, 3), derivatives of orders 1 to 3 by plan time, and static thrusts.
     fourth, fifth: (pieces, drones), bounds of the norms of these derivatives.
     slope, bend: (pieces, drones), bounds of the norms of the static thrusts' derivatives.
@@ -83,10 +85,10 @@ class DerivativeGrid:
         self.begin = drones.breaks[self.piece] + x * drones.durations[self.piece]
         self.until = np.append(self.begin[1:], drones.breaks[-1])
         # Nodes are those where cells begin, and the end of each piece once more.
-        self._left = np.arange(len(self.piece)) + self.piece
+        self.left = np.arange(len(self.piece)) + self.piece
         nodes = np.repeat(np.arange(drones.pieces), parts + 1)
         place = np.zeros(len(nodes))
-        place[self._left] = x
+        place[self.left] = x
         place[np.cumsum(parts + 1) - 1] = 1.0
         force = limits.static.thrust.coefficients
         self.values = [_at(c, nodes, place) for c in (*limits.derivatives, force)]
@@ -105,9 +107,15 @@ class DerivativeGrid:
 
         def ends(values: Array) -> Array:
             sizes = lengths(values)
-            most: Array = np.maximum(sizes[self._left], sizes[self._left + 1])
+            most: Array = np.maximum(sizes[self.left], sizes[self.left + 1])
             return most
 
+        if kernels_on():
+            from hitchopt.compiled.grid_kernel import grid_sizes
+
+            values = (self.values[0], self.values[1], self.values[2])
+            both = np.stack([*margins, self.fourth, self.fifth])
+            return Sizes(*grid_sizes(values, self.left, self.piece, self.width, both))
         J = ends(self.values[2]) + bend * self.fifth[self.piece] + third
         A = ends(self.values[1]) + bend * self.fourth[self.piece] + second
         return Sizes(ends(self.values[0]) + bend * J + first, A, J)
@@ -115,12 +123,12 @@ class DerivativeGrid:
     def node_before(self, times: Array) -> Indices:
         """Return the last node (…) up to each time [s]; the first or last one beyond the plan."""
         cell = np.searchsorted(self.begin, times, side="right") - 1
-        found: Indices = self._left[np.maximum(cell, 0)]
+        found: Indices = self.left[np.maximum(cell, 0)]
         return found
 
     def on_chord(self, order: int, cell: Indices, tau: Array) -> Array:
         """Return (rows, drones, 3): ``values[order]`` on the chords between nodes."""
-        left = self._left[cell]
+        left = self.left[cell]
         share = tau[:, None, None]
         found: Array = self.values[order][left]
         found += share * (self.values[order][left + 1] - found)
@@ -132,6 +140,10 @@ def _at(coefficients: Array, pieces: Indices, x: Array) -> Array:
 
     Pieces are in order.
     """
+    if kernels_on():
+        from hitchopt.compiled.grid_kernel import grid_values
+
+        return grid_values(coefficients.copy(), pieces, x)
     weights = bernstein.basis(x, bernstein.degree(coefficients))
     _, drones, axes, order = coefficients.shape
     found = np.empty((len(x), drones, axes))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import (
     Boxes,
@@ -27,6 +28,7 @@ from hitchopt.geometry.broadphase import (
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.compiled_search import KnownBound, smallest
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Bound, Cells, Extremum, Search
 from hitchopt.values import Array
@@ -127,12 +129,16 @@ def smallest_distance(
         every = all_pairs(len(first), None if second is None else count)
         every = every.take(allowed(every.first, every.second))
         group = max(1, GROUP // max(1, len(every)))  # pieces at a time
+        alone = len(breaks) - 1 <= group and metric is DISTANCE and math.isinf(known)
         for start in range(0, len(breaks) - 1 if len(every) else 0, group):
             a = first.corners[start : start + group]
             b = a if second is None else second.corners[start : start + group]
             times = breaks[start : start + group + 1]
             piece, pair = _near(a, b, every, margin, metric)
-            search.add(_cells(times, a, b, piece, every.take(pair), count, margin))
+            cells = _cells(times, a, b, piece, every.take(pair), count, margin)
+            if alone:
+                return _not_negative(smallest(cells, metric.bound, KnownBound("distance"), target))
+            search.add(cells)
         return _not_negative(search.finish())
     for span in _spans(breaks, first, second, search, allowed, margin, metric):
         a, b = span.first, span.second if span.second is not None else span.first
@@ -201,6 +207,13 @@ def _near(
     By the boxes over each piece of (pieces, bodies, 1 or 2, 3, degree + 1), held against what the
     few pairs are apart in a piece's middle whose boxes come closest.
     """
+    if kernels_on() and metric is DISTANCE and pairs:
+        from hitchopt.compiled.near_kernel import near_pairs
+
+        here, there, most = a.copy(), b.copy(), min(NEIGHBOURS, len(pairs))
+        kept = near_pairs(here, there, pairs.first, pairs.second, margin, most, SLACK)
+        piece, pair = np.nonzero(kept)
+        return piece, pair
     with np.errstate(all="ignore"):  # what is no number rules nothing out
         drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
         (a_lower, a_upper), (b_lower, b_upper) = (

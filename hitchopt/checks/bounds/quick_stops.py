@@ -18,7 +18,9 @@ from hitchopt.checks.bounds.clock_stops import (
     shown,
     spaced_starts,
 )
+from hitchopt.checks.bounds.compiled_stops import compiled_stops
 from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
@@ -31,6 +33,9 @@ LONGER = (1.01, 1.08, 1.3, 1.8, 3.0)
 
 BISECTIONS = 7
 """Number of bisections of the least duration's logarithm: it is found to within 3 %."""
+
+VECTORS = 4000
+"""Vectors of each kind that are looked at in one go."""
 
 _W = np.array([0.0, 0.3, 0.5, 0.5, 0.75])
 """Shares of a stop's time at which samples are taken."""
@@ -47,10 +52,17 @@ _J = np.where(_LATE, 4.0, -4.0)[:, None, None, None]
 def quick_stop_table(motion: Motion) -> StopTable:
     """Return stops that keep all limits of a motion, by a few per cent longer than need be."""
     bounds = StopBounds(ClockLimits(motion), WIDTH)
-    starts = spaced_starts(motion)
+    starts, limits = spaced_starts(motion), motion.requirements.limits
+    slow = limits.reserve < 1.0
+    span = np.array([DURATIONS[0], SLOW_DURATIONS[-1] if slow else DURATIONS[-1]])
+    rounds = BISECTIONS + 2 * slow
+    if kernels_on() and limits.body_rate is None:
+        samples = np.stack([each.ravel() for each in (_PLAN, _S, _A, _J)])
+        durations = compiled_stops(bounds, starts, samples, span, rounds, np.array(LONGER))
+        return StopTable(rest_of(motion), starts, durations)
     durations = np.full(len(starts), np.inf)
     left = np.arange(len(starts))
-    least = _least(bounds, starts)
+    least = _least(bounds, starts, span, rounds)
     for factor in LONGER:
         check_time()
         tried = factor * least[left]
@@ -62,24 +74,31 @@ def quick_stop_table(motion: Motion) -> StopTable:
     return StopTable(rest_of(motion), starts, durations)
 
 
-def _least(bounds: StopBounds, starts: Array) -> Array:
+def _least(bounds: StopBounds, starts: Array, span: Array, rounds: int) -> Array:
     """Return durations (m,) [s] below which samples break a limit of acceleration or jerk."""
-    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
-    low = np.full(len(starts), np.log(DURATIONS[0]))
-    high = np.full(len(starts), np.log(SLOW_DURATIONS[-1] if slow else DURATIONS[-1]))
-    first = _kept_at_samples(bounds, starts, np.exp(low))
-    high[first] = low[first]
-    for _ in range(BISECTIONS + 2 * slow):
+    least = np.full(len(starts), span[0])
+    left = np.flatnonzero(~_kept_at_samples(bounds, starts, least))
+    low, high = (np.full(len(left), np.log(each)) for each in span)
+    for _ in range(rounds if len(left) else 0):
         middle = 0.5 * (low + high)
-        kept = _kept_at_samples(bounds, starts, np.exp(middle))
+        kept = _kept_at_samples(bounds, starts[left], np.exp(middle))
         high = np.where(kept, middle, high)
         low = np.where(kept, low, middle)
-    least: Array = np.exp(high)
+    least[left] = np.exp(high)
     return least
 
 
 def _kept_at_samples(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
     """Return (m,) whether stops keep the limits of acceleration and jerk at samples."""
+    count = max(1, VECTORS // (len(_W) * len(bounds.limits.motion.team.mass)))
+    if len(starts) <= count:
+        return _kept(bounds, starts, durations)
+    parts = [slice(first, first + count) for first in range(0, len(starts), count)]
+    return np.concatenate([_kept(bounds, starts[part], durations[part]) for part in parts])
+
+
+def _kept(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
+    """Return the same for so few stops that they stay within the caches."""
     limits, grid = bounds.limits.motion.requirements.limits, bounds.grid
     node = grid.node_before(starts + _PLAN * durations)
     x1, x2, x3 = (grid.values[order][node] for order in range(3))

@@ -13,23 +13,30 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 ROUNDING = 2.0**-40
 """Relative to the magnitude of the numbers that enter a quantity."""
 
 _KNOWN: WeakKeyDictionary[PiecewisePolynomial, dict[int, Array]] = WeakKeyDictionary()
-"""Margins of derivatives, by their order, as long as the polynomials are in use."""
+"""Margins of derivatives, by their order, as long as the polynomials are in use; by 0, the largest
+differences of coefficients."""
+
+_MAGNITUDES: WeakKeyDictionary[Motion, float] = WeakKeyDictionary()
+"""Largest coordinates of motions in use."""
 
 LAST_PLACE = 2.0**-50
 """What a difference of two numbers errs by at most, relative to it, with room to spare."""
 
 
 def magnitude(motion: Motion) -> float:
-    """Return the largest coordinate of the plan [m]."""
-    parts = (motion.drones, motion.vertices)
-    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+    """Return the largest coordinate of the plan [m]; all checks ask for it."""
+    if motion not in _MAGNITUDES:
+        parts = (motion.drones, motion.vertices)
+        sizes = (np.max(np.abs(part.coefficients), initial=0.0) for part in parts)
+        _MAGNITUDES[motion] = float(max(sizes))
+    return _MAGNITUDES[motion]
 
 
 def position_margin(motion: Motion) -> float:
@@ -63,8 +70,11 @@ def _derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     c = part.coefficients
     if part.degree == 0:
         return np.zeros(c.shape[:2])
-    differences = np.max(np.abs(bernstein.differentiate(c)), axis=(-2, -1)) / part.degree
+    if 0 not in _KNOWN[part]:  # the same for all orders
+        steps = c[..., 1:] - c[..., :-1]
+        _KNOWN[part][0] = np.abs(steps).max(axis=(-2, -1))
+    differences = _KNOWN[part][0]
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
-    size = np.max(np.abs(part.differentiated(order).coefficients), axis=(-2, -1))
+    size = np.abs(part.differentiated(order).coefficients).max(axis=(-2, -1))
     margin: Array = LAST_PLACE * gain[:, None] * differences + ROUNDING * size
     return margin

@@ -12,10 +12,13 @@ from hitchopt.checks.bounds.thrust_enclosure import thrust_cells, thrust_enclosu
 from hitchopt.checks.bounds.thrust_turning import load_rate, rate_margin, turning_cells
 from hitchopt.checks.thrust import thrust_bound
 from hitchopt.checks.tilt import tilt_bound
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.compiled_search import HUGE, compiled_blocks, interpolation_weights
 from hitchopt.trajectory.enclosed_products import largest_norm, reduced
-from hitchopt.trajectory.enclosure import Enclosure
-from hitchopt.trajectory.extremum import largest
+from hitchopt.trajectory.enclosure import DIRECTION_ORDER, Enclosure
+from hitchopt.trajectory.extremum import Cells, largest
 from hitchopt.values import Array
 
 ORDER = 8
@@ -47,7 +50,7 @@ class StaticThrust:
             return Enclosure(coefficients, low.radius.reshape(shape))
 
         cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
-        thrust = shaped(thrust_enclosure(cells.blocks, noise))
+        thrust = shaped(_compiled(cells, noise) or thrust_enclosure(cells.blocks, noise))
         if motion.requirements.limits.body_rate is None:
             return cls(thrust)
         rate = load_rate(turning_cells(motion).blocks, noise, rate_margin(motion))
@@ -69,6 +72,21 @@ class StaticThrust:
         distance = np.hypot(c[..., 0, :], c[..., 1, :]) * np.cos(tilt) - c[..., 2, :] * np.sin(tilt)
         most: Array = np.max(distance, axis=-1) + self.thrust.radius
         return most
+
+
+def _compiled(cells: Cells, noise: float) -> Enclosure | None:
+    """Return the thrusts in degree ORDER by compiled code, or None where that is not on."""
+    blocks = compiled_blocks(cells) if kernels_on() and len(cells.blocks) == 4 else None
+    if blocks is None or not all(np.max(np.abs(block)) < HUGE for block in blocks):
+        return None
+    from hitchopt.compiled.thrust_kernels import static_thrusts
+
+    degree = bernstein.degree(blocks[1])
+    order = degree + DIRECTION_ORDER + bernstein.degree(blocks[2])
+    weights = interpolation_weights(degree, DIRECTION_ORDER)
+    lower = interpolation_weights(order, min(order, ORDER))
+    free, legs, pull, slop = blocks
+    return Enclosure(*static_thrusts((free, legs, pull, slop), weights, noise, lower))
 
 
 def largest_static_thrust(motion: Motion) -> float:

@@ -11,7 +11,7 @@ polynomial (see ``hitchopt.motion.tensions``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,9 @@ from hitchopt.values import Array
 
 NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
+
+
+_UPWARD = np.array([0.0, 0.0, 1.0])
 
 
 def thrust_cells(motion: Motion, unit: Array, *, moving: bool = True) -> Cells:
@@ -165,13 +168,18 @@ class Thrust:
 
 def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
     """Return the thrusts at x (cells,)."""
-    free, legs, tension, _ = (bernstein.evaluate(block, x[:, None]) for block in blocks[:4])
+    return thrust_from([bernstein.evaluate(block, x[:, None]) for block in blocks])
+
+
+def thrust_from(there: Sequence[Array]) -> Thrust:
+    """Return the thrusts, given the blocks' values (cells, rows)."""
+    free, legs, tension = there[:3]
     length = np.linalg.norm(legs, axis=-1, keepdims=True)
     known = length > NO_DIRECTION
     pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
-    if len(blocks) > 4:
-        free[:, 2] += bernstein.evaluate(blocks[4], x[:, None])[:, 0] * length[:, 0]
-    if len(blocks) > 5:
-        there = [bernstein.evaluate(block, x[:, None])[..., None] for block in blocks[5:]]
-        free = free + _hanging_weight(*there).coefficients[..., 0]
+    if len(there) > 4:
+        free = free + there[4] * length * _UPWARD
+    if len(there) > 5:
+        partner, weight, whole = (each[..., None] for each in there[5:])
+        free = free + _hanging_weight(partner, weight, whole).coefficients[..., 0]
     return Thrust(free + pull, np.where(known, 0.0, np.abs(tension))[:, 0])

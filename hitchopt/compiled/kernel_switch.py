@@ -1,0 +1,45 @@
+"""Whether compiled code is used: only where it pays, as numba takes a while to load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib.util import find_spec
+from typing import Any, TypeVar, cast
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_ON: ContextVar[bool] = ContextVar("on", default=False)
+
+
+def kernels_on() -> bool:
+    """Return whether compiled code is to be used here."""
+    return _ON.get()
+
+
+@contextmanager
+def kernels(*, on: bool = True) -> Iterator[bool]:
+    """Use compiled code within the context, in its own thread, if numba is installed.
+
+    Results differ from those of numpy's path by rounding.
+
+    Yields whether it is used.
+    """
+    used = on and find_spec("numba") is not None
+    token = _ON.set(used)
+    try:
+        yield used
+    finally:
+        _ON.reset(token)
+
+
+def kernel(function: F) -> F:
+    """Compile a function when it is first called, and keep the result on disk.
+
+    Divisions by zero give what numpy makes of them. Numba notices changes of a kernel's own file
+    only, not of other kernels that it calls.
+    """
+    from numba import njit
+
+    return cast(F, njit(cache=True, error_model="numpy")(function))

@@ -1,0 +1,218 @@
+"""Compiled flat outputs and drones of ``RetargetPath``, one time after the other.
+
+Within, jets are Taylor coefficients: derivatives over factorials, so that products are short sums.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.values import Array, Indices
+
+JET = 4
+"""Number of derivatives, the zeroth included."""
+
+Jet = tuple[float, float, float, float]
+"""Taylor coefficients."""
+
+_FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
+
+
+@kernel
+def _times(a: Jet, b: Jet) -> Jet:
+    """Return a product."""
+    return (
+        a[0] * b[0],
+        a[0] * b[1] + a[1] * b[0],
+        a[0] * b[2] + a[1] * b[1] + a[2] * b[0],
+        a[0] * b[3] + a[1] * b[2] + a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@kernel
+def _minus(a: Jet, b: Jet) -> Jet:
+    """Return a difference."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+
+
+@kernel
+def _plus(a: Jet, b: Jet) -> Jet:
+    """Return a sum."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
+
+
+@kernel
+def _square_root(a: Jet) -> Jet:
+    """Return a square root; nan where there is none."""
+    first = np.sqrt(a[0])
+    second = a[1] / (2.0 * first)
+    third = (a[2] - second * second) / (2.0 * first)
+    return first, second, third, (a[3] - 2.0 * second * third) / (2.0 * first)
+
+
+@kernel
+def _over(a: Jet, b: Jet) -> Jet:
+    """Return a quotient; nan where there is none."""
+    first = a[0] / b[0]
+    second = (a[1] - first * b[1]) / b[0]
+    third = (a[2] - first * b[2] - second * b[1]) / b[0]
+    return first, second, third, (a[3] - first * b[3] - second * b[2] - third * b[1]) / b[0]
+
+
+@kernel
+def _jet(row: Array) -> Jet:
+    """Return a jet of an array."""
+    return row[0], row[1], row[2], row[3]
+
+
+@kernel
+def _slowed(start: Array, t: float, b: float) -> Jet:
+    """Return the quartic of ``SmoothChange`` that brakes for b seconds."""
+    p, v, a = start[0], start[1], start[2]
+    cubic, quartic = -(v / b + 2.0 * a / 3.0) / b, (0.5 * v / b + 0.25 * a) / b**2
+    s = min(t, b)
+    value = p + s * (v + s * (0.5 * a + s * (cubic + s * quartic)))
+    if t >= b:
+        return value, 0.0, 0.0, 0.0
+    first = v + s * (a + s * (3.0 * cubic + s * 4.0 * quartic))
+    return value, first, 0.5 * a + s * (3.0 * cubic + s * 6.0 * quartic), cubic + s * 4.0 * quartic
+
+
+@kernel
+def _quintic(t: float, duration: float) -> Jet:
+    """Return the quintic of ``SmoothChange`` from 0 to 1."""
+    if t >= duration:
+        return 1.0, 0.0, 0.0, 0.0
+    x = t / duration
+    return (
+        x**3 * (10.0 + x * (6.0 * x - 15.0)),
+        x**2 * (30.0 + x * (30.0 * x - 60.0)) / duration,
+        x * (30.0 + x * (60.0 * x - 90.0)) / duration**2,
+        (10.0 + x * (60.0 * x - 60.0)) / duration**3,
+    )
+
+
+@kernel
+def _turned(shape: Array, yaw: float, moved: Jet) -> None:
+    """Turn vectors (points, 3, 4) about the vertical by a share of an angle."""
+    a1, a2, a3 = yaw * moved[1], yaw * moved[2], yaw * moved[3]
+    c0, s0 = np.cos(yaw * moved[0]), np.sin(yaw * moved[0])
+    c1, s1 = -a1 * s0, a1 * c0
+    c2, s2 = -0.5 * a1 * s1 - a2 * s0, 0.5 * a1 * c1 + a2 * c0
+    c3 = -(a1 * s2 + 2.0 * a2 * s1) / 3.0 - a3 * s0
+    s3 = (a1 * c2 + 2.0 * a2 * c1) / 3.0 + a3 * c0
+    c, s = (c0, c1, c2, c3), (s0, s1, s2, s3)
+    for i in range(len(shape)):
+        x, y = _jet(shape[i, 0]), _jet(shape[i, 1])
+        across, along = _minus(_times(c, x), _times(s, y)), _plus(_times(c, y), _times(s, x))
+        for k in range(JET):
+            shape[i, 0, k], shape[i, 1, k] = across[k], along[k]
+
+
+@kernel
+def _edge(points: Array, first: int, last: int) -> tuple[Jet, Jet, Jet, Jet]:
+    """Return the vector from one point to another, and its length."""
+    x = _minus(_jet(points[last, 0]), _jet(points[first, 0]))
+    y = _minus(_jet(points[last, 1]), _jet(points[first, 1]))
+    z = _minus(_jet(points[last, 2]), _jet(points[first, 2]))
+    return x, y, z, _square_root(_plus(_plus(_times(x, x), _times(y, y)), _times(z, z)))
+
+
+@kernel
+def path_jets(
+    start: Array,
+    goal: Array,
+    t: Array,
+    timing: Array,
+    stencil: Indices,
+    has_leg: NDArray[np.bool_],
+    team: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Return the jets of vertices, drones and legs, and thrusts.
+
+    Parameters
+    ----------
+    start, goal: (mean point, shape, split) of ``RetargetPath``, (·, 3) and (·,).
+    t: (J,) [s]
+    timing: brake [s], shift [s] and yaw [rad].
+    stencil, has_leg: of the layout, (n, 4) and (n, 2).
+    team: (n, 5), cable lengths, tensions, masses of q and r, and the weight of one kilogramme.
+
+    Returns
+    -------
+    (J, points, 3, 4), (J, 2n, 3, 4), (J, n, 2, 4) and (J, 2n, 3).
+    """
+    n = len(stencil)
+    count = (len(goal) - 3 - n) // 3
+    vertices, drones = np.empty((len(t), count, 3, JET)), np.empty((len(t), 2 * n, 3, JET))
+    legs, thrusts = np.empty((len(t), n, 2, JET)), np.empty((len(t), 2 * n, 3))
+    brake, shift, yaw = timing[0], timing[1], timing[2]
+    rows = np.empty((len(goal), JET))
+    for step in range(len(t)):
+        moved = _quintic(t[step], shift)
+        for i in range(len(goal)):
+            stop = start[i, 0] + 0.5 * brake * start[i, 1] + brake**2 / 12.0 * start[i, 2]
+            slowed = _slowed(start[i], t[step], brake)
+            for k in range(JET):
+                rows[i, k] = slowed[k] + (goal[i] - stop) * moved[k]
+        points = rows[3 : 3 + 3 * count].copy().reshape(count, 3, JET)
+        if yaw != 0.0:
+            _turned(points, yaw, moved)
+        points += rows[:3]
+        for k in range(n):
+            before, here, there, after = stencil[k]
+            chord, nothing = _edge(points, here, there)[3], (0.0, 0.0, 0.0, 0.0)
+            slack = _minus((team[k, 0], 0.0, 0.0, 0.0), chord)
+            q_leg = _times(_jet(rows[3 + 3 * count + k]), slack) if has_leg[k, 0] else nothing
+            q_leg = q_leg if has_leg[k, 1] else slack
+            for end in range(2):
+                leg = q_leg if end == 0 else _minus(slack, q_leg)
+                place = here if end == 0 else there
+                x, y, z, size = _edge(points, before if end == 0 else after, place)
+                for axis in range(3):
+                    along = _over(x if axis == 0 else (y if axis == 1 else z), size)
+                    curve = _plus(_jet(points[place, axis]), _times(leg, along))
+                    lift = team[k, 4] if axis == 2 else 0.0
+                    force = team[k, 2 + end] * (2.0 * curve[2] + lift)
+                    thrusts[step, 2 * k + end, axis] = force + team[k, 1] * along[0]
+                    for order in range(JET):
+                        drones[step, 2 * k + end, axis, order] = curve[order] * _FACTORIALS[order]
+                for order in range(JET):
+                    legs[step, k, end, order] = leg[order] * _FACTORIALS[order]
+        vertices[step] = points * _FACTORIALS
+    return vertices, drones, legs, thrusts
+
+
+@kernel
+def largest_shares(
+    vertices: Array, drones: Array, thrusts: Array, limits: Array, thrust_limits: Array
+) -> float:
+    """Return ``excess`` of ``retarget_timing`` for jets of ``path_jets``; nan if any is nan.
+
+    Parameters
+    ----------
+    limits: speed, acceleration, jerk, speed of vertices, and tilt.
+    thrust_limits: (2n,) [N]
+    """
+    most, total = np.zeros(6), np.sum(vertices) + np.sum(drones) + np.sum(thrusts)
+    if not np.isfinite(total):
+        return total - total
+    for step in range(len(drones)):
+        for i in range(drones.shape[1]):
+            for order in range(1, JET):
+                x = drones[step, i, :, order]
+                if step > 0 or order == 3:
+                    most[order] = max(most[order], x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+            if step > 0:
+                f = thrusts[step, i]
+                level = f[0] ** 2 + f[1] ** 2
+                most[4] = max(most[4], np.sqrt(level + f[2] ** 2) / thrust_limits[i])
+                most[5] = max(most[5], np.arctan2(np.sqrt(level), f[2]) / limits[4])
+        for i in range(vertices.shape[1] if step > 0 else 0):
+            x = vertices[step, i, :, 1]
+            most[0] = max(most[0], x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    speed = max(np.sqrt(most[1]) / limits[0], np.sqrt(most[0]) / limits[3])
+    others = max(np.sqrt(most[2]) / limits[1], most[4], most[5])
+    return float(max(speed, np.sqrt(others), np.cbrt(np.sqrt(most[3]) / limits[2])))

@@ -1,0 +1,171 @@
+"""Branch and bound as in ``hitchopt.trajectory.extremum``, compiled, for bounds known here.
+
+A cell is bounded number by number: what follows says the same as the functions that are named, for
+cells of ordinary cables.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.compiled.cable_kernels import balance, band, lengths, turns
+from hitchopt.compiled.distance_kernel import distance
+from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.compiled.polynomial_kernels import Blocks, Found, column_norms, values_at
+from hitchopt.compiled.thrust_kernels import thrust, tilt
+from hitchopt.values import Array, Indices
+
+NORM, DISTANCE, THRUST, TILT, BALANCE, LENGTHS, TURNS, BAND = range(8)
+KINDS = {
+    "norm": NORM,
+    "distance": DISTANCE,
+    "thrust": THRUST,
+    "tilt": TILT,
+    "balance": BALANCE,
+    "lengths": LENGTHS,
+    "turns": TURNS,
+    "band": BAND,
+}
+"""Kinds of bounds, of ``rates``, ``distance``, ``thrust``, ``tilt``, ``equilibrium``,
+``cable_length``, ``convexity`` and ``tension``."""
+
+
+@kernel
+def _norm(v: Array) -> Found:
+    """Return bound, value and place as ``norm_bound``."""
+    sizes = column_norms(v)
+    k = np.argmax(sizes)
+    x = k / max(1, len(sizes) - 1)
+    there = values_at(v, x)
+    return sizes[k], np.sqrt(np.sum(there * there)), x
+
+
+@kernel
+def _bounded(kind: int, blocks: Blocks, weights: Array, numbers: Array) -> Found:
+    """Return bound, value and place of one cell."""
+    rows = blocks[0]
+    if kind == NORM:
+        found = _norm(rows)
+    elif kind == DISTANCE:
+        found = distance(rows)
+    elif kind == THRUST:
+        found = thrust(blocks, weights, numbers)
+    elif kind == TILT:
+        found = tilt(blocks, weights, numbers)
+    elif kind == BALANCE:
+        found = balance(rows, blocks[1], weights, numbers)
+    elif kind == LENGTHS:
+        found = lengths(rows, blocks[1], weights)
+    elif kind == TURNS:
+        found = turns(rows, blocks[1][0, 0], numbers)
+    else:
+        found = band(rows[0], blocks[1][0, 0], blocks[1][1, 0])
+    return found
+
+
+@kernel
+def _halved(block: Array, chosen: Indices) -> Array:
+    """Return the chosen cells' first halves, then their second ones."""
+    count, rows, n = len(chosen), block.shape[1], block.shape[2]
+    out = np.empty((2 * count, rows, n))
+    for c in range(count):
+        for i in range(rows):
+            left, right = out[c, i], out[count + c, i]
+            right[:] = block[chosen[c], i]
+            for k in range(n):
+                left[k] = right[0]
+                for j in range(n - 1 - k):
+                    right[j] = 0.5 * (right[j] + right[j + 1])
+    return out
+
+
+@kernel
+def _below(block: Array, most: float) -> bool:
+    """Return whether all numbers are smaller than one; nan is not."""
+    fine = True
+    for number in block.flat:
+        fine = fine and bool(abs(number) < most)
+    return fine
+
+
+@kernel
+def _twice(values: Array, chosen: Indices) -> Array:
+    return np.concatenate((values[chosen], values[chosen]))
+
+
+@kernel
+def search(
+    kind: int,
+    sign: float,
+    blocks: Blocks,
+    weights: Array,
+    numbers: Array,
+    item: Indices,
+    spans: Array,
+    aims: Array,
+    most: tuple[int, int],
+) -> tuple[float, float, int, float]:
+    """Return worst, value, item and time of an extremum, times the sign; item -1 if not found.
+
+    Parameters
+    ----------
+    kind: of the bound.
+    sign: 1 of a smallest value, -1 of a largest.
+    blocks: four, (cells, rows, degree + 1) each; (cells, 0, 1) in place of missing ones.
+    weights: of polynomials at nodes, then of those through them.
+    numbers: noise [m], length [m] without a direction, and relative rounding.
+    item: (cells,)
+    spans: (3, cells), start [s], end [s] and margin.
+    aims: relative and absolute tightness, and target, as of a Search; and from which number on
+        blocks are not looked at, as their products might overflow.
+    most: numbers of halvings and of cells.
+    """
+    value, which, time, floor, looked, depth = np.inf, -1, 0.0, np.inf, 0, 0
+    if not (
+        _below(blocks[0], aims[3])
+        and _below(blocks[1], aims[3])
+        and _below(blocks[2], aims[3])
+        and _below(blocks[3], aims[3])
+    ):
+        return -np.inf, -np.inf, -1, 0.0
+    bounds, enough = np.full(len(item), -np.inf), most[1]
+    while True:
+        for c in range(len(item)):
+            cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
+            low, here, x = _bounded(kind, cell, weights, numbers)
+            low, here = sign * low, sign * here
+            if np.isnan(low + here):
+                low, here = -np.inf, -np.inf
+            bounds[c] = max(bounds[c], low)
+            if here < value or which < 0:
+                value, which = here, item[c]
+                time = spans[0, c] + x * (spans[1, c] - spans[0, c])
+        looked += len(item)
+        if depth == 0:
+            enough = max(most[1], 10 * looked) + looked
+        threshold = value
+        if np.isfinite(value):
+            threshold = value - max(aims[1], aims[0] * abs(value))
+            threshold = max(threshold, aims[2]) if value >= aims[2] else threshold
+        done = bounds >= threshold
+        if depth == most[0] or looked > enough:
+            done[:] = True
+        for c in range(len(item)):
+            if done[c]:
+                floor = min(floor, bounds[c] - spans[2, c])
+        left = np.flatnonzero(~done)
+        if len(left) == 0:
+            return min(floor, value), value, which, time
+        middle = 0.5 * (spans[0] + spans[1])
+        both = np.empty((3, 2 * len(left)))
+        both[0] = np.concatenate((spans[0][left], middle[left]))
+        both[1] = np.concatenate((middle[left], spans[1][left]))
+        both[2] = _twice(spans[2], left)
+        blocks = (
+            _halved(blocks[0], left),
+            _halved(blocks[1], left),
+            _halved(blocks[2], left),
+            _halved(blocks[3], left),
+        )
+        item = np.concatenate((item[left], item[left]))
+        bounds, spans, depth = _twice(bounds, left), both, depth + 1

@@ -1,0 +1,133 @@
+"""Compiled bounds of thrust and tilt, one drone on one span of time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.compiled.polynomial_kernels import (
+    Blocks,
+    Found,
+    add_product,
+    column_norms,
+    combined,
+    direction,
+    inner,
+    rows_elevated,
+    value_at,
+    values_at,
+)
+from hitchopt.values import Array
+
+
+@kernel
+def _enclosed(blocks: Blocks, weights: Array, noise: float) -> tuple[Array, float]:
+    """Return a thrust and its error, as ``thrust_enclosure``."""
+    free, legs, pull, slop = blocks
+    along, error = direction(legs, weights, noise)
+    out = rows_elevated(free, along.shape[1] + pull.shape[1] - 2)
+    for i in range(3):
+        add_product(out[i], 1.0, along[i], pull[0])
+    return out, np.max(np.abs(pull)) * error + slop[0, 0]
+
+
+@kernel
+def _thrust_at(blocks: Blocks, x: float, short: float) -> tuple[Array, float]:
+    """Return a thrust at x and by how much it may be off, as ``thrust_at``."""
+    force, leg, tension = (
+        values_at(blocks[0], x),
+        values_at(blocks[1], x),
+        value_at(blocks[2][0], x),
+    )
+    size = np.sqrt(inner(leg, leg))
+    return (force + tension * leg / size, 0.0) if size > short else (force, abs(tension))
+
+
+@kernel
+def _spread(radius: float, size: float) -> float:
+    """Return by how much a ball of a radius can turn a direction [deg]."""
+    ratio = radius / size if size > radius else 1.0
+    return float(np.degrees(np.arcsin(ratio))) if ratio < 1.0 else 180.0
+
+
+@kernel
+def angle_of(across: float, upward: float) -> float:
+    """Return the angle from +z in the half plane of (across, upward) [deg]."""
+    return float(np.degrees(np.arctan2(across, upward)))
+
+
+@kernel
+def _beyond_horizon(f: Array, radius: float) -> float:
+    """Return the bound of ``tilt_bound`` for thrusts that may point below the horizon."""
+    middle = values_at(f[:2], 0.5)
+    size = np.sqrt(middle[0] ** 2 + middle[1] ** 2)
+    azimuth = middle / size if size > 0.0 else np.zeros(2)
+    level, least = -np.inf, np.inf
+    for k in range(f.shape[1]):
+        across = azimuth[0] * f[0, k] + azimuth[1] * f[1, k]
+        spread = _spread(radius, np.hypot(across, f[2, k]))
+        level = max(level, angle_of(across, f[2, k]) + spread)
+        least = min(least, across - radius)
+    return max(level, 90.0) if least > 0.0 else 180.0
+
+
+@kernel
+def _leaning(f: Array, radius: float) -> tuple[float, float]:
+    """Return the bound of ``tilt_bound`` and the place of the largest angle."""
+    upright, most, x = -np.inf, -np.inf, 0.0
+    for k in range(f.shape[1]):
+        flat = np.sqrt(f[0, k] ** 2 + f[1, k] ** 2)
+        angle = angle_of(flat, f[2, k])
+        if angle > most:
+            most, x = angle, k / max(1, f.shape[1] - 1)
+        upright = max(upright, angle + _spread(radius, np.sqrt(flat**2 + f[2, k] ** 2)))
+    return (upright if upright < 90.0 else _beyond_horizon(f, radius)), x
+
+
+@kernel
+def tilt(blocks: Blocks, weights: Array, numbers: Array) -> Found:
+    """Return bound, value and place as ``tilt_bound``."""
+    f, radius = _enclosed(blocks, weights, numbers[0])
+    bound, x = _leaning(f, radius)
+    there, off = _thrust_at(blocks, x, numbers[1])
+    size = np.sqrt(inner(there, there))
+    if off >= size:
+        return bound, 180.0, x
+    angle = angle_of(np.sqrt(there[0] ** 2 + there[1] ** 2), there[2])
+    return bound, min(angle + _spread(off, size), 180.0), x
+
+
+@kernel
+def thrust(blocks: Blocks, weights: Array, numbers: Array) -> Found:
+    """Return bound, value and place as ``thrust_bound``."""
+    f, radius = _enclosed(blocks, weights, numbers[0])
+    sizes = column_norms(f)
+    k = np.argmax(sizes)
+    x = k / max(1, len(sizes) - 1)
+    there, off = _thrust_at(blocks, x, numbers[1])
+    return sizes[k] + radius, np.sqrt(inner(there, there)) + off, x
+
+
+@kernel
+def static_thrusts(
+    blocks: Blocks, weights: Array, noise: float, lower: Array
+) -> tuple[Array, Array]:
+    """Return thrusts (cells, 3, ·) and errors (cells,) as ``thrust_enclosure`` and ``reduced``.
+
+    Parameters
+    ----------
+    blocks: (cells, rows, ·) each, of ``thrust_cells``.
+    weights: as of a search.
+    noise: of positions [m].
+    lower: the same for polynomials of thrusts, in the degree to which they are reduced.
+    """
+    count, order = len(blocks[0]), lower.shape[1] - 1
+    thrusts, radii = np.empty((count, 3, order + 1)), np.empty(count)
+    for c in range(count):
+        cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
+        found, radius = _enclosed(cell, weights, noise)
+        degree = found.shape[1] - 1
+        thrusts[c] = combined(combined(found, lower[: degree + 1]), lower[degree + 1 :])
+        lost = column_norms(rows_elevated(thrusts[c], degree) - found)
+        radii[c] = radius + np.max(lost)
+    return thrusts, radii
