@@ -54,6 +54,10 @@ PULL, FRICTION = 1.3, 0.15
 SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
 """Outline of the box [m]."""
 
+FOOT = 0.08
+"""Radius of the foot on which trays stand [m]: a tray of 0.6 m on a foot of 0.16 m leaves clasps of
+three cables 4.7 cm on both sides."""
+
 AWAY, BY, ALTITUDE = 2.2, 1.5, 1.3
 """Where the tray stands in x, how far it is carried in y, and the height at which hitches are tied
 [m]."""
@@ -97,7 +101,7 @@ are not opened by legs."""
 def tray(n: int) -> dict[str, Any]:
     """Return the problem of n robots and a tray, with the keys of a problem file."""
     rim = {"circle": 0.3, "at": 0.25}
-    return carried(n, CABLES[n], {"circle": 0.1, "to": 0.3, "mass": 0.2, "rim": rim})
+    return carried(n, CABLES[n], {"circle": FOOT, "to": 0.3, "mass": 0.2, "rim": rim})
 
 
 def gripped(n: int) -> dict[str, Any]:

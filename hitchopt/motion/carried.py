@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
@@ -59,18 +60,33 @@ def object_loads(motion: Motion) -> Array | None:
         if not np.any(share):
             continue
         loads = _loads(motion, index, each)
-        resting = np.zeros(motion.drones.pieces, dtype=np.bool_)
-        phase_of = motion.phase_of_piece
-        for i, phase in enumerate(motion.phases):
-            if phase.hold is not None and phase.hold.object == name:
-                resting |= (phase_of == i) & (phase.hold.by is HoldBy.REST)
-        loads = np.where(resting[:, None, None, None], loads, 0.0)
+        loads = np.where(_resting(motion, name)[:, None, None, None], loads, 0.0)
         if total is None:
             total = loads
         else:
             order = max(bernstein.degree(total), bernstein.degree(loads))
             total = bernstein.elevate(total, order) + bernstein.elevate(loads, order)
     return total
+
+
+def resting_shares(motion: Motion) -> Array:
+    """Return the share of its weight to which the object on clasps is borne (pieces, degree + 1).
+
+    Zero where none rests on clasps; a hitch holds one object at a time.
+    """
+    shares = motion.object_shares.coefficients
+    held = [_resting(motion, name) for name in motion.requirements.objects]
+    found: Array = np.sum(np.where(np.stack(held, axis=1)[..., None], shares, 0.0), axis=1)
+    return found
+
+
+def _resting(motion: Motion, name: str) -> NDArray[np.bool_]:
+    """Return (pieces,) whether an object rests on clasps."""
+    resting = np.zeros(motion.drones.pieces, dtype=np.bool_)
+    for i, phase in enumerate(motion.phases):
+        if phase.hold is not None and phase.hold.object == name:
+            resting |= (motion.phase_of_piece == i) & (phase.hold.by is HoldBy.REST)
+    return resting
 
 
 def _loads(motion: Motion, index: int, body: SolidObject) -> Array:

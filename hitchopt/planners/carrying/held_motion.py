@@ -25,6 +25,7 @@ from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.moves import SHARE, Move, courses
+from hitchopt.planners.carrying.rim_bend import bent_legs
 from hitchopt.values import Array
 
 GENTLE = 0.4
@@ -73,13 +74,14 @@ class HeldHitch:
         away = self.body.centre_of_mass[:2] - self.places[:, :2]
         return float(np.min(np.sum(inward * away, axis=-1)))
 
-    def drones(self, tension: Array, forces: Array) -> tuple[Array, Array]:
+    def drones(self, tension: Array, forces: Array, share: Array) -> tuple[Array, Array]:
         """Return drones (…, 2n, 3) [m] in the object's frame, and legs' chords (…, n, 2) [m].
 
         Parameters
         ----------
         tension: (…, n) [N]
         forces: (…, n, 3) [N], of the object on clasps, in its frame.
+        share: (…), of its weight on clasps.
 
         Raises
         ------
@@ -94,7 +96,10 @@ class HeldHitch:
         total = forces if own is None else forces + own.forces
         loads = ClaspLoads(total, halves, np.broadcast_to(self.roll, forces.shape[:-1]))
         along = np.broadcast_to(edges / np.linalg.norm(edges, axis=-1, keepdims=True), forces.shape)
-        q, r = leg_directions(along, tension, team.topology, loads)
+        q, r = bent_legs(
+            along, np.broadcast_to(tension, forces.shape[:-1]), total,
+            leg_directions(along, tension, team.topology, loads), halves, share,
+        )  # fmt: skip
         factors = sag_factors(team, tension)
         d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
         both = np.stack([d, e], axis=-2)
@@ -105,7 +110,7 @@ class HeldHitch:
     @property
     def reach(self) -> float:
         """Largest level distance [m] of a drone from the object's origin without a load."""
-        drones, _ = self.drones(self.team.tension, np.zeros(self.places.shape))
+        drones, _ = self.drones(self.team.tension, np.zeros(self.places.shape), np.zeros(()))
         return float(np.max(np.linalg.norm(drones[:, :2], axis=1)))
 
     @property
@@ -128,7 +133,7 @@ class HeldHitch:
         else:
             weight = GRAVITY * self.body.mass * self.supports.shares
             forces[..., 2] = -course.borne[..., None] * weight
-        drones, legs = self.drones(course.tension, forces)
+        drones, legs = self.drones(course.tension, forces, course.borne)
         below = course.between(*move.below)
         lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
         places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))

@@ -62,7 +62,7 @@ def broken_at(held: HeldHitch, mass: float, tension: Array, limits: Limits) -> s
     forces = np.zeros(held.places.shape)
     forces[:, 2] = -GRAVITY * mass * held.supports.shares
     try:
-        drones, _ = held.drones(tension, forces)
+        drones, _ = held.drones(tension, forces, np.ones(()))
     except InfeasibleError:
         return "load"
     pulls = cable_forces(team, drones, held.places, np.repeat(tension, 2), np.ones(team.robots))
