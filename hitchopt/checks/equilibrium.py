@@ -16,12 +16,11 @@ from hitchopt.checks.bounds.clasp_weights import (
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.gripped_balance import unbalanced
-from hitchopt.checks.bounds.rim_pushes import rim_push, rim_pushes_at
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
-from hitchopt.motion.carried import object_loads, resting_shares
+from hitchopt.motion.carried import object_loads, strut_shares
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
@@ -46,9 +45,9 @@ def _find(motion: Motion, _: float) -> Finding:
     ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a chain's ends it wraps none. The
     weight that a clasp carries is its load and what the drones do not carry of its cables, ``W_k =
     g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share that they are taut; of objects
-    it carries what ``hitchopt.motion.carried`` says, their inertia included, and a rim on it pushes
-    its legs outward (``rim_pushes``). Where there is weight cables have to press on each other as
-    well: a clasp that does not bear is infinitely far from balance.
+    it carries what ``hitchopt.motion.carried`` says, their inertia included, and rims take a share
+    of what edges pull with. Where there is weight cables have to press on each other as well: a
+    clasp that does not bear is infinitely far from balance.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
@@ -66,9 +65,10 @@ def _find(motion: Motion, _: float) -> Finding:
     rows = concatenated(meeting, axis=2)
     blocks = [rows, _pulls(motion)]
     pressed = pressed_loads(motion)
-    if motion.team.loaded or pressed:
+    if motion.team.loaded or pressed is not None:
         blocks += clasp_weights(motion)
-    blocks += pressed
+    if pressed is not None:
+        blocks.append(pressed)
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
     found = largest(cells, partial(_bound, noise=noise))
@@ -90,7 +90,8 @@ def _find(motion: Motion, _: float) -> Finding:
 def _pulls(motion: Motion) -> Array:
     """Return, per piece and clasp, the tensions of the cables ahead and behind (…, 2, degree + 1).
 
-    Or, where legs pull otherwise than their edges, the pulls along all four vectors (…, 4, …).
+    Or, where legs pull otherwise than their edges, the pulls along all four vectors (…, 4, …); of
+    what edges pull with that is less what a rim takes.
     """
     layout = motion.team.layout
     tension = motion.tensions.coefficients
@@ -101,6 +102,11 @@ def _pulls(motion: Motion) -> Array:
     pull = chord_pulls(motion)
     order = max(bernstein.degree(pull), bernstein.degree(tension))
     pull, tension = bernstein.elevate(pull, order), bernstein.elevate(tension, order)
+    taken = strut_shares(motion)
+    if taken is not None:
+        left = bernstein.multiply(1.0 - taken[:, None], lowered(motion.tensions.coefficients))
+        order = max(order, bernstein.degree(left))
+        pull, tension = bernstein.elevate(pull, order), bernstein.elevate(left, order)
     each = [
         pull[:, 2 * layout.ahead],
         tension[:, layout.ahead],
@@ -111,7 +117,7 @@ def _pulls(motion: Motion) -> Array:
 
 
 def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
-    rows, pulls, weights, pressed, borne = *blocks[:2], blocks[2:4], blocks[4:5], blocks[5:]
+    rows, pulls, weights, pressed = blocks[0], blocks[1], blocks[2:4], blocks[4:]
     vectors = rows.reshape(len(rows), 4, 3, -1)
     shared = 4 // pulls.shape[1]  # directions along which one pull acts
     tension = pulls if shared == 2 else pulls[:, 1::2]
@@ -127,11 +133,6 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     for load in pressed:
         order = max(bernstein.degree(residual), bernstein.degree(load))
         residual = bernstein.elevate(residual, order) + bernstein.elevate(load[:, :3], order)
-    for share in borne:
-        legs = enclosure.Enclosure(along.coefficients[:, 0::2], along.radius[:, 0::2])
-        push = rim_push(vectors[:, 0::2], legs, pulls[:, 0::2], tension, share, noise)
-        order = max(bernstein.degree(residual), bernstein.degree(push.coefficients))
-        residual = bernstein.elevate(residual, order) + bernstein.elevate(push.coefficients, order)
     norms = np.linalg.norm(residual, axis=1)
     radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
@@ -141,8 +142,6 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
         norms = norms + bernstein.elevate(weight.radius, bernstein.degree(norms))
     for load in pressed:
         norms = norms + load[:, 3, :1]
-    if borne:
-        norms = norms + push.radius[:, None]
     # {|S| <= θ T} is a convex cone in (S, T): coefficients within it keep the curve within it.
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
     pulling = np.max(least, axis=-1, keepdims=True) > 0.0
@@ -160,9 +159,6 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
         total[:, 2] -= weight_at(weights[0], weights[1], x)
     for load in pressed:
         total += bernstein.evaluate(load[:, :3], x[:, None])
-    for share in borne:
-        T, borne_there = (bernstein.evaluate(each, x[:, None]) for each in (tension, share))
-        total += np.sum(rim_pushes_at(there[:, 0::2], P[:, 0::2], T, borne_there), axis=1)
     unbalanced = np.linalg.norm(total, axis=-1) + unknown
     weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
@@ -178,26 +174,18 @@ def _over(force: Array, tension: Array) -> Array:
 RULE = CheckRule("equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE),))
 
 
-def pressed_loads(motion: Motion) -> list[Array]:
-    """Return forces on clasps and what these err by, and the share to which a rim presses on legs.
-
-    There are none where the hitch carries no object, and no share where none lies on clasps.
+def pressed_loads(motion: Motion) -> Array | None:
+    """Return forces on clasps and, in a fourth row, what these err by; None where there are none.
 
     Returns
     -------
-    (pieces, clasps, 4, degree + 1) [N] and (pieces, clasps, 1, degree + 1)
+    (pieces, clasps, 4, degree + 1) [N]
     """
     loads = object_loads(motion)
     if loads is None:
-        return []
+        return None
     mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
-    layout = motion.team.layout
-    error = mass * derivative_margin(motion.vertices, 2)[:, layout.clasps]
+    error = mass * derivative_margin(motion.vertices, 2)[:, motion.team.layout.clasps]
     error = np.where(np.any(loads != 0.0, axis=(2, 3)), error, 0.0)
     rows = np.broadcast_to(error[..., None, None], (*loads.shape[:2], 1, loads.shape[-1]))
-    pressed = [np.concatenate([loads, rows], axis=2)]
-    share = resting_shares(motion)
-    if np.any(share):
-        shape = *loads.shape[:2], 1, share.shape[-1]
-        pressed.append(np.broadcast_to(share[:, None, None], shape))
-    return pressed
+    return np.concatenate([loads, rows], axis=2)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import leg_vectors
-from hitchopt.checks.bounds.rim_pushes import LEVEL, rim_pushes_at
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.geometry.vectors import unit
@@ -101,23 +100,14 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     Parameters
     ----------
     blocks: the four vectors that meet at each clasp (cells, 12, degree + 1), what the cables pull
-        with along each (cells, 4, …), what ``clasp_weights`` returns, and, if an object is carried,
-        what it presses with on the clasp (cells, 4, …), half of that on each cable, and the share
-        to which its rim pushes on legs (cells, 1, …).
+        with along each (cells, 4, …), what ``clasp_weights`` returns, and what objects press with
+        on the clasp (cells, 4, …), if any does: half of that is on each cable.
     noise: of positions [m].
     """
-    rows, pulls, others, shares, pressed, borne = *blocks[:4], blocks[4:5], blocks[5:]
+    rows, pulls, others, shares, *pressed = blocks
     axes, turn = _cones(rows.reshape(len(rows), 4, 3, -1), noise)
     pressing = -np.einsum("cij,cid->cdj", pulls[:, :2], axes[:, :2])
     slop = np.einsum("cij,ci->cj", np.abs(pulls[:, :2]), turn[:, :2])
-    for share in borne:
-        level, off = _cones(rows[:, :3] * LEVEL[:, None], noise)
-        pushed = bernstein.multiply(share, pulls[:, :2])  # what the rim adds to P and to T
-        outer, inner = pushed[:, :1], pushed[:, 1:]
-        order = bernstein.degree(pushed)
-        pressing, slop = bernstein.elevate(pressing, order), bernstein.elevate(slop, order)
-        pressing += outer * (axes[:, 0] * LEVEL)[..., None] - inner * level[..., None]
-        slop = slop + outer[:, 0] * turn[:, :1] + inner[:, 0] * off[:, None]
     load, whole, half = np.moveaxis(shares[:, :3], 1, 0)
     other = others[:, :3]
     along, longest = _cones(other, noise)[0], np.max(np.linalg.norm(other, axis=1), axis=-1)
@@ -125,10 +115,9 @@ def contact_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     middle, spread = 0.5 * (longest + shortest), 0.5 * (longest - shortest) + 2.0 * noise
     weight = load + whole - half * middle[:, None]
     order = max(bernstein.degree(part) for part in (pressing, weight, *pressed))
-    slop = bernstein.elevate(slop, order)
     pressing = bernstein.elevate(pressing, order)
     pressing[:, 2] += bernstein.elevate(weight, order)
-    slop = slop + bernstein.elevate(half * spread[:, None], order)
+    slop = bernstein.elevate(slop, order) + bernstein.elevate(half * spread[:, None], order)
     for block in pressed:
         pressing = pressing - 0.5 * bernstein.elevate(block[:, :3], order)
         slop = slop + block[:, 3, :1]
@@ -169,17 +158,13 @@ def _cones(vectors: Array, noise: float) -> tuple[Array, Array]:
 
 def _products_at(blocks: tuple[Array, ...], x: Array) -> Array:
     """Return the largest product of ``contact_bound`` over its tension at x (cells,)."""
-    rows, pulls, others, shares, pressed, borne = *blocks[:4], blocks[4:5], blocks[5:]
-    vectors = bernstein.evaluate(rows, x[:, None]).reshape(-1, 4, 3)
-    y = unit(vectors)
+    rows, pulls, others, shares, *pressed = blocks
+    y = unit(bernstein.evaluate(rows, x[:, None]).reshape(-1, 4, 3))
     P = bernstein.evaluate(pulls, x[:, None])
     C = -np.sum(P[:, :2, None] * y[:, :2], axis=1)
     C[:, 2] += _halves_at(others, shares, x)[:, 0]
     for load in pressed:
         C -= 0.5 * bernstein.evaluate(load[:, :3], x[:, None])
-    for share in borne:
-        there = bernstein.evaluate(share, x[:, None])
-        C -= rim_pushes_at(vectors[:, :1], P[:, :1], P[:, 1:2], there)[:, 0]
     largest = np.max(np.einsum("cd,cid->ci", C, y) * CONTACT_SIGNS, axis=1)
     tension = np.min(P[:, 1::2], axis=1)
     known = tension > 0.0
