@@ -6,11 +6,11 @@ Cases: tray-3, tray-4, tray-6, drum-3, box-4; by default all. Hours with 40 runs
 accurate preset. A run is written to benchmarks/results/carrying.csv as it ends, not flown again;
 the table of all runs so far is benchmarks/results/carrying.md.
 
-Trays of 0.6 m with 200 g stand on the ground, are taken by their rims by a hitch that is tied from
-the ground, carried 1.5 m, set down and left; the hitch is untied and lands. They have a foot of
-0.16 m in diameter, their rim 25 cm above the ground and half of their mass below 15 cm. Drums of 0.4 m with
-100 g and boxes of 0.4 m × 0.3 m with 60 g have no rim: they are gripped with 1.3 N, the cables'
-friction of 0.15 on each other known.
+Trays of 0.6 m with 200 g stand on the ground, on a foot 0.16 m wide that holds them 25 cm above it,
+their centre of mass at 15 cm. They are taken by their rims by a hitch that is tied from the ground,
+carried 1.5 m, set down and left; the hitch is untied and lands. Drums of 0.4 m with 100 g and boxes
+of 0.4 m × 0.3 m with 60 g have no rim: they are gripped with 1.3 N, the cables' friction of 0.15 on
+each other known.
 """
 
 from __future__ import annotations
@@ -253,8 +253,8 @@ def summarise() -> None:
         environment(("mujoco",)),
         f"- load (processes that want a core) {min(loads):.1f} to {max(loads):.1f}; goal: 38 of 40",
         "- limitations: as many flights as the table says, far fewer than 40 where a machine is "
-        "shared; simulated ropes are 12 mm thick; one size and mass of each object; trays are taken "
-        "by a rim 0.6 m wide, 25 cm above the ground, on a foot 0.16 m wide",
+        "shared; simulated ropes are 12 mm thick; one size and mass of each object; trays "
+        "are 25 cm above the ground, on a foot 0.16 m wide",
         "- succeeded: placed within 3 cm and 5°, no drone touched anything, no cable touched what "
         "it was not holding, all free and untied at the end",
         "- perturbed: noise of 1 cm and 3 cm/s, gusts and steady wind of 0.05 N, downwash, cables "
