@@ -6,10 +6,11 @@ Cases: tray-3, tray-4, tray-6, drum-3, box-4; by default all. Hours with 40 runs
 accurate preset. A run is written to benchmarks/results/carrying.csv as it ends, not flown again;
 the table of all runs so far is benchmarks/results/carrying.md.
 
-Trays of 0.6 m with 200 g stand on the ground, are taken by their rims by a hitch that is tied from
-the ground, carried 1.5 m, set down and left; the hitch is untied and lands. Drums of 0.4 m with
-100 g and boxes of 0.4 m × 0.3 m with 60 g have no rim: they are gripped with 1.3 N, the cables'
-friction of 0.15 on each other known.
+Trays of 0.6 m with 200 g stand on the ground, on a foot 0.16 m wide that holds them 25 cm above it,
+their centre of mass at 15 cm. They are taken by their rims by a hitch that is tied from the ground,
+carried 1.5 m, set down and left; the hitch is untied and lands. Drums of 0.4 m with 100 g and boxes
+of 0.4 m × 0.3 m with 60 g have no rim: they are gripped with 1.3 N, the cables' friction of 0.15 on
+each other known.
 """
 
 from __future__ import annotations
@@ -54,6 +55,10 @@ PULL, FRICTION = 1.3, 0.15
 SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
 """Outline of the box [m]."""
 
+FOOT = 0.08
+"""Radius of the foot on which trays stand [m]: a tray of 0.6 m on a foot of 0.16 m leaves clasps of
+three cables 4.7 cm on both sides."""
+
 AWAY, BY, ALTITUDE = 2.2, 1.5, 1.3
 """Where the tray stands in x, how far it is carried in y, and the height at which hitches are tied
 [m]."""
@@ -85,7 +90,23 @@ else is said:
   slipped by 0.8 to 2.0 cm, placed within 0.6 to 2.9 cm. The trays' seeds began anew at 5100 then.
 - tray-3 (accurate, seed 5100; friction 18 % less, tray 8 % lighter than planned): flown from above
   the tray to leaving it, clasps slid outward while it was lifted, from 24 to 26 cm to 30 to 44 cm,
-  before it was carried. Between body and rim they have 3.3 cm on each side. Open.
+  before it was carried. Between body and rim they had 3.3 cm on each side. The full mission of this
+  seed failed likewise (placed 3.1 cm off, slipped by 6.8 cm); tray-4, seed 5100, succeeded (1.3 and
+  1.1 cm).
+- Why: in a calm flight too (tray-3, accurate) clasps slid from 25.4 to 30.0 cm, the rim's edge, as
+  the weight passed to them. Planned legs leaned toward each other, 22.5° to either side of the
+  clasp's bisector in place of 30°, to balance a weight that hangs at the clasp. But they run level
+  up to the rim's edge, which bends them, and pull on the clasp with all of their tension: by 0.1 N
+  more than its edges do.
+- With legs that pull level (plans before the present ones, from which drones differ by up to 1.4,
+  0.3 and 4.2 cm at n = 3, 4 and 6) clasps stayed where they were in all flights, accurate and
+  perturbed: tray-3, seed 5100, succeeded (placed 2.7 cm off, slipped by 0.9 cm), tray-6, 5100, too
+  (1.4 and 0.9 cm), with clasps 3.3 and 4 cm inside of the rim. Then clasps were put farther inside,
+  the foot made narrower, 16 cm in place of 20: fresh seed 5200, tray-3 succeeded (1.3 and 1.0 cm),
+  tray-4 too (2.0 and 1.5 cm). Where a tray stood off its place by 1.8 cm when it was taken, it was
+  put down as far off. The trays' seeds began anew at 5300 with the present plans.
+- tray-6, seed 5300, accurate, was stopped unfinished, the machine being shared; neither it nor
+  tray-4 has been flown in this preset with the present plans.
 """
 """What earlier flights found."""
 
@@ -97,7 +118,7 @@ are not opened by legs."""
 def tray(n: int) -> dict[str, Any]:
     """Return the problem of n robots and a tray, with the keys of a problem file."""
     rim = {"circle": 0.3, "at": 0.25}
-    return carried(n, CABLES[n], {"circle": 0.1, "to": 0.3, "mass": 0.2, "rim": rim})
+    return carried(n, CABLES[n], {"circle": FOOT, "to": 0.3, "mass": 0.2, "rim": rim})
 
 
 def gripped(n: int) -> dict[str, Any]:
@@ -152,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help=f"{', '.join(CASES)}; by default all")
     parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=5100)
+    parser.add_argument("--seed", type=int, default=5300)
     parser.add_argument("--preset", choices=sorted(PRESETS), default="accurate")
     given = parser.parse_args(arguments)
     if not set(given.cases) <= set(CASES):
@@ -234,7 +255,8 @@ def summarise() -> None:
         environment(("mujoco",)),
         f"- load (processes that want a core) {min(loads):.1f} to {max(loads):.1f}; goal: 38 of 40",
         "- limitations: as many flights as the table says, far fewer than 40 where a machine is "
-        "shared; simulated ropes are 12 mm thick; one size and mass of each object",
+        "shared; simulated ropes are 12 mm thick; one size and mass of each object; trays "
+        "are 25 cm above the ground, on a foot 0.16 m wide",
         "- succeeded: placed within 3 cm and 5°, no drone touched anything, no cable touched what "
         "it was not holding, all free and untied at the end",
         "- perturbed: noise of 1 cm and 3 cm/s, gusts and steady wind of 0.05 N, downwash, cables "

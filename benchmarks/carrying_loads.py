@@ -22,7 +22,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.carrying import CABLES, FRICTION, GRIPPED, PULL, TIED_AROUND, add_row, rows, wilson
+from benchmarks.carrying import (
+    CABLES,
+    FOOT,
+    FRICTION,
+    GRIPPED,
+    PULL,
+    TIED_AROUND,
+    add_row,
+    rows,
+    wilson,
+)
 from benchmarks.environment import busy, environment
 from hitchopt.errors import InfeasibleError
 from hitchopt.mission.loading import problem_from_dict
@@ -65,7 +75,7 @@ def problem(case: str, mass: float, friction: float = ROUGHNESS) -> dict[str, An
     n, gripped = int(case.split("-")[1]), case.startswith("drum")
     angles = -2.0 * np.pi * np.arange(n) / n
     radius = TIED_AROUND[n] if gripped else 0.4
-    body: dict[str, Any] = {"circle": 0.1, "to": 0.3, "rim": {"circle": 0.3, "at": 0.25}}
+    body: dict[str, Any] = {"circle": FOOT, "to": 0.3, "rim": {"circle": 0.3, "at": 0.25}}
     grasp: dict[str, Any] = {"object": "held"}
     team = {"robots": n, "cable_length": CABLES[n], "cable_density": 0.01, "tension": 1.0}
     if gripped:

@@ -20,7 +20,7 @@ from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin,
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
-from hitchopt.motion.carried import object_loads
+from hitchopt.motion.carried import object_loads, strut_shares
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
@@ -41,13 +41,13 @@ def _find(motion: Motion, _: float) -> Finding:
 
     The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1} - W_k ẑ``; ``where`` names
     the vertex. Legs pull with their cable's tension, ``P = T``, or with what friction makes of it,
-    and with what that grows by where cables have weight. What
-    friction cannot make of it counts as unbalanced too: by how much a pull lies beyond ``e^{μ θ}``
-    times the tension, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a
-    chain's ends it wraps none. The weight that a clasp carries is its load and what the drones do
-    not carry of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the
-    share that they are taut; of objects it carries what ``hitchopt.motion.carried`` says, their
-    inertia included. Where there is weight cables have to press on each other as well: a
+    and with what that grows by where cables have weight. What friction cannot make of it counts as
+    unbalanced too: by how much a pull lies beyond ``e^{μ θ}`` times the tension, or short of
+    ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a chain's ends it wraps none. The
+    weight that a clasp carries is its load and what the drones do not carry of its cables, ``W_k =
+    g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share that they are taut; of objects
+    it carries what ``hitchopt.motion.carried`` says, their inertia included, and rims take a share
+    of what edges pull with. Where there is weight cables have to press on each other as well: a
     clasp that does not bear is infinitely far from balance.
 
     A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
@@ -93,7 +93,8 @@ def _find(motion: Motion, _: float) -> Finding:
 def _pulls(motion: Motion) -> Array:
     """Return, per piece and clasp, the tensions of the cables ahead and behind (…, 2, degree + 1).
 
-    Or, where legs pull otherwise than their edges, the pulls along all four vectors (…, 4, …).
+    Or, where legs pull otherwise than their edges, the pulls along all four vectors (…, 4, …); of
+    what edges pull with that is less what a rim takes.
     """
     layout = motion.team.layout
     tension = motion.tensions.coefficients
@@ -104,6 +105,11 @@ def _pulls(motion: Motion) -> Array:
     pull = chord_pulls(motion)
     order = max(bernstein.degree(pull), bernstein.degree(tension))
     pull, tension = bernstein.elevate(pull, order), bernstein.elevate(tension, order)
+    taken = strut_shares(motion)
+    if taken is not None:
+        left = bernstein.multiply(1.0 - taken[:, None], lowered(motion.tensions.coefficients))
+        order = max(order, bernstein.degree(left))
+        pull, tension = bernstein.elevate(pull, order), bernstein.elevate(left, order)
     each = [
         pull[:, 2 * layout.ahead],
         tension[:, layout.ahead],

@@ -6,6 +6,12 @@ all such shares those with the least sum of squares, as equally stiff supports h
 accelerates with its clasp. Since the centre of mass is h above the clasps, its acceleration a moves
 weight from clasp to clasp besides, by ``m h G_k·a``. Forces and moments then balance, except that
 the moment of inertia about the vertical is that of the masses at the clasps.
+
+Clasps are inside of the rim, whose edge bends their legs: below it they run level, with their
+cables' tension T, and only beyond it they rise. Their level part is then ``sqrt(T² - v²)``, v what
+a leg carries, and the rim holds clasps apart with what that lacks: it takes the share ``κ = 1 -
+sqrt(1 - (v / T)²)`` of what edges pull with. Of one share for all edges no force is left over, and
+no moment: it is that of the mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges.
 """
 
 from __future__ import annotations
@@ -13,8 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hitchopt.hitch import GRAVITY
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
@@ -59,18 +66,57 @@ def object_loads(motion: Motion) -> Array | None:
         if not np.any(share):
             continue
         loads = _loads(motion, index, each)
-        resting = np.zeros(motion.drones.pieces, dtype=np.bool_)
-        phase_of = motion.phase_of_piece
-        for i, phase in enumerate(motion.phases):
-            if phase.hold is not None and phase.hold.object == name:
-                resting |= (phase_of == i) & (phase.hold.by is HoldBy.REST)
-        loads = np.where(resting[:, None, None, None], loads, 0.0)
+        loads = np.where(_resting(motion, name)[:, None, None, None], loads, 0.0)
         if total is None:
             total = loads
         else:
             order = max(bernstein.degree(total), bernstein.degree(loads))
             total = bernstein.elevate(total, order) + bernstein.elevate(loads, order)
     return total
+
+
+def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
+    """Return the share κ (…) of edges' pulls that the rim of an object of a mass [kg] takes.
+
+    Parameters
+    ----------
+    edges: (…, n) [m], lengths.
+    tensions: (…, n) [N]
+    """
+    weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
+    slope = weight / (2.0 * np.sum(tensions, axis=-1))
+    share: Array = 1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))
+    return share
+
+
+def strut_shares(motion: Motion) -> Array | None:
+    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
+
+    It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
+    """
+    total: Array | None = None
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        on = _resting(motion, name)
+        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        if not np.any(borne):
+            continue
+        edges = motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1)
+        pulls = motion.tensions.coefficients[..., 0]
+        most = np.ones(len(on))
+        lengths = np.linalg.norm(edges[on], axis=-1)
+        most[on] = strut_share(motion.team, body.mass, lengths, pulls[on])
+        taken = most[:, None] * bernstein.multiply(borne, borne)
+        total = taken if total is None else total + taken
+    return total
+
+
+def _resting(motion: Motion, name: str) -> NDArray[np.bool_]:
+    """Return (pieces,) whether an object rests on clasps."""
+    resting = np.zeros(motion.drones.pieces, dtype=np.bool_)
+    for i, phase in enumerate(motion.phases):
+        if phase.hold is not None and phase.hold.object == name:
+            resting |= (motion.phase_of_piece == i) & (phase.hold.by is HoldBy.REST)
+    return resting
 
 
 def _loads(motion: Motion, index: int, body: SolidObject) -> Array:

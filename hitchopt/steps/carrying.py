@@ -280,6 +280,7 @@ def check_hold(task: StepTask, holding: Holding) -> None:
     words, asked = f"with objects.{holding.name} on the clasps", task.requirements
     given = holding.name, held, holding.tension, asked.limits, gap_around(asked)
     try:
+        held.at_rest(holding.tension, held.body.mass)
         flight = held_flight(held, resting_move(here, 1.0))
     except InfeasibleError as error:
         capacity, remedies = suggestion(*given)

@@ -87,6 +87,37 @@ def test_cables_carry_weight_and_inertia(motion: Motion) -> None:
     assert np.max(np.abs(moments[:, :2])) < 0.01
 
 
+def test_legs_below_a_rim_pull_level_with_all_of_their_tension(motion: Motion) -> None:
+    """A cable that slides over the rim's edge has one tension on both sides of it.
+
+    What the rim takes is that of the weight, so only while the tray hardly accelerates.
+    """
+    t = lifted(motion)
+    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
+    t = t[pushed < 0.01]
+    assert len(t) > 20
+    p, drones, tensions = motion.vertices.at(t), motion.drones.at(t), motion.tensions.at(t)
+    layout = motion.team.layout
+    legs, edges = (drones - p[:, layout.anchors])[..., :2], layout.edges(p)[..., :2]
+    legs /= np.linalg.norm(legs, axis=-1, keepdims=True)
+    edges /= np.linalg.norm(edges, axis=-1, keepdims=True)
+    T = tensions[..., None]
+    level = (T * (legs[:, 0::2] + edges))[:, layout.ahead]
+    level = level + (T * (legs[:, 1::2] - edges))[:, layout.behind]
+    np.testing.assert_allclose(level, 0.0, atol=2e-3)
+
+
+def test_legs_that_lean_as_if_the_weight_hung_at_clasps_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Simulated ones drag their clasps outward: T cos(slope) is not what such legs pull with."""
+    place = "hitchopt.planners.carrying.held_motion.strut_share"
+    monkeypatch.setattr(place, lambda *_: np.zeros(()))
+    with pytest.raises(ho.InfeasibleError) as refusal:
+        ho.solve(ho.problem_from_dict(tray()))
+    assert {each.constraint for each in refusal.value.violations} == {"equilibrium"}
+
+
 def test_what_rests_on_clasps_is_carried_gently(motion: Motion) -> None:
     """Simulated clasps without friction slide on a rim at 1 m/s²."""
     t = lifted(motion)

@@ -419,3 +419,36 @@ def test_remarks_say_how_far_legs_lean(motion: Motion, box: Motion) -> None:
     assert remarks["loosen"] == "legs lean against 90% of clasp friction"
     assert "friction" not in remarks["lift"] + remarks["carry"]
     assert not any("friction" in phase.remark for phase in box.phases)
+
+
+def test_legs_open_a_grip_to_less_than_half_of_the_weight(motion: Motion) -> None:
+    """Clasps follow their drones outward only while legs overcome the most that friction does.
+
+    A clasp at x from the middle of the drum moves outward where ``cos(β_legs/2)`` is more than
+    ``e^{μ β} cos(β_edges/2)``, with legs toward drones where the plan has them and edges along
+    tangents; else it stays. Its edges then turn around the drum by the angle between tangents.
+    """
+    loosen = next(p for p in motion.phases if p.name == "loosen")
+    t = np.linspace(loosen.start, loosen.end, 401)
+    poses = motion.object_poses.at(t)[:, None, 0]
+    p, drones = (in_frame(poses, each.at(t))[..., :2] for each in (motion.vertices, motion.drones))
+    assert motion.leg_tensions is not None
+    legs = motion.leg_tensions.at(t)
+    x = np.linspace(1.02 * RADIUS, 1.99 * RADIUS, 600)
+    edges = 2.0 * np.arcsin(RADIUS / x)
+    angle = []
+    for k in range(3):
+        out = p[0, k] / np.linalg.norm(p[0, k])
+        aside = np.array([-out[1], out[0]])
+        ends = drones[:, [2 * k, 2 * ((k - 1) % 3) + 1]]
+        ways = np.arctan2((ends @ aside)[..., None], (ends @ out)[..., None] - x)
+        beta = np.abs(ways[:, 0] - ways[:, 1])
+        holding = np.exp(0.5 * CLASPS * (beta + edges)) * np.cos(0.5 * edges)
+        stays = np.cos(0.5 * beta) <= holding
+        stays[:, -1] = True
+        here = int(np.searchsorted(x, np.linalg.norm(p[0, k])))
+        for row in stays:
+            here += int(np.argmax(row[here:]))
+        angle.append(2.0 * math.pi / 3.0 - 2.0 * math.acos(RADIUS / x[here]))
+    left = FRICTION * float(np.sum(np.max(legs[-1], axis=-1) * np.maximum(angle, 0.0)))
+    assert left < 0.5 * MASS * GRAVITY

@@ -95,17 +95,23 @@ def test_legs_below_a_rim_are_those_that_they_were_before(roll: float) -> None:
     np.testing.assert_allclose(drones, hitch.drones, atol=1e-9)
 
 
+@pytest.mark.parametrize("taken", [None, 0.03, 0.1])
 @pytest.mark.parametrize("roll", [0.0, 0.15, -0.2])
-def test_rolled_legs_carry_what_lies_on_clasps(roll: float) -> None:
-    """Legs and edges balance the weight at every clasp; directions from the drones alone."""
+def test_rolled_legs_carry_what_lies_on_clasps(roll: float, taken: float | None) -> None:
+    """Legs and edges balance the weight at every clasp; directions from the drones alone.
+
+    A rim takes a share of what edges pull with, and nothing of what legs do.
+    """
     held, _ = below_a_rim(roll)
     light = ho.Team(robots=6, cable_length=1.4, tension=1.0)
     held = HeldHitch(light, held.body, held.places, held.fractions, held.roll)
     weight = np.array([0.0, 0.0, -0.2 * 9.81 / 6.0])
-    drones, _ = held.drones(light.tension, np.tile(weight, (6, 1)))
+    share = None if taken is None else np.array(taken)
+    drones, _ = held.drones(light.tension, np.tile(weight, (6, 1)), share)
     q = drones[0::2] - held.places
     r = np.roll(drones[1::2], 1, axis=0) - held.places
     onward = np.roll(held.places, -1, axis=0) - held.places
     pulls = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in (q, r, onward)]
+    pulls[2] *= 1.0 - (taken or 0.0)
     force = pulls[0] + pulls[1] + pulls[2] - np.roll(pulls[2], 1, axis=0)
     np.testing.assert_allclose(force + weight, 0.0, atol=1e-9)

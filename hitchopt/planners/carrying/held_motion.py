@@ -20,7 +20,7 @@ from hitchopt.hitch.cable_spans import (
     sag_factors,
 )
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.motion.carried import Supports
+from hitchopt.motion.carried import Supports, strut_share
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
@@ -30,8 +30,7 @@ from hitchopt.values import Array
 GENTLE = 0.4
 """[m/s²] Largest acceleration of what rests on clasps. At 1 m/s² simulated clasps without friction
 of cables on each other slid on a rim by 3 to 8 cm as the carrying began: drones follow with a lag,
-and little force moves such clasps. At this one objects slipped by 0.8 to 2.0 cm in four flights of
-the fast preset, and by 1.1 and 6.9 cm in two of the accurate one."""
+and little force moves such clasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +72,16 @@ class HeldHitch:
         away = self.body.centre_of_mass[:2] - self.places[:, :2]
         return float(np.min(np.sum(inward * away, axis=-1)))
 
-    def drones(self, tension: Array, forces: Array) -> tuple[Array, Array]:
+    def drones(
+        self, tension: Array, forces: Array, taken: Array | None = None
+    ) -> tuple[Array, Array]:
         """Return drones (…, 2n, 3) [m] in the object's frame, and legs' chords (…, n, 2) [m].
 
         Parameters
         ----------
         tension: (…, n) [N]
         forces: (…, n, 3) [N], of the object on clasps, in its frame.
+        taken: (…), share of edges' pulls that the rim takes; None where loads hang at clasps.
 
         Raises
         ------
@@ -94,13 +96,28 @@ class HeldHitch:
         total = forces if own is None else forces + own.forces
         loads = ClaspLoads(total, halves, np.broadcast_to(self.roll, forces.shape[:-1]))
         along = np.broadcast_to(edges / np.linalg.norm(edges, axis=-1, keepdims=True), forces.shape)
-        q, r = leg_directions(along, tension, team.topology, loads)
+        left, pulls = tension, None
+        if taken is not None:
+            legs = np.broadcast_to(tension, forces.shape[:-1])
+            left, pulls = (1.0 - taken[..., None]) * legs, np.stack([legs, legs], axis=-1)
+        q, r = leg_directions(along, left, team.topology, loads, None, pulls)
         factors = sag_factors(team, tension)
         d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
         both = np.stack([d, e], axis=-2)
         anchors = self.places[team.layout.anchors].reshape(*both.shape[-3:])
         chords = np.linalg.norm(both, axis=-1)
         return (anchors + both).reshape(*both.shape[:-3], -1, 3), chords
+
+    def at_rest(self, tension: Array, mass: float) -> Array:
+        """Return drones (2n, 3) [m] in the object's frame where a mass [kg] hangs at the clasps.
+
+        Raises
+        ------
+        InfeasibleError: more than legs carry so; bent over a rim they would, more steeply.
+        """
+        forces = np.zeros(self.places.shape)
+        forces[:, 2] = -GRAVITY * mass * self.supports.shares
+        return self.drones(tension, forces)[0]
 
     @property
     def reach(self) -> float:
@@ -128,7 +145,9 @@ class HeldHitch:
         else:
             weight = GRAVITY * self.body.mass * self.supports.shares
             forces[..., 2] = -course.borne[..., None] * weight
-        drones, legs = self.drones(course.tension, forces)
+        edges = np.linalg.norm(np.roll(self.places, -1, axis=0) - self.places, axis=-1)
+        strut = strut_share(self.team, self.body.mass, edges, course.tension)
+        drones, legs = self.drones(course.tension, forces, course.borne**2 * strut)
         below = course.between(*move.below)
         lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
         places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))

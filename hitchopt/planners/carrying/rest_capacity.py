@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.statics import cable_forces
 from hitchopt.motion.states import thrusts_of
 from hitchopt.planners.carrying.held_motion import HeldHitch
@@ -59,10 +59,8 @@ def rest_capacity(held: HeldHitch, tension: Array, limits: Limits) -> RestCapaci
 def broken_at(held: HeldHitch, mass: float, tension: Array, limits: Limits) -> str:
     """Return what a mass [kg] breaks at rest, or an empty word."""
     team = held.team
-    forces = np.zeros(held.places.shape)
-    forces[:, 2] = -GRAVITY * mass * held.supports.shares
     try:
-        drones, _ = held.drones(tension, forces)
+        drones = held.at_rest(tension, mass)
     except InfeasibleError:
         return "load"
     pulls = cable_forces(team, drones, held.places, np.repeat(tension, 2), np.ones(team.robots))

@@ -15,7 +15,7 @@ ROOM = 0.045
 """[m] Room besides the distance to be kept: 25 mm, the most that edges have been seen to err, and
 20 mm for where the object really is."""
 
-INSET = 0.04
+INSET = 0.05
 """[m] Clasps are this far inside of a rim, and edges off the body, where there is as much room."""
 
 LEAST_INSET = 0.01
