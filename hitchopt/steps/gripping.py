@@ -106,7 +106,7 @@ def grip_closed(
 
 
 def grip_opened(task: StepTask, name: str, duration: float | None, step: str) -> StepPlan:
-    """Return the plan by which cables that grip a standing object open to a hitch around it.
+    """Return the plan of opening a grip to a hitch around the standing object.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def _passing(
     friction = held.body.friction * held.body.mass * GRAVITY
     push = math.inf
     found: list[tuple[bool, list[Move]]] = []
-    for value in tried:
+    for value in dict.fromkeys(min(each, float(np.max(holding.tension))) for each in tried):
         between = np.minimum(holding.tension, value)
         pushed = held.largest_push(between)
         push = min(push, pushed)

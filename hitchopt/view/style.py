@@ -60,11 +60,13 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         if layout is not None:  # savefig would draw all of it once more for that
             layout.execute(figure)
             figure.set_layout_engine(None)
-        with rc_context({"svg.hashsalt": "hitchopt"}):
-            figure.savefig(
-                path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind], pil_kwargs=packed
-            )
-        figure.set_layout_engine(layout)
+        try:
+            with rc_context({"svg.hashsalt": "hitchopt"}):
+                figure.savefig(
+                    path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind], pil_kwargs=packed
+                )
+        finally:
+            figure.set_layout_engine(layout)
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:
