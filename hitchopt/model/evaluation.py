@@ -179,6 +179,7 @@ def slipping_drones(
     tensions: Array,
     pulls: Array,
     planned: Array | None = None,
+    cables: Array | None = None,
 ) -> Array:
     """Return the jets of drones on legs whose pulls differ from their edges' tensions.
 
@@ -193,6 +194,7 @@ def slipping_drones(
     pulls: (J, n, 2, 4) [N], of the legs at their clasps.
     planned: (J, 2n, 3, 4) [m], drones in balance without friction, in whose planes legs lean; None
         of legs that are not rolled.
+    cables: (J, n, 2, 4) [m], lengths of cable in the legs; None where they do not sag.
 
     Returns
     -------
@@ -208,18 +210,25 @@ def slipping_drones(
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
     half = 0.5 * GRAVITY * team.cable_density
+    halves = half * (legs if cables is None else cables)
     loads = np.zeros(sides.shape)
-    loads[:, :, 2] = half * (legs[:, ahead, 1] + legs[:, behind, 0])
+    loads[:, :, 2] = halves[:, ahead, 1] + halves[:, behind, 0]
     whole = half * (team.cable_length[ahead] + team.cable_length[behind])
     loads[:, :, 2, 0] -= whole + GRAVITY * team.load
+
+    def of_legs(values: Array) -> Array:
+        """Return the values (J, n, 2, 4) of the legs at every clasp, (J·clasps, 2, 4)."""
+        pairs = np.stack([values[:, behind, 1], values[:, ahead, 0]], axis=2)
+        return pairs.reshape(columns, 2, JET)
+
     at_clasp = [
         vertices[:, around].reshape(columns, 9, JET),
-        np.stack([legs[:, behind, 1], legs[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
+        of_legs(legs),
         tensions[:, np.column_stack([behind, ahead])].reshape(columns, 2, JET),
-        np.stack([pulls[:, behind, 1], pulls[:, ahead, 0]], axis=2).reshape(columns, 2, JET),
+        of_legs(pulls),
         sides.reshape(columns, 3, JET),
         loads.reshape(columns, 3, JET),
-        np.full((columns, 1, 1), half),
+        of_legs(halves),
     ]
     both = np.stack(_mapped(slipping_clasp_function(), at_clasp), axis=1)
     return both.reshape(count, len(layout.clasps), 2, 3, JET)

@@ -35,29 +35,29 @@ def slipping_clasp_function() -> ca.Function:
         ``pulls`` (2, 4): jets of what the legs ``e_{k-1}, d_k`` pull with at the clasp [N],
         ``planned`` (3, 4): jets of a vector on the side of V where q_k is [m],
         ``load`` (3, 4): jets of the outside force on the clasp [N],
-        ``half``: half of a cable's weight per length [N/m],
+        ``halves`` (2, 4): jets of half of the weights of both legs' cables [N],
     and outputs
         ``r``, ``q`` (3, 4): jets of the positions of ``r_{k-1}`` and ``q_k`` [m].
     """
     vertices, legs = ca.SX.sym("p", 9, JET), ca.SX.sym("l", 2, JET)
     tensions, pulls = ca.SX.sym("T", 2, JET), ca.SX.sym("P", 2, JET)
-    planned, load, half = ca.SX.sym("x", 3, JET), ca.SX.sym("w", 3, JET), ca.SX.sym("h")
+    planned, load, halves = ca.SX.sym("x", 3, JET), ca.SX.sym("w", 3, JET), ca.SX.sym("h", 2, JET)
     before, here, there = (Series.of_jet(point) for point in ca.vertsplit(vertices, 3))
-    T, P, sizes = (
-        [Series.of_jet(values[i, :]) for i in range(2)] for values in (tensions, pulls, legs)
+    T, P, sizes, half = (
+        [Series.of_jet(values[i, :]) for i in range(2)] for values in (tensions, pulls, legs, halves)
     )
     r_direction, q_direction = closed_triangle(
         T[0] * unit(here - before) - T[1] * unit(there - here) - Series.of_jet(load),
         Series.of_jet(planned),
         None,
         (P[0], P[1]),
-        (sizes[0].scaled(half), sizes[1].scaled(half)),
+        (half[0], half[1]),
     )
     return ca.Function(
         "slipping_clasp",
-        [vertices, legs, tensions, pulls, planned, load, half],
+        [vertices, legs, tensions, pulls, planned, load, halves],
         [(here + sizes[0] * r_direction).jet, (here + sizes[1] * q_direction).jet],
-        ["vertices", "legs", "tensions", "pulls", "planned", "load", "half"],
+        ["vertices", "legs", "tensions", "pulls", "planned", "load", "halves"],
         ["r", "q"],
         {"cse": True},
     )

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Team
+from hitchopt.hitch.cable_spans import sag_factors
 from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.robot import JET
 from hitchopt.motion.motion import Motion
@@ -99,7 +101,8 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
     pulls = np.repeat(T[:, :, None], 2, axis=2)
     pulls[:, layout.behind, 1] = jets.product(grown[:, :, 0], T[:, layout.behind])
     pulls[:, layout.ahead, 0] = jets.product(grown[:, :, 1], T[:, layout.ahead])
-    found = slipping_drones(motion.team, p, lengths, T, pulls, d)
+    cables = cables_of_legs(motion.team, d - p[:, layout.anchors], lengths, T)
+    found = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
     if not np.all(np.isfinite(found)):
         return None
     places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
@@ -115,6 +118,20 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
         leg_tensions=_hermite(breaks, pulls),
     )
     return Leaning(leaned, float(np.max(turned)))
+
+
+def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
+    """Return jets (J, n, 2, 4) of the lengths of cable in legs [m]; None where they do not sag.
+
+    By ``hitch.cable_spans.cable_of``, for chords (J, 2n, 3, 4) [m] that are ``lengths`` long.
+    """
+    if team.cable_density == 0.0:
+        return None
+    level = jets.product(chords[:, :, 0], chords[:, :, 0])
+    level += jets.product(chords[:, :, 1], chords[:, :, 1])
+    factors = sag_factors(team, 1.0) * jets.reciprocal(jets.product(tensions, tensions))
+    sag = jets.product(factors[:, :, None], level.reshape(lengths.shape))
+    return lengths + jets.product(sag, lengths)
 
 
 def _refined(breaks: Array, longest: float) -> Array:
