@@ -144,30 +144,35 @@ class _Triangle:
         a = (self.size**2 + ahead**2 - behind**2) / (2.0 * self.size)
         squared = (ahead - a) * (ahead + a)
         if not np.all(squared > 0.0):
-            raise self._too_heavy(behind + ahead, squared)
+            raise self._unbalanced(behind, ahead, squared)
         aside = np.sqrt(squared) * self.across
         return ((self.size - a) * self.along - aside) / behind, (a * self.along + aside) / ahead
 
-    def _too_heavy(self, both: Array, squared: Array) -> InfeasibleError:
-        """Return the refusal of the load that is farthest beyond what its clasp can carry.
+    def _unbalanced(self, behind: Array, ahead: Array, squared: Array) -> InfeasibleError:
+        """Return the refusal of the clasp that is farthest from any balance.
+
+        Legs pull with at least the difference of their tensions, with at most their sum.
 
         Parameters
         ----------
-        both: (…, clasps, 1) [N], what the legs pull with together.
+        behind, ahead: (…, clasps, 1) [N], what the legs pull with.
         squared: (…, clasps, 1) [N²], negative where the triangle does not close.
         """
         worst = np.unravel_index(int(np.argmin(squared)), squared.shape)[:-1]
-        load, edges, pull = self.load[worst], self.edges[worst], float(both[worst][0])
-        weight, level = float(np.linalg.norm(load)), float(np.linalg.norm(edges))
-        most = math.sqrt(max(pull * pull - level * level, 0.0))
-        factor = weight / most if most > 0.0 else math.inf
-        remedy = (
-            f"raise team.tension {factor:.3g} times, or lower team.load or team.cable_density"
-            if factor > 1.0
-            else "raise team.tension, or make the tensions at the clasp more alike"
-        )
+        whole = float(self.size[worst][0])
+        apart = float(np.abs(behind[worst] - ahead[worst])[0])
+        pull = float((behind[worst] + ahead[worst])[0])
+        name, value, most = "tension", apart, whole
+        remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
+        if whole >= pull:
+            name, value = "load", float(np.linalg.norm(self.load[worst]))
+            level = float(np.linalg.norm(self.edges[worst]))
+            most = math.sqrt(max(pull * pull - level * level, 0.0))
+            factor = value / most if most > 0.0 else math.inf
+            lighter = "lower team.load or team.cable_density"
+            remedy = f"raise team.tension {factor:.3g} times, or {lighter}"
         point = f"p{self.points[worst[-1]]}"
-        return InfeasibleError([Violation("load", weight, most, "max", "N", (point,), "", remedy)])
+        return InfeasibleError([Violation(name, value, most, "max", "N", (point,), "", remedy)])
 
 
 def contact_forces(

@@ -44,7 +44,8 @@ def slipping_clasp_function() -> ca.Function:
     planned, load, halves = ca.SX.sym("x", 3, JET), ca.SX.sym("w", 3, JET), ca.SX.sym("h", 2, JET)
     before, here, there = (Series.of_jet(point) for point in ca.vertsplit(vertices, 3))
     T, P, sizes, half = (
-        [Series.of_jet(values[i, :]) for i in range(2)] for values in (tensions, pulls, legs, halves)
+        [Series.of_jet(values[i, :]) for i in range(2)]
+        for values in (tensions, pulls, legs, halves)
     )
     r_direction, q_direction = closed_triangle(
         T[0] * unit(here - before) - T[1] * unit(there - here) - Series.of_jet(load),

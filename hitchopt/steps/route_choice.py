@@ -29,6 +29,7 @@ Solution = TypeVar("Solution")
 
 FASTER = "faster than the step's own route"
 SHUT = "the step's own route is infeasible"
+SLOWER = "the step's own route takes longer"
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,9 +236,22 @@ def first_certified(
 
 
 def _refusal(refusals: Sequence[HitchoptError], note: str) -> HitchoptError:
-    """Return what is said where no route satisfies all limits."""
-    for refusal in refusals:
-        if isinstance(refusal, InfeasibleError):
-            added = note if len(refusals) > 1 else ""
-            return InfeasibleError(refusal.violations, refusal.note or added)
-    return refusals[0]
+    """Return what is said where no route satisfies all limits.
+
+    A route that only takes too long is told before others, that which takes the least time first.
+    """
+    told = [refusal for refusal in refusals if isinstance(refusal, InfeasibleError)]
+    if not told:
+        return refusals[0]
+    first = min(told, key=_shortest)  # the first one where none has a time
+    if first is not refusals[0]:
+        note = SHUT if _shortest(refusals[0]) == math.inf else SLOWER
+    return InfeasibleError(first.violations, first.note or (note if len(refusals) > 1 else ""))
+
+
+def _shortest(refusal: HitchoptError) -> float:
+    """Return the time that a route takes at least [s], if that alone is why it is refused."""
+    if not isinstance(refusal, InfeasibleError):
+        return math.inf
+    timed = all((v.constraint, v.sense) == ("duration", "min") for v in refusal.violations)
+    return max(v.limit for v in refusal.violations) if timed else math.inf

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_spans import ClaspLoads, cable_of, sag_factors, shortening
@@ -201,6 +201,25 @@ def test_the_largest_weight_of_regular_hitches(n: int) -> None:
         replace(team, load=np.full(n, 1.25 * most / 9.81), tension=np.full(n, 0.6 * 1.26)),
         regular_polygon(n, 1.0),
     )
+
+
+def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
+    """Nearly straight cables of unlike tensions, whose legs pull harder the higher they rise."""
+    rng = np.random.default_rng(5)
+    told: list[Violation] = []
+    for _ in range(300):
+        angles = np.cumsum(rng.uniform(0.0, 0.2, 2))
+        u = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
+        T, halves = rng.uniform(0.3, 0.5, 2), rng.uniform(0.0, 0.2, (1, 2))
+        forces = np.zeros((1, 3))
+        forces[0, 2] = -np.sum(halves) - rng.uniform(0.0, 0.4)
+        loads = ClaspLoads(forces, halves, np.zeros(1))
+        try:
+            leg_directions(u, T, "open", loads)
+        except InfeasibleError as error:
+            told += error.violations
+    assert {violation.constraint for violation in told} == {"load", "tension"}
+    assert all(violation.value > violation.limit for violation in told)
 
 
 def test_thrust_of_a_weight_shared_alike() -> None:

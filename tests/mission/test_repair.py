@@ -64,6 +64,38 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
         assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
 
 
+def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
+    """Vertices of a square that turns by half a circle meet in the middle if they go straight."""
+    square = ho.regular_polygon(4, 1.2, math.pi / 4.0)
+    morph = {"polygon": square.renumbered(2).vertices.tolist(), "duration": 1.0}
+    start = {"hitch": {"polygon": square.vertices.tolist(), "altitude": 1.0}}
+    team = {"robots": 4, "cable_length": 2.4}
+    data = {"team": team, "start": start, "mission": [{"morph": morph}]}
+    problem = problem_from_dict(data)
+    with pytest.raises(ho.InfeasibleError, match="the step's own route is infeasible") as told:
+        ho.solve(problem)
+    (violation,) = told.value.violations
+    assert (violation.constraint, violation.value) == ("duration", 1.0)
+    found = ho.suggestions(problem)
+    (longer,) = (s for s in found if s.change.key == "mission[0].morph.duration")
+    assert longer.duration == pytest.approx(violation.limit, rel=5e-3)
+    assert plans(edited(data, longer.change.edits))
+
+
+def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
+    hold: list[dict[str, Any]] = [{"hold": {"seconds": 1.0}}]
+    polygon = ho.regular_polygon(3, 1.0).vertices.tolist()
+    data = {
+        "team": {"robots": 3, "cable_length": 2.0, "load": 0.05, "tension": 0.4},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.0}},
+        "mission": hold,
+    }
+    found = ho.suggestions(problem_from_dict(data))
+    assert {s.change.key for s in found} == {"team.load", "team.tension"}
+    for suggestion in found:
+        assert plans(edited(data, suggestion.change.edits))
+
+
 @pytest.mark.parametrize("stem", ["drones_too_close", "paper_experiment_1"])
 def test_cables_a_little_shorter_than_suggested_do_not_do(stem: str) -> None:
     data = mapping(CASES[stem])

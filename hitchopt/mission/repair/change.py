@@ -204,7 +204,9 @@ def name_of(violation: Violation) -> str:
 
 def needed(violations: Sequence[Violation], name: str) -> float:
     """Return the size by which a limit has to be raised at the least."""
-    return _largest(v.value / v.limit - 1.0 for v in violations if name_of(v) == name)
+    return _largest(
+        v.value / v.limit - 1.0 for v in violations if name_of(v) == name and v.limit > 0.0
+    )
 
 
 def short(violations: Sequence[Violation]) -> float:

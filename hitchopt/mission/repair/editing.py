@@ -19,7 +19,7 @@ from hitchopt.values import Array
 
 
 def team_values(problem: Problem, name: str) -> Array:
-    """Return the cable lengths [m], tensions [N] or largest thrusts [N] of the robots (n,)."""
+    """Return cable lengths [m], tensions [N], largest thrusts [N] or loads [kg], (n,) or clasps."""
     if name == "max_thrust":
         return np.array([kind.max_thrust for kind in problem.team.quadrotor])
     values: Array = getattr(problem.team, name)

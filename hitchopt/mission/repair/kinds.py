@@ -18,6 +18,7 @@ from hitchopt.mission.repair.change import (
     Quantity,
     broken_constraints,
     lowered,
+    needed,
 )
 from hitchopt.mission.repair.editing import (
     team_values,
@@ -46,6 +47,9 @@ SAFETY = (
     ("crossing", frozenset({"crossing"})),
 )
 """Distances that are there for safety, and the constraints that smaller ones repair."""
+
+HEAVY = frozenset({"load"})
+"""What tensions are too low for."""
 
 MOST_NAMED = 3
 """Most single cables tried, those that the broken limits name first."""
@@ -102,7 +106,12 @@ def _forces(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]
         for one in _single(problem, "tension", "N", "one tension", violations):
             # Tensions that differ turn legs, so that an odd one may be what brings drones together.
             yield lowered(one, FORCES | SPACE | {"crossing"}, family="one tension")
-    yield lowered(_every(problem, "tension", "N", "" if same else "all tensions"), FORCES)
+    every = _every(problem, "tension", "N", "" if same else "all tensions")
+    yield lowered(every, FORCES)
+    yield Kind(every, 1, HEAVY, needed(violations, "load"))
+    if np.any(problem.team.load > 0.0):
+        words = "" if _same(problem.team.load) else "all loads"
+        yield lowered(_every(problem, "load", "kg", words), HEAVY | FORCES | TOO_CLOSE)
     thrust = _every(problem, "max_thrust", "N", "every max_thrust")
     same = thrust.unit == "N"
     key = "team.quadrotor.max_thrust" if same else "team.quadrotor"
