@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise, permutations, product
+from itertools import islice, pairwise, permutations, product
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
+from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.planners.forming.assigning import assigned
-from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
+from hitchopt.planners.forming.prehitch import PreHitch, candidates, find_prehitch
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears, swap
 from hitchopt.planners.forming.tying_stages import (
@@ -28,6 +29,8 @@ from hitchopt.planners.forming.tying_stages import (
 from hitchopt.planners.forming.wheels import Wheels, turned
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
+from hitchopt.trajectory import joined
+from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
 
@@ -176,6 +179,44 @@ def test_narrow_vertices_are_widened_and_short_cables_get_a_smaller_polygon() ->
     assert pre.shortfall <= 0.0
     never = find_prehitch(short, Separation(), SwapSettings(radius=0.5))
     assert never.shortfall > 0.0
+
+
+def clasped(turns: Turns) -> bool:
+    """Whether the chords of neighbours pass through each other once on a whole turn, everywhere."""
+    met = chord_crossings(joined([swap(turns, Limits(), half, None) for half in (0, 1)]))
+    n, layout = turns.team.robots, turns.team.layout
+    numbers = np.zeros((n, n), dtype=np.intp)
+    numbers[met.first, met.second] += met.count
+    numbers += numbers.T
+    return bool(np.all(np.abs(numbers[layout.behind, layout.ahead]) == 1))
+
+
+def test_cables_clasp_where_their_chords_cross_half_way() -> None:
+    """Tensions that differ lay some chords of pairs along an edge, and then cables do not clasp."""
+    seen = {False: 0, True: 0}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(5, 8))
+        polygon = random_convex_polygon(n, 1.0, rng)
+        hitch = Hitch.balanced(Team(n, 1.9, tension=rng.uniform(0.3, 0.5, n)), polygon, 1.5)
+        for found in islice(candidates(hitch, Separation(), SwapSettings()), 0, 90, 15):
+            linked = found.measures.linked
+            if abs(linked) > 5e-3:
+                seen[linked > 0.0] += 1
+                assert clasped(found.turns) == (linked > 0.0)
+    assert min(seen.values()) > 2
+
+
+@pytest.mark.parametrize(("seed", "n"), [(6, 7), (19, 8)])
+def test_cables_clasp_whose_tensions_differ(seed: int, n: int) -> None:
+    """They turn legs; pairs stand across their vertices then, and keep apart on their way out."""
+    rng = np.random.default_rng(seed)
+    polygon = random_convex_polygon(n, 0.9, rng)
+    team = Team(n, 1.7, tension=rng.uniform(0.35, 0.5, n))
+    y = 1.1 * (np.arange(n) - 0.5 * (n - 1))
+    q = np.column_stack([np.full(n, -0.7), y[::-1], np.full(n, 1.5)])
+    plan = ho.form(team, q, q * [-1.0, 1.0, 1.0], polygon, altitude=1.5)
+    assert plan.certificate.certified
 
 
 def test_release_is_form_reversed() -> None:

@@ -2,20 +2,25 @@
 
 Shortened legs: every pair stands as it will in the hitch, its legs shortened by a common share, no
 nearer than a smallest radius. The share is searched downward, then the polygon is made smaller, so
-that cables reach, or larger, so that pairs on short edges keep off each other.
+that cables reach, or larger, so that pairs on short edges keep off each other, there and on their
+way out to the hitch. Where no such place
+suffices pairs stand across their vertices, whatever their legs.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.planners.forming.clasp_places import clasp_places, largest_reach
+from hitchopt.planners.forming.straight import smallest_separation, stops
 from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears
 from hitchopt.requirements import Separation
 from hitchopt.time_limit import check_time
@@ -37,6 +42,10 @@ SPAN = 0.97
 
 CLEARANCE = 1.05
 """Clearance of drones to cables, over ``Separation.cable``."""
+
+LINKED = 0.05
+"""[m] Least length of both cables beyond the point where their chords cross at a clasp, seen from
+above, once its pair is exchanged: cables that do not cross there do not clasp."""
 
 EVEN = 1e-3
 """[m] Smallest gain in clearance that counts: rounding does not decide between mirror images."""
@@ -81,24 +90,32 @@ def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) 
     At the hitch's own altitude. The certificate bounds it at every time.
     """
     looked_at = []
-    for found in _candidates(hitch, separation, settings):
+    for found in candidates(hitch, separation, settings):
         if found.shortfall <= 0.0:
             return found
         looked_at.append(found)
     return min(looked_at, key=lambda found: found.shortfall)
 
 
-def _candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:
+def candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:
+    """Yield pre-hitches: pairs stand as in the hitch; across their clasps if some would not link."""
     tilts = TILTS if settings.tilt is None else (math.degrees(settings.tilt),)
-    for scale in SCALES:
-        for share in LEG_SHARES:
-            for tilt in tilts:
-                check_time()
-                turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale)
-                found = _turning(turns, separation, settings, share, scale)
-                yield found
-                if found.measures.span > SPAN or found.measures.opening < _opening(separation):
-                    break  # tilts do not change it
+    oblique = False
+    for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
+        if across and not oblique:
+            return
+        for tilt in tilts:
+            check_time()
+            turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale, across)
+            found = _turning(turns, separation, settings, share, scale)
+            oblique = oblique or found.measures.linked < LINKED
+            fits = found.shortfall <= 0.0
+            if fits:
+                drawn = _drawing_shortfall(found, hitch)
+                found = replace(found, shortfall=max(found.shortfall, drawn))
+            yield found
+            if fits or found.measures.span > SPAN or found.measures.opening < _opening(separation):
+                break  # tilts do not change it
 
 
 def _turning(
@@ -131,12 +148,23 @@ def _shortfall(measures: Measures, separation: Separation) -> float:
     needed = [
         (measures.span, SPAN),
         (_opening(separation) - measures.opening + separation.radius, separation.radius),
+        (LINKED - measures.linked + separation.radius, separation.radius),
         (1.0, measures.apart / (0.99 * APART)),
     ]
     if separation.cable > 0.0:
         clearance = float(np.min(measures.clearances))
         needed.append((CLEARANCE, max(clearance, 1e-9) / separation.cable))
     return max(value / limit - 1.0 for value, limit in needed)
+
+
+def _drawing_shortfall(pre: PreHitch, hitch: Hitch) -> float:
+    """Return the relative violation on the way out to the hitch."""
+    places = stops(pre.drones, hitch.drones, pre.separation)
+    worst = 1.0 / smallest_separation(places, pre.separation) - 1.0
+    for drones in places[:-1]:
+        points = clasp_places(pre.turns, pre.scale, hitch, drones)
+        worst = max(worst, largest_reach(hitch.team, drones, points) - 1.0)
+    return worst
 
 
 def _turns(
@@ -146,16 +174,27 @@ def _turns(
     tilt: float,
     share: float,
     scale: float,
+    across: bool,
 ) -> Turns:
-    """Return the ellipses for a share of the legs and a scale of the polygon."""
+    """Return the ellipses for a share of the legs and a scale of the polygon.
+
+    Where legs at a vertex differ much, or tensions, the chord of its drones may be so oblique that
+    their cables would not cross when they are exchanged; ``across`` lays chords along the vertex's
+    bisector instead.
+    """
     layout, drones = hitch.team.layout, hitch.drones
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
     chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at one height, however legs rise in the hitch
     lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
+    beyond = 0.5 * (q + r) - vertices
+    if across:
+        edges = unit(layout.edges(hitch.vertices))
+        along = unit(edges[layout.behind] + edges[layout.ahead])
+        beyond -= np.sum(beyond * along, axis=1, keepdims=True) * along
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
-    middles = vertices + share * (0.5 * (q + r) - vertices) + (scale - 1.0) * (vertices - centre)
+    middles = vertices + share * beyond + (scale - 1.0) * (vertices - centre)
     alone = drones[~layout.has_leg.ravel()]
     up = np.array([0.0, 0.0, 1.0])
     return Turns(
@@ -179,6 +218,8 @@ class Measures:
     span: largest share of a cable between its drones.
     opening: smallest distance, along the edge, from q to r before the swaps [m]: at a smaller one
         pairs would be on the wrong side of each other's cables.
+    linked: smallest length of two cables beyond the point where their chords cross at a clasp, seen
+        from above, when its pair is exchanged [m]; negative where they do not cross.
     clearances: (clasps,) smallest distance of a drone to its partner's cable [m].
     apart: smallest ratio of drones of pairs next to each other.
     lowest: largest depth of a cable below the drones' plane [m].
@@ -186,6 +227,7 @@ class Measures:
 
     span: float
     opening: float
+    linked: float
     clearances: Array
     apart: float
     lowest: float
@@ -208,10 +250,26 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     return Measures(
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)),
         float(np.min(np.sum((r[0] - q[0]) * along, axis=-1))),
+        _linked(turns),
         clear,
         _apart(turns, drones, separation),
         float(turns.centres[0, 2]) - float(np.min(points[..., 2])),
     )
+
+
+def _linked(turns: Turns) -> float:
+    """Return ``Measures.linked``, half a turn from the beginning, when pairs are exchanged."""
+    layout = turns.team.layout
+    drones = turns.drones(np.asarray(math.pi))[:, :2]
+    r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
+    back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
+    turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
+    apart = q - r  # = s back - t onward, at the lengths s and t beyond the point
+    s = apart[:, 0] * onward[:, 1] - apart[:, 1] * onward[:, 0]
+    t = apart[:, 0] * back[:, 1] - apart[:, 1] * back[:, 0]
+    never = np.full((2, len(turn)), -np.inf)  # chords that are parallel
+    beyond = np.divide(np.stack([s, t]), turn, out=never, where=turn != 0.0)
+    return float(np.min(beyond, initial=np.inf))
 
 
 def _apart(turns: Turns, drones: Array, separation: Separation) -> float:

@@ -6,6 +6,9 @@ hitch, and may come too close at the same pace.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -64,19 +67,19 @@ def tightened(
     start, end: (2n, 3) [m]
     least: see ``straight``.
     """
-    at_once = [straight(team, limits, start, end, least)]
-    closest = _closest(at_once[0], separation)
-    if closest >= APART:
-        return at_once
-    middle = start.copy()
-    first = _first_movers(start, end, separation)
-    middle[first] = end[first]
-    in_two = [
-        straight(team, limits, start, middle, least),
-        straight(team, limits, middle, end, least),
-    ]
-    better = min(_closest(flight, separation) for flight in in_two) > closest
-    return in_two if better else at_once
+    return [straight(team, limits, a, b, least) for a, b in pairwise(stops(start, end, separation))]
+
+
+def stops(start: Array, end: Array, separation: Separation) -> list[Array]:
+    """Return the places (2n, 3) [m] where drones rest on their way to the hitch, ends included."""
+    closest = smallest_separation([start, end], separation)
+    if closest < APART:
+        first = _first_movers(start, end, separation)
+        middle = start.copy()
+        middle[first] = end[first]
+        if smallest_separation([start, middle, end], separation) > closest:
+            return [start, middle, end]
+    return [start, end]
 
 
 def _first_movers(start: Array, end: Array, separation: Separation) -> Indices:
@@ -95,9 +98,11 @@ def _first_movers(start: Array, end: Array, separation: Separation) -> Indices:
     return movers
 
 
-def _closest(flight: PiecewisePolynomial, separation: Separation) -> float:
-    """Return the smallest separation of any two drones at the probes."""
+def smallest_separation(places: Sequence[Array], separation: Separation) -> float:
+    """Return the smallest separation of drones at probes on the lines between places (2n, 3)."""
     smallest = np.inf
-    for places in flight.at(np.linspace(0.0, flight.duration, CLOSEST_PROBES)) * separation.scale:
-        smallest = min(smallest, float(np.min(cKDTree(places).query(places, k=[2])[0])))
+    for start, end in pairwise(places):
+        for share in np.linspace(0.0, 1.0, CLOSEST_PROBES):
+            there = (start + share * (end - start)) * separation.scale
+            smallest = min(smallest, float(np.min(cKDTree(there).query(there, k=[2])[0])))
     return smallest

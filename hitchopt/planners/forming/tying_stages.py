@@ -9,6 +9,7 @@ import numpy as np
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.phases import CableState
+from hitchopt.planners.forming.clasp_places import clasps_drawn_out
 from hitchopt.planners.forming.prehitch import PreHitch
 from hitchopt.planners.forming.straight import tightened
 from hitchopt.planners.forming.turns import SwapSettings, swap
@@ -24,9 +25,6 @@ PULL_PERIODS = 3.0
 
 SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of the rise from 0 to 1 with three derivatives zero at both ends."""
-
-SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Shares of the line from pre-hitch to hitch that are tried as places of the clasps."""
 
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
 """Names of the stages of forming when they are undone."""
@@ -44,7 +42,9 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
         Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds), CableState.CLASPING),
         *(
             Stage("tighten", flight, CableState.TIGHTENING, points=points)
-            for flight, points in zip(flights, _clasps(pre, hitch, flights), strict=True)
+            for flight, points in zip(
+                flights, clasps_drawn_out(pre.turns, pre.scale, hitch, flights), strict=True
+            )
         ),
         Stage("tension", rest, CableState.HITCHED, SMOOTH[None]),
     ]
@@ -71,63 +71,6 @@ def rise_seconds(team: Team) -> float:
 def undone(stages: Sequence[Stage]) -> list[Stage]:
     """Return the stages of forming backward in time: the hitch is taken apart."""
     return [stage.reversed(BACKWARD[stage.name]) for stage in reversed(stages)]
-
-
-def _clasps(
-    pre: PreHitch, hitch: Hitch, flights: Sequence[PiecewisePolynomial]
-) -> list[PiecewisePolynomial]:
-    """Return where the clasps may lie (points, 3) [m] while the drones fly out.
-
-    They move along with the drones, between places that all cables reach around at the ends of
-    every flight. Lengths are convex: cables that reach at both ends of a straight flight reach in
-    between.
-    """
-    here, found = _places(pre, hitch, pre.drones), []
-    for i, flight in enumerate(flights):
-        start, end = flight.coefficients[0, ..., 0], flight.coefficients[-1, ..., -1]
-        last = i == len(flights) - 1
-        there = hitch.vertices if last else _places(pre, hitch, end)
-        gone = flight.coefficients - start[..., None]
-        farthest = int(np.argmax(np.linalg.norm(end - start, axis=1)))
-        whole = (end - start)[farthest]
-        size = float(whole @ whole)
-        s = np.einsum("d,pdm->pm", whole, gone[:, farthest]) / size if size > 0.0 else np.ones(1)
-        s = np.clip(s, 0.0, 1.0)[..., None, None, :]
-        points = here[..., None] * (1.0 - s) + there[..., None] * s
-        shape = (flight.pieces, *points.shape[-3:])
-        found.append(PiecewisePolynomial(flight.breaks, np.broadcast_to(points, shape)))
-        here = there
-    return found
-
-
-def _places(pre: PreHitch, hitch: Hitch, drones: Array) -> Array:
-    """Return the places (points, 3) [m] of the clasps that cables reach around most easily.
-
-    Candidates are the middles of the pairs, the pre-hitch's vertices, and places between them and
-    the hitch's; the ends of chains are where their drones are.
-    """
-    layout = hitch.team.layout
-    centre = np.append(hitch.polygon.centroid, hitch.altitude)
-    middles = hitch.vertices.copy()
-    middles[layout.clasps] = pre.turns.centres
-    alone = np.flatnonzero(~layout.has_leg.ravel())
-    best, least = hitch.vertices, np.inf
-    for first in (centre + pre.scale * (hitch.vertices - centre), middles):
-        for share in SHARES:
-            points = first + share * (hitch.vertices - first)
-            points[layout.anchors[alone]] = drones[alone]
-            reach = _reach(hitch.team, drones, points)
-            if reach < least:
-                best, least = points, reach
-    return best
-
-
-def _reach(team: Team, drones: Array, points: Array) -> float:
-    """Return the largest share of a cable that its route around the points takes."""
-    layout = team.layout
-    legs = np.linalg.norm(drones - points[layout.anchors], axis=1).reshape(-1, 2)
-    edges = np.linalg.norm(points[layout.ends] - points[layout.starts], axis=1)
-    return float(np.max((np.sum(legs, axis=1) + edges) / team.cable_length))
 
 
 @dataclass(frozen=True, eq=False)
