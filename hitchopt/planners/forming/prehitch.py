@@ -98,7 +98,7 @@ def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) 
 
 
 def candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:
-    """Yield pre-hitches: pairs stand as in the hitch; across their clasps if some would not link."""
+    """Yield pre-hitches: pairs stand as in the hitch; across clasps too if some would not link."""
     tilts = TILTS if settings.tilt is None else (math.degrees(settings.tilt),)
     oblique = False
     for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
