@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hitchopt.errors import Violation
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import GRAVITY, Quadrotor
@@ -15,6 +16,12 @@ from hitchopt.values import Array, Indices
 
 LEAST_GAP = 0.02
 """[m] Least distance of a clasp to the section: two ropes bend around each other there."""
+
+DECIMALS = 9
+"""Decimals that are told of a value."""
+
+NO_GRIP = "use three cables, another length of cables or a larger section, or rest it on a rim"
+"""What to do where no grip was found."""
 
 
 def grip_margins(grip: Grip, requirements: Requirements, kind: Quadrotor) -> dict[str, Array]:
@@ -53,6 +60,31 @@ def grip_margins(grip: Grip, requirements: Requirements, kind: Quadrotor) -> dic
         "thrust": 2.0 - length(thrusts) / kind.max_thrust,
     }
     return {name: ratio - 1.0 for name, ratio in found.items()}
+
+
+def broken_limit_of(
+    name: str, margin: float, requirements: Requirements, kind: Quadrotor
+) -> Violation:
+    """Return the violation of a limit by a margin of ``grip_margins``, its value as it is."""
+    separation, limits = requirements.separation, requirements.limits
+    least = {
+        "separation": (1.0, "ratio"),
+        "cable_clearance": (separation.cable, "m"),
+        "crossing": (separation.crossing, "m"),
+        "keep_out": (separation.radius, "m"),
+        "legs": (limits.leg, "m"),
+        "gap": (LEAST_GAP, "m"),
+    }
+    if name in least:
+        limit, unit = least[name]
+        value = round(limit * (1.0 + margin), DECIMALS)
+        return Violation(name, value, limit, "min", unit, (), "", NO_GRIP)
+    limit, unit = {
+        "tilt": (math.degrees(limits.tilt), "deg"),
+        "thrust": (kind.max_thrust, "N"),
+    }[name]
+    value = round(limit * (1.0 - margin), DECIMALS)
+    return Violation(name, value, limit, "max", unit, (), "", NO_GRIP)
 
 
 def _straight_parts(grip: Grip) -> tuple[Array, Indices, Indices]:

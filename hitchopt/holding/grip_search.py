@@ -19,7 +19,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import TIE
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.capacity import Capacity, largest_mass
-from hitchopt.holding.grip_limits import grip_margins
+from hitchopt.holding.grip_limits import NO_GRIP, broken_limit_of, grip_margins
 from hitchopt.holding.grip_statics import Grip
 from hitchopt.objects import Section
 from hitchopt.requirements import Requirements
@@ -257,12 +257,10 @@ def _searched(task: GripTask, grip: Grip) -> list[Array]:
 def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
     """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    remedy = "use three cables, another length of cables or a larger section, or rest it on a rim"
-    name, value = "grip", 0.0
     for grip in nearest[:1]:
         short = {key: float(np.min(each)) for key, each in task.margins(grip).items()}
         worst = min(short, key=lambda key: short[key])
         if short[worst] < 0.0:
-            name, value = worst, 1.0 + short[worst]
-    broken = Violation(name, value, 1.0, "min", "of its limit", (), "", remedy)
-    return InfeasibleError([broken], note)
+            broken = broken_limit_of(worst, short[worst], task.requirements, task.kind)
+            return InfeasibleError([broken], note)
+    return InfeasibleError([Violation("grip", 0.0, 1.0, "min", "ratio", (), "", NO_GRIP)], note)

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.holding import grip_search
-from hitchopt.holding.grip_limits import grip_margins, largest_tension
+from hitchopt.holding.grip_limits import broken_limit_of, grip_margins, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
@@ -250,8 +250,25 @@ def test_a_cylinder_of_100_g_needs_a_tension_of_1_3_n() -> None:
 
 
 def test_more_cables_do_not_grip_a_disc() -> None:
-    with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables"):
+    with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables") as told:
         best_grip(task(DISC, 6, 1.0))
+    (violation,) = told.value.violations
+    assert violation.value < violation.limit
+    assert violation.unit in {"m", "ratio"}
+
+
+def test_what_no_grip_keeps_is_told_in_its_own_unit() -> None:
+    made = task(DISC, 3, 1.6, 1.5)  # pulls more than the default tilt allows
+    grip = best_grip(made)
+    margins = grip_margins(grip, Requirements(), made.kind)
+    thrusts = grip.thrusts(made.kind.mass, 9.81).reshape(-1, 3)
+    tilt = math.degrees(np.max(np.arctan2(np.hypot(*thrusts.T[:2]), thrusts[:, 2])))
+    legs = float(np.min(grip.legs))
+    for name, value, limit, sense in (("tilt", tilt, 45.0, "max"), ("legs", legs, 0.15, "min")):
+        worst = float(np.min(margins[name]))
+        broken = broken_limit_of(name, worst, Requirements(), made.kind)
+        assert broken.value == pytest.approx(value, abs=1e-6)
+        assert (broken.limit, broken.sense) == (pytest.approx(limit), sense)
 
 
 def test_level_pulls_are_limited_by_tilt() -> None:
