@@ -27,6 +27,7 @@ from hitchopt.steps.carrying import (
     tension_moves,
 )
 from hitchopt.steps.enclose import slowly
+from hitchopt.steps.end_hitch import end_of_morph
 from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
@@ -38,6 +39,10 @@ from hitchopt.values import Array, choice, positive
 MORE_ROLL = 1.3
 """Factor of the least roll with which legs without a load keep off each other, where a load brings
 them nearer."""
+
+SPARE, SPREAD = 1.005, 1.02
+"""Distances of the hitch at rest, over those to be kept: those with which legs stay as they are,
+since the way takes some of them, and those to which they are moved otherwise."""
 
 By = Literal["rest", "grip"]
 """How an object is held."""
@@ -100,7 +105,7 @@ class Grasp(Step):
         """Return the plan of closing below the rim, and the task of holding the object after it.
 
         Legs end as near to the current fractions as limits allow, rolled as little; where the
-        hitch with its load breaks a distance then, they are rolled more.
+        hitch with its load hardly keeps a distance then, they are rolled more, or moved on.
 
         Parameters
         ----------
@@ -119,14 +124,26 @@ class Grasp(Step):
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
         holding = Holding(self.object, polygons, asked, held)
         here = replace(task, before=replace(closing.after, holding=holding))
+        requirements = task.requirements
         try:
-            check_hold(here, holding)
+            kept = requirements if legs is not None else _spaced(requirements, SPARE)
+            check_hold(here.within(kept, here.before), holding)
         except InfeasibleError:
-            if legs is not None or not np.any(hitch.roll):
+            if legs is not None:
                 raise
-            more = RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
+            if np.any(hitch.roll):
+                more = RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
+            else:
+                wide = end_of_morph(task.hitch, below, None, _spaced(requirements, SPREAD)).hitch
+                more = RolledLegs(wide.q_legs, wide.roll)
             return self._closing(task, body, asked, more)
         return closing, here
+
+
+def _spaced(requirements: Requirements, factor: float) -> Requirements:
+    """Return requirements with larger distances between drones and cables."""
+    far = {key: factor * value for key, value in vars(requirements.separation).items()}
+    return replace(requirements, separation=replace(requirements.separation, **far))
 
 
 def without(task: StepTask, name: str) -> Requirements:

@@ -227,6 +227,35 @@ def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
     assert not check.holds
 
 
+def test_legs_that_just_keep_apart_without_a_load_are_moved_on() -> None:
+    """A weight on the clasps brings q1 and r1 nearer by 0.01 %."""
+    sides = np.array([[-1.0, -0.9], [1.0, -0.9], [1.0, 0.9], [-1.0, 0.9]])
+    box: dict[str, Any] = {"to": 0.25, "mass": 0.1, "at": [2.34, 2.09, 0.5]}
+    box["outline"] = (0.084 * sides).tolist()
+    box["rim"] = {"outline": (0.156 * np.array([1.0, 1.06]) * sides).tolist(), "at": 0.2}
+    plan = ho.solve(
+        ho.problem_from_dict(
+            {
+                "team": {"robots": 4, "cable_length": 1.4, "tension": 0.8},
+                "limits": {"tilt_deg": 60},
+                "objects": {
+                    "box": box,
+                    "table": {"circle": 0.6, "to": 0.5, "at": [2.34, 2.09, 0.0], "fixed": True},
+                },
+                "start": {
+                    "hitch": {
+                        "polygon": [[2.087, 2.318], [2.568, 2.343], [2.593, 1.862], [2.112, 1.837]],
+                        "altitude": 1.59,
+                    }
+                },
+                "mission": [{"transport_object": {"object": "box", "to": [-0.22, -0.08, 0.0]}}],
+            }
+        )
+    )
+    assert plan.certificate.certified
+    assert plan.certificate["separation"].worst == pytest.approx(1.0, abs=0.05)
+
+
 def refused(problem: dict[str, Any], text: str) -> None:
     with pytest.raises(ho.HitchoptError, match=re.escape(text)):
         ho.solve(ho.problem_from_dict(problem))
