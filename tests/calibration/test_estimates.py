@@ -210,7 +210,7 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
 
 def test_derivatives_of_the_residuals_are_right() -> None:
     task, recording = recorded(*hitches(), K, DENSITY, wind=(0.03, 0.02))
-    windows = windows_of(recording, task).poses()
+    windows = windows_of(recording, task).spans()
     assert len(windows.t) == 2
     balance = ForceBalance.of(task.team, windows, DENSITY)
     residuals = _Residuals(
