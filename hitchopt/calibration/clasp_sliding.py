@@ -43,8 +43,8 @@ COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 
 GEOMETRY_ERROR = 0.15
 """Relative standard error of a friction coefficient by the two above: estimates from simulated
-flights deviate by -13 to +6 %. Segments of 4 mm in place of 10 change ratios by
-2 % at 60° where one cable slides, by 10 % where both slide alike."""
+flights deviate by -13 to +20 %. Segments of 4 mm in place of 10 change ratios by 2 % at 60° where
+one cable slides, by 10 % where both slide alike."""
 
 SPAN = 0.2
 """Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
@@ -62,9 +62,10 @@ PLANNED = 5e-3
 goes with errors of the tensions."""
 
 DIRECTION_ERROR = 0.2
-"""Standard error of the angle between friction and a cable [rad]: simulated clasps by themselves
-have 0.92 to 0.95 of the law's ratios where both cables slide alike, but in one flight 0.6, since
-their contacts vibrated (``benchmarks/clasp_ratios.py`` and ``results/calibration.md``)."""
+"""Standard error of the angle between friction and a cable [rad]: where both cables slide alike
+simulated clasps by themselves have 0.94 to 1.03 of the law's ratios
+(``benchmarks/clasp_ratios.py``), but 0.6 in one calm flight, whose contacts vibrated
+(``benchmarks/results/calibration.md``)."""
 
 LEAST_RATIO = 0.05
 """Least tension over the planned one at which a ratio is formed."""
