@@ -61,7 +61,7 @@ def calibrate(
     """Estimate cable lengths, stiffness and friction from a recorded flight of a plan.
 
     Lengths are the robust means of measured legs and edges, arcs included. The stiffness follows
-    from where drones rest, friction from cables that slide while drones give way: see
+    from where drones are on average, friction from cables that slide while drones give way: see
     ``stiffness_fit`` and ``friction_fit``. What a recording does not determine is said so.
 
     Parameters
@@ -106,13 +106,10 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
         )
     feeds = recording.feed_forward if recording.feed_forward is not None else team.feed_forward
     winds = recording.integral if recording.integral is not None else team.integral
-    poses = windows.poses()
     fit: StiffnessFit | None = None
     remark = "integral action returns drones to their set points, whatever their stiffness"
     if not np.any(winds):
-        remark = "the plan does not stand still with its hitch drawn tight"
-        if len(poses.t):
-            fit = fit_stiffness(team, ForceBalance.of(team, poses, density), feeds)
+        fit = fit_stiffness(team, ForceBalance.of(team, windows.spans(), density), feeds)
     stiffness = (Estimate.unknown(remark),) * team.robots
     if fit is not None:
         stiffness = tuple(fit.stiffness[kind] for kind in fit.kinds[::2])

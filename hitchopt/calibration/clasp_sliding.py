@@ -6,10 +6,15 @@ between these directions where they touch, the leg of a is pulled harder than it
 
     log(T_leg / T_edge) = μ Θ_a (v_a - c v_b)/w,    w² = v_a² + v_b² - 2 c v_a v_b,
 
-Θ_a being the angle by which it turns in space; b likewise. A cable that slides alone has the ratio
-of a capstan and drags the other along; where both slide alike, ratios are less than a capstan's,
-since the cables roll off each other in part. Θ and c are geometry: cables whose ends lie in one
-plane pass over and under each other, turn farther than in the plane, and touch where they cross.
+Θ_a being the angle by which it turns in space; b likewise. It is Coulomb's law: friction on a is
+``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
+and only its part along t_a changes the tension of a. A cable that slides alone has the ratio of a
+capstan and drags the other along; where both slide alike, friction acts across them for the most
+part, and ratios are less. Θ and c are geometry: cables whose ends lie in one plane pass over and
+under each other, turn farther than in the plane, and touch where they cross.
+
+The angle ψ between friction and a cable is known less well than the sizes of forces. Its error
+changes ``cos ψ`` by ``sin ψ``, not at all where a cable slides alone; this weighs the estimates.
 """
 
 from __future__ import annotations
@@ -38,15 +43,16 @@ COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 
 GEOMETRY_ERROR = 0.15
 """Relative standard error of a friction coefficient by the two above: estimates from simulated
-flights with all perturbations are 4 to 17 % low. Segments of 4 mm in place of 10 change ratios by
-2 % at 60° where one cable slides, by 10 % where both slide alike."""
+flights deviate by -13 to +20 %. Segments of 4 mm in place of 10 change ratios by 2 % at 60° where
+one cable slides, by 10 % where both slide alike."""
 
 SPAN = 0.2
 """Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
 
-BLURRED = 5e-3
+BLURRED = 1e-2
 """Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
-and by cables that stick."""
+by what a span does not resolve, and by cables that stick. In simulations contacts creep where
+friction is less than it may be: at 2 mm/s it has a third of its size, at 6 mm/s three quarters."""
 
 SLIDING = 1e-2
 """Least rate at which cables slide over each other in a window that counts as sliding [m/s]."""
@@ -54,6 +60,12 @@ SLIDING = 1e-2
 PLANNED = 5e-3
 """Least rate at which the plan has to slide them, the same way [m/s]: sliding that is due to noise
 goes with errors of the tensions."""
+
+DIRECTION_ERROR = 0.2
+"""Standard error of the angle between friction and a cable [rad]: where both cables slide alike
+simulated clasps by themselves have 0.94 to 1.03 of the law's ratios
+(``benchmarks/clasp_ratios.py``), but 0.6 in one calm flight, whose contacts vibrated
+(``benchmarks/results/calibration.md``)."""
 
 LEAST_RATIO = 0.05
 """Least tension over the planned one at which a ratio is formed."""
@@ -71,6 +83,7 @@ class SlidingClasps:
     windows, clasps: (entries,), which ones.
     ratios: (entries, 2), logarithms of the leg's tension over the edge's.
     pulls: (entries, 2), what friction makes of them at a coefficient of 1.
+    unsure: (entries, 2), standard errors of the pulls by the direction of sliding.
     slid: (entries,) [m], distance by which the cables slide over each other meanwhile.
     """
 
@@ -78,6 +91,7 @@ class SlidingClasps:
     clasps: NDArray[np.intp]
     ratios: Array
     pulls: Array
+    unsure: Array
     slid: Array
 
 
@@ -141,7 +155,9 @@ def sliding_clasps(
     usable &= np.all((leg > least) & (edge > least), axis=-1)
     w, c = np.nonzero(usable)
     ratios = np.log(leg[w, c] / edge[w, c])
-    return SlidingClasps(w, c, ratios, pulls[w, c], speed[w, c] * WINDOW)
+    largest = turns * np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, IN_SPACE)
+    unsure = DIRECTION_ERROR * np.sqrt(np.maximum(largest**2 - pulls**2, 0.0))
+    return SlidingClasps(w, c, ratios, pulls[w, c], unsure[w, c], speed[w, c] * WINDOW)
 
 
 def _squared_speed(rates: Array, cosine: Array) -> Array:

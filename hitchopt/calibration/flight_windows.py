@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.calibration.plan_comparison import PlanRows
 from hitchopt.calibration.recordings import Recording
@@ -16,11 +15,9 @@ from hitchopt.values import Array
 WINDOW = 0.5
 """Length of a window [s]: some times the correlation time of a drone's position error."""
 
-CALMED = 0.7
-"""Time after which a hitch that the plan has stopped counts as resting [s]."""
-
-STILL = 1e-4
-"""Largest movement of set points within a window at rest [m]."""
+SPAN = 6.0
+"""Length of a span over which stiffness is fitted [s]: tensions of a span of 0.5 s would follow the
+noise of its drones, which makes them seem up to 24 % stiffer, spans of 2 s up to 13 %."""
 
 TIGHT = 0.9
 """Least planned tension over the team's at which a hitch counts as drawn tight."""
@@ -38,7 +35,6 @@ class Windows:
     planned: planned vertices (windows, points, 3) [m].
     cable_forces: of the set points (windows, 2n, 3) [N].
     tensions: planned (windows, n) [N].
-    resting: whether the plan stands still, and has done so for CALMED (windows,).
     """
 
     t: Array
@@ -48,37 +44,22 @@ class Windows:
     planned: Array
     cable_forces: Array
     tensions: Array
-    resting: NDArray[np.bool_]
 
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Windows:
-        """Return some of the windows."""
-        columns: Any = (getattr(self, field.name)[rows] for field in fields(self))
-        return Windows(*columns)
-
-    def poses(self) -> Windows:
-        """Return the windows at rest, those of one stop averaged."""
-        still = self[self.resting]
-        if not len(still.t):
-            return still
-        moved = np.max(np.abs(np.diff(still.commanded, axis=0)), axis=(1, 2)) > STILL
-        pose = np.concatenate([[0], np.cumsum(moved)])
-        first = np.flatnonzero(np.diff(pose, prepend=-1))
-        count = np.diff(np.append(first, len(pose)))
+    def spans(self) -> Windows:
+        """Return means over spans of about SPAN, each without a gap."""
+        number = np.arange(len(self.t))
+        run = np.cumsum(np.diff(self.t, prepend=self.t[:1]) > 1.5 * WINDOW)
+        _, first, length = np.unique(run, return_index=True, return_counts=True)
+        parts = np.maximum(np.round(length * WINDOW / SPAN), 1.0)
+        span = ((number - first[run]) * parts[run] / length[run]).astype(np.intp)
+        _, first, count = np.unique([run, span], axis=1, return_index=True, return_counts=True)
 
         def mean(values: Array) -> Array:
             sums: Array = np.add.reduceat(values, first, axis=0)
             return sums / count.reshape(-1, *[1] * (values.ndim - 1))
 
-        return Windows(
-            mean(still.t),
-            mean(still.drones),
-            mean(still.vertices),
-            mean(still.commanded),
-            mean(still.planned),
-            mean(still.cable_forces),
-            mean(still.tensions),
-            still.resting[first],
-        )
+        columns: Any = (mean(getattr(self, field.name)) for field in fields(self))
+        return Windows(*columns)
 
 
 def windows_of(recording: Recording, task: Task) -> Windows:
@@ -89,12 +70,6 @@ def windows_of(recording: Recording, task: Task) -> Windows:
     rows = PlanRows.at(task, recording.t)
     row = rows.low
     tight = task.formed[row] & np.all(task.tensions[row] >= TIGHT * task.team.tension, axis=-1)
-    steps = np.max(np.linalg.norm(np.diff(task.setpoints.positions, axis=0), axis=-1), axis=-1)
-    moves = np.flatnonzero(steps > 1e-7)
-    last_move = np.full(len(task.t), -np.inf)
-    last_move[moves + 1] = task.t[moves + 1]
-    last_move = np.maximum.accumulate(last_move)[row] - task.t[0]
-    calm = (recording.t - last_move >= CALMED) | ~np.isfinite(last_move)
     seen = np.all(np.isfinite(recording.drones), axis=(1, 2))
     seen &= np.all(np.isfinite(recording.vertices), axis=(1, 2))
     window = np.floor(recording.t / WINDOW).astype(np.intp)
@@ -120,5 +95,4 @@ def windows_of(recording: Recording, task: Task) -> Windows:
         mean(rows.of(task.vertices)),
         mean(rows.of(setpoints.cable_forces)),
         mean(rows.of(task.tensions)),
-        mean(calm.astype(np.float64)) > 1.0 - 1e-9,
     )

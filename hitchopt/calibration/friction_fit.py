@@ -2,7 +2,8 @@
 
 ``clasp_sliding`` has the law. Of the logarithms of a clasp's two ratios the sum follows from the
 directions of legs and edges; the difference is that of the two cables' tensions, which drones
-measure by giving way, and which their noise changes much more. They are weighed by their scatter.
+measure by giving way, and which their noise changes much more. They are weighed by their scatter,
+and by how well the law knows their direction.
 """
 
 from __future__ import annotations
@@ -83,11 +84,13 @@ def fit_friction(found: SlidingClasps) -> Estimate:
         )
     modes = np.array([[1.0, 1.0], [1.0, -1.0]])  # sum and difference
     ratios, pulls = found.ratios @ modes, found.pulls @ modes
+    unsure = np.linalg.norm(found.unsure, axis=-1, keepdims=True)  # of both modes alike
     x = np.array([np.sum(pulls * ratios) / np.sum(pulls**2), 0.0])  # friction and offset
     columns = np.stack([pulls, np.broadcast_to([1.0, 0.0], pulls.shape)], axis=-1)
     for _ in range(ROUNDS):
         scale = np.maximum(scale_of(ratios - columns @ x, axis=0), LEAST_SCATTER)
-        wanted, by = ratios / scale, columns / scale[:, None]
+        scale = np.hypot(scale, x[0] * unsure)
+        wanted, by = ratios / scale, columns / scale[..., None]
         rows, right = by.reshape(-1, 2), wanted.ravel()
         rows = np.vstack([rows, [0.0, 1.0 / OFFSET_SCATTER]])
         right = np.append(right, 0.0)

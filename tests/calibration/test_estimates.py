@@ -13,9 +13,6 @@ from synthetic_flight import recorded, shaken, turns
 from hitchopt.calibration.calibrate import estimate_team
 from hitchopt.calibration.clasp_sliding import (
     BLURRED,
-    COSINES,
-    IN_SPACE,
-    TURNS,
     friction_pulls,
     sliding_clasps,
 )
@@ -83,24 +80,6 @@ def test_without_noise_stiffness_and_friction_are_exact(
     assert found.friction.known
     assert found.friction.value == pytest.approx(friction, abs=within)
     assert abs(found.friction.value - friction) < max(found.friction.error, 1e-3)
-
-
-def test_friction_acts_along_the_cables_relative_velocity() -> None:
-    turns = np.full(2, np.radians(60.0))
-    c, space = np.interp(turns[0], TURNS, COSINES), np.interp(turns[0], TURNS, IN_SPACE)
-    capstan = turns[0] * space
-    for rates, expected in (
-        ([0.02, 0.0], [1.0, -c]),  # the other cable is dragged along
-        ([0.0, -0.5], [c, -1.0]),
-        ([0.03, 0.03], np.full(2, np.sqrt(0.5 * (1.0 - c)))),
-        ([-0.03, -0.03], np.full(2, -np.sqrt(0.5 * (1.0 - c)))),
-        ([0.01, -0.01], np.array([1.0, -1.0]) * np.sqrt(0.5 * (1.0 + c))),
-        ([0.0, 0.0], [0.0, 0.0]),
-    ):
-        found = friction_pulls(turns, np.array(rates))
-        np.testing.assert_allclose(found, capstan * np.asarray(expected), atol=1e-12)
-    slow = friction_pulls(turns, np.array([5e-3, 0.0]), blurred=5e-3)
-    np.testing.assert_allclose(slow, capstan * np.array([1.0, -c]) / np.sqrt(2.0))
 
 
 def test_cables_that_noise_slides_back_and_forth_count_with_every_direction() -> None:
@@ -210,7 +189,7 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
 
 def test_derivatives_of_the_residuals_are_right() -> None:
     task, recording = recorded(*hitches(), K, DENSITY, wind=(0.03, 0.02))
-    windows = windows_of(recording, task).poses()
+    windows = windows_of(recording, task).spans()
     assert len(windows.t) == 2
     balance = ForceBalance.of(task.team, windows, DENSITY)
     residuals = _Residuals(
