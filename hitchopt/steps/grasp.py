@@ -40,7 +40,7 @@ MORE_ROLL = 1.3
 """Factor of the least roll with which legs without a load keep off each other, where a load brings
 them nearer."""
 
-SPARE, SPREAD = 1.005, 1.02
+SPARE, SPREAD = 1.01, 1.03
 """Distances of the hitch at rest, over those to be kept: those with which legs stay as they are,
 since the way takes some of them, and those to which they are moved otherwise."""
 
