@@ -107,6 +107,8 @@ else is said:
   put down as far off. The trays' seeds began anew at 5300 with the present plans.
 - tray-6, seed 5300, accurate, was stopped unfinished, the machine being shared; neither it nor
   tray-4 has been flown in this preset with the present plans.
+- Fresh seeds, written down on 2026-11-21 before they are flown: 5400 to 5407 for all five cases,
+  accurate preset, in rounds (a flight of each case, then the next seed). All of them count.
 """
 """What earlier flights found."""
 
