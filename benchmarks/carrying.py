@@ -110,8 +110,8 @@ else is said:
 - Fresh seeds, written down on 2026-11-21 before they are flown: 5400 to 5407 for all five cases,
   accurate preset, in rounds (a flight of each case, then the next seed). All of them count.
 - Trays hung 1.9 cm (calm, fast preset, tray-3) above their plans: rims lie on legs at their edge,
-  while plans had legs rise from the clasps. Lowered by the legs' slope times that distance, computed
-  and not fitted, short calm flights (fast) hang at -0.0, +0.3 and -0.3 cm at n = 3, 4 and 6. The
+  while plans had legs rise from the clasps. Lowered by the legs' slope times that distance, not
+  fitted, short calm flights (fast preset) hang at -0.0, +0.3 and -0.3 cm at n = 3, 4 and 6. The
   trays' seeds begin anew with these plans: 5500 to 5507 are written down before they are flown.
   Earlier rows are listed as of earlier plans. Grips' plans are as before.
 """
@@ -121,8 +121,8 @@ PLANS_SINCE = {"tray-3": 5500, "tray-4": 5500, "tray-6": 5500}
 """First seeds of the present plans; flights of earlier ones are listed apart."""
 
 TIED_AROUND = {3: 0.56, 4: 0.46}
-"""The same where it is to grip [m]: as large as around the object, since acute clasps with friction
-are not opened by legs."""
+"""Radius of hitches that are to grip [m]: as large as around the object, since acute clasps with
+friction are not opened by legs."""
 
 
 def tray(n: int) -> dict[str, Any]:
