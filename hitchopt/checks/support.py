@@ -12,7 +12,7 @@ from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.motion.carried import centre_path, turned_back
+from hitchopt.motion.carried import centre_path, rim_drop, turned_back
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE, HoldBy
 from hitchopt.objects import SolidObject
@@ -59,7 +59,7 @@ def _of_object(motion: Motion, index: int, name: str, body: SolidObject) -> Find
     lost |= (by == HoldBy.REST) & _apart(motion, index, body)
     bearing = carried & (by == HoldBy.REST)
     if np.any(bearing):
-        lost |= bearing & _out_of_place(motion, index, body)
+        lost |= bearing & _out_of_place(motion, index, body, bearing)
     if np.any(lost):
         time = float(motion.drones.breaks[int(np.argmax(lost))])
         return Finding(-math.inf, time, (name,))
@@ -112,18 +112,32 @@ def _apart(motion: Motion, index: int, body: SolidObject) -> Mask:
     return found
 
 
-def _out_of_place(motion: Motion, index: int, body: SolidObject) -> Mask:
-    """Return (pieces,) where clasps are not below the rim, beside the body and at one place."""
+def _out_of_place(motion: Motion, index: int, body: SolidObject, on: Mask) -> Mask:
+    """Return (pieces,) where clasps are not below the rim, beside the body and at one place.
+
+    Those that bear all of it are as far below as ``rim_drop`` says, while weight passes to them or
+    back at most so far.
+
+    Parameters
+    ----------
+    on: (pieces,), where they bear it or a part of it.
+    """
     if body.rim is None or not motion.team.layout.closed:
         return np.ones(motion.drones.pieces, dtype=np.bool_)
     poses = motion.object_poses.coefficients
     seen = seen_from(poses[:, index], motion.vertices.coefficients[:, :, None])
     points = seen.points[:, :, 0]  # (pieces, clasps, 3, degree + 1)
     places = points[..., 0]
-    off = np.max(np.abs(points - places[..., None]), axis=(1, 2, 3)) + seen.error
-    off = np.maximum(off, np.max(np.abs(points[:, :, 2] - body.rim.height), axis=(1, 2)))
-    inside = np.max(body.rim.section.clearance(places[..., :2])[0], axis=1) < -CONTACT
     level = places[..., :2]
+    pulls = motion.tensions.coefficients[..., 0]
+    drop = np.zeros(len(places))
+    drop[on] = rim_drop(motion.team, body, level[on], pulls[on])
+    whole = np.all(motion.object_shares.coefficients[:, index] == 1.0, axis=-1)
+    deep = body.rim.height - np.min(points[:, :, 2], axis=(1, 2)) - drop
+    high = np.max(points[:, :, 2], axis=(1, 2)) - body.rim.height + np.where(whole, drop, 0.0)
+    off = np.max(np.abs(points[:, :, :2] - level[..., None]), axis=(1, 2, 3))
+    off = np.maximum(off, np.maximum(deep, high)) + seen.error
+    inside = np.max(body.rim.section.clearance(places[..., :2])[0], axis=1) < -CONTACT
     beside = np.min(body.section.segment_distance(level, np.roll(level, -1, axis=1)), axis=1)
     found: Mask = (off > CONTACT) | ~inside | (beside <= CONTACT) | _slides(motion, body)
     return found
@@ -154,8 +168,8 @@ def _force_line(motion: Motion, index: int, name: str, body: SolidObject, on: Ma
     inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
     centre = body.centre_of_mass
     distance = np.sum(inward * (centre[:2] - points[..., :2]), axis=-1)
-    height = centre[2] - np.mean(points[..., 2], axis=1)
-    level = height[:, None, None] * np.einsum("pkd,pdi->pki", inward, turned)
+    assert body.rim is not None
+    level = (centre[2] - body.rim.height) * np.einsum("pkd,pdi->pki", inward, turned)
     order = bernstein.degree(level)
     upward = bernstein.elevate(pushed[:, None, 2], order)
     start, upward = (np.broadcast_to(x, level.shape) for x in (distance[..., None], upward))

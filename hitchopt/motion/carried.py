@@ -12,6 +12,9 @@ cables' tension T, and only beyond it they rise. Their level part is then ``sqrt
 a leg carries, and the rim holds clasps apart with what that lacks: it takes the share ``κ = 1 -
 sqrt(1 - (v / T)²)`` of what edges pull with. Of one share for all edges no force is left over, and
 no moment: it is that of the mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges.
+
+Vertices are where straight legs would meet. The rim lies on legs at its edge, so vertices are below
+it, and their drones lower, by the mean leg's slope times its distance from there to the edge.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import in_frame
+from hitchopt.objects.placing import STILL, in_frame
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
@@ -83,10 +86,40 @@ def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array
     edges: (…, n) [m], lengths.
     tensions: (…, n) [N]
     """
-    weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
-    slope = weight / (2.0 * np.sum(tensions, axis=-1))
+    slope = leg_slope(team, mass, edges, tensions)
     share: Array = 1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))
     return share
+
+
+def leg_slope(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
+    """Return the mean leg's vertical pull over its tension (…), as ``strut_share``."""
+    weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
+    slope: Array = weight / (2.0 * np.sum(tensions, axis=-1))
+    return slope
+
+
+def rim_drop(
+    team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
+) -> Array:
+    """Return how far vertices are below a rim that lies on their legs (…) [m].
+
+    Legs run on along the edges of their vertex's two neighbours.
+
+    Parameters
+    ----------
+    places: (…, n, 2) [m], vertices in the object's frame, clockwise.
+    tensions: (…, n) [N]
+    borne: share of the weight that is on the legs (…).
+    """
+    assert body.rim is not None
+    edges = np.roll(places, -1, axis=-2) - places
+    lengths = np.linalg.norm(edges, axis=-1)
+    along = edges / lengths[..., None]
+    onward = body.rim.section.reach(np.roll(places, -1, axis=-2), along)
+    back = body.rim.section.reach(places, -along)
+    slope = borne * leg_slope(team, body.mass, lengths, tensions)
+    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(np.arcsin(np.minimum(slope, 1.0)))
+    return drop
 
 
 def strut_shares(motion: Motion) -> Array | None:
@@ -125,7 +158,8 @@ def _loads(motion: Motion, index: int, body: SolidObject) -> Array:
     clasps = motion.team.layout.clasps
     supports = supports_of(motion, index, body)
     share = motion.object_shares.coefficients[:, index]
-    lifted = np.all(share > 0.0, axis=-1)[:, None, None, None]
+    moving = np.ptp(pose.coefficients[:, index], axis=-1) > STILL
+    lifted = np.any(moving, axis=-1)[:, None, None, None]
     vertices = motion.vertices.differentiated(2).coefficients[:, clasps]
     vertices = np.where(lifted, vertices, 0.0)  # what stands does not move
     order = max(bernstein.degree(vertices), bernstein.degree(share))

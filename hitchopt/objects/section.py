@@ -103,6 +103,21 @@ class Section(OneLine):
         normals = np.where(inside[..., None], outward[shallow], unit(offset))
         return np.where(within, depth, far), normals
 
+    def reach(self, places: Array, directions: Array) -> Array:
+        """Return distances (…) [m] to the edge from points (…, 2) within, along unit vectors."""
+        if self.outline is None:
+            along = np.sum(places * directions, axis=-1)
+            room = self.rounding**2 - np.sum(places * places, axis=-1) + along**2
+            distance: Array = np.sqrt(np.maximum(room, 0.0)) - along
+            return distance
+        edges = np.roll(self.outline, -1, axis=0) - self.outline
+        outward = unit(np.stack([-edges[:, 1], edges[:, 0]], axis=-1))  # of clockwise edges
+        depths = np.sum(outward * self.outline, axis=-1) - places @ outward.T
+        speeds = directions @ outward.T
+        reached = np.divide(depths, speeds, out=np.full_like(speeds, np.inf), where=speeds > 0.0)
+        nearest: Array = np.min(reached, axis=-1)
+        return nearest
+
     def distance(self, places: Array) -> Array:
         """Return distances (…) [m] of points (…, 2), zero within."""
         return np.maximum(self.clearance(places)[0], 0.0)

@@ -214,6 +214,8 @@ def ended_holding(
     hitch = task.hitch
     if held is not None:
         altitude = float(place[2]) + float(held.places[0, 2]) - below
+        if isinstance(held, HeldHitch):
+            altitude -= float(held.drop(after.tension, float(after.borne)))
         polygon = polygon_at(body, held.places[:, :2])
         q_legs = held.fractions * cable_slack(held.team, polygon)
         hitch = Hitch(held.team, polygon, altitude, q_legs, held.roll)

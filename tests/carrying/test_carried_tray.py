@@ -118,6 +118,30 @@ def test_legs_that_lean_as_if_the_weight_hung_at_clasps_are_refused(
     assert {each.constraint for each in refusal.value.violations} == {"equilibrium"}
 
 
+def test_the_rim_lies_on_straight_legs(motion: Motion) -> None:
+    """Legs pass the rim's edge as high as it is; simulated ones do within millimetres."""
+    t = lifted(motion)
+    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
+    t = t[pushed < 0.01]
+    poses, p = motion.object_poses.at(t)[:, None, 0], motion.vertices.at(t)
+    start = in_frame(poses, p[:, motion.team.layout.anchors])
+    along = in_frame(poses, motion.drones.at(t)) - start
+    a = np.sum(along[..., :2] ** 2, axis=-1)
+    b = np.sum(along[..., :2] * start[..., :2], axis=-1)
+    c = np.sum(start[..., :2] ** 2, axis=-1) - 0.3**2
+    heights = start[..., 2] + (np.sqrt(b**2 - a * c) - b) / a * along[..., 2]
+    np.testing.assert_allclose(heights, 0.25, atol=2e-3)
+    assert np.max(start[..., 2]) < 0.25 - 0.01
+
+
+def test_vertices_at_the_rim_itself_do_not_bear(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = "hitchopt.planners.carrying.held_motion.rim_drop"
+    monkeypatch.setattr(place, lambda *_: np.zeros(()))
+    with pytest.raises(ho.InfeasibleError) as refusal:
+        ho.solve(ho.problem_from_dict(tray()))
+    assert {each.constraint for each in refusal.value.violations} == {"support"}
+
+
 def test_what_rests_on_clasps_is_carried_gently(motion: Motion) -> None:
     """Simulated clasps without friction slide on a rim at 1 m/s²."""
     t = lifted(motion)

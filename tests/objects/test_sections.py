@@ -55,6 +55,19 @@ def test_distances_are_those_of_the_nearest_point(seed: int) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS)
+def test_rays_from_within_end_at_the_edge(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    section = some_section(rng)
+    points = inner_points(section, rng, 20)[:20]
+    angles = rng.uniform(0.0, 2.0 * np.pi, 20)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    ends = points + section.reach(points, directions)[:, None] * directions
+    assert np.all(np.abs(section.clearance(ends)[0]) < 1e-9)
+    assert np.all(section.clearance(ends + 1e-3 * directions)[0] > 0.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
 def test_segments_are_as_far_as_the_nearest_of_their_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     section = some_section(rng)

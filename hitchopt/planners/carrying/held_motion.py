@@ -20,7 +20,7 @@ from hitchopt.hitch.cable_spans import (
     sag_factors,
 )
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.motion.carried import Supports, strut_share
+from hitchopt.motion.carried import Supports, rim_drop, strut_share
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
@@ -119,6 +119,10 @@ class HeldHitch:
         forces[:, 2] = -GRAVITY * mass * self.supports.shares
         return self.drones(tension, forces)[0]
 
+    def drop(self, tension: Array, borne: Array | float) -> Array:
+        """Return how far vertices are below the rim (…) [m], as ``rim_drop``."""
+        return rim_drop(self.team, self.body, self.places[:, :2], tension, borne)
+
     @property
     def reach(self) -> float:
         """Largest level distance [m] of a drone from the object's origin without a load."""
@@ -148,10 +152,10 @@ class HeldHitch:
         edges = np.linalg.norm(np.roll(self.places, -1, axis=0) - self.places, axis=-1)
         strut = strut_share(self.team, self.body.mass, edges, course.tension)
         drones, legs = self.drones(course.tension, forces, course.borne**2 * strut)
-        below = course.between(*move.below)
+        below = course.between(*move.below) + self.drop(course.tension, course.borne)
         lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
         places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))
-        # Clasps that are not below the rim yet move on their own, as the object does not.
+        # Clasps that are not at the rim move on their own, as the object does not.
         return {
             "drones": in_world(course.pose[..., None, :], drones - lower),
             "vertices": in_world(course.pose[..., None, :], places - lower),
