@@ -165,6 +165,7 @@ def draw_storyboard(
         lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
         apart = np.min(np.abs(painting.polygons - centre), axis=1)
         inside = np.all(apart <= reach, axis=1)
+        polygons: Any = painting.polygons[inside]
         axes.add_collection(
             LineCollection(
                 list(lines), colors=drone_colours(scene.motion.team), linewidths=0.6, alpha=PALE,
@@ -173,7 +174,7 @@ def draw_storyboard(
             autolim=False,
         )  # fmt: skip
         shapes: Any = PolyCollection(
-            painting.polygons[inside], facecolors=painting.colours[inside], linewidths=0.2,
+            polygons, facecolors=painting.colours[inside], linewidths=0.2,
             edgecolors="face", zorder=2,
         )  # fmt: skip
         axes.add_collection(shapes, autolim=False)

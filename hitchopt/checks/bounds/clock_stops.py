@@ -179,32 +179,34 @@ def rest_of(motion: Motion) -> float:
 def _shortest(bounds: StopBounds, starts: Array, rest: float) -> Array:
     """Return the shortest durations (m,) [s] of stops; infinite where none is found.
 
-    None is looked for that would take far longer than running on to the plan's ``rest`` [s].
+    None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
+    a reserve lets stops begin at any time.
     """
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
     slow = bounds.limits.motion.requirements.limits.reserve < 1.0
+    most = np.full(len(starts), np.inf) if slow else LATEST * (rest - starts)
     for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
-        left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < LATEST * (rest - starts)))
+        left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
         if len(left):
             tried = np.tile(group, (len(left), 1))
-            low[left], high[left] = _first(bounds, starts[left], low[left], tried, rest)
+            low[left], high[left] = _first(bounds, starts[left], low[left], tried, most[left])
     left = np.flatnonzero(np.isfinite(high) & (low < high))
     tried = low[left, None] * (high / low)[left, None] ** (np.arange(1, CUTS + 1) / CUTS)
     tried[:, -1] = high[left]
-    found = _first(bounds, starts[left], low[left], tried[:, :-1], rest)[1]
+    found = _first(bounds, starts[left], low[left], tried[:, :-1], most[left])[1]
     high[left] = np.fmin(high[left], found)
     return high
 
 
 def _first(
-    bounds: StopBounds, starts: Array, low: Array, tried: Array, rest: float
+    bounds: StopBounds, starts: Array, low: Array, tried: Array, most: Array
 ) -> tuple[Array, Array]:
     """Return the durations before and at the first of those ``tried`` (m, k) that can be.
 
-    Where none can be, the last one and infinity.
+    Those from ``most`` (m,) on are left out. Where none can be, the last one and infinity.
     """
-    may = tried < LATEST * (rest - starts[:, None])
+    may = tried < most[:, None]
     stop, which = np.nonzero(may)
     may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
     row = np.arange(len(starts))

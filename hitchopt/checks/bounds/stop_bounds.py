@@ -51,8 +51,7 @@ class _Rows(NamedTuple):
     stop: whose they are.
     cell: of the grid.
     late: whether in the second half.
-    chord: (width of its cell)² / 8, by which derivatives are off its chord [s²]; 0 where a row covers
-        its cell.
+    chord: (width of its cell)² / 8 [s²]; 0 where a row covers its cell.
     T: duration of the stop [s].
     tau: (2, rows), plan time from the cell's begin over its width.
     s, a: (2, rows), rate and its derivative.
@@ -75,7 +74,7 @@ class _Rows(NamedTuple):
 
     def taken(self, index: Indices) -> _Rows:
         """Return the chosen rows."""
-        return _Rows(*(each.take(index, axis=-1) for each in self))
+        return _Rows._make(each.take(index, axis=-1) for each in self)
 
 
 class StopBounds:
@@ -208,9 +207,7 @@ class StopBounds:
         )
         return kept
 
-    def _pairs_keep(
-        self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array
-    ) -> Flags:
+    def _pairs_keep(self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array) -> Flags:
         """Return (pairs,) whether drones are shown to keep all limits in a row each.
 
         Parameters
@@ -225,7 +222,7 @@ class StopBounds:
         at, on = grid.piece[cell] * count + drone, cell * count + drone
         fourth, fifth = grid.fourth.take(at), grid.fifth.take(at)
         first, second, third = (margin.take(at) for margin in self.limits.margins)
-        V, A, J = (each.take(on) for each in vars(grid.sizes).values())
+        A, J = grid.sizes.second.take(on), grid.sizes.third.take(on)
         chord, time = rows.chord, rows.time * rows.time / 8.0
         step = (grid.width[cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0
         T, v, s = rows.T, rows.v, rows.s[0]
@@ -255,7 +252,9 @@ class StopBounds:
         fine &= self.limits.beyond.take(at) + extra <= 0.0
         left = np.flatnonzero(kept & ~fine)
         if len(left):
-            kept[left] = self._force_keeps(rows.taken(left), drone[left], ends[..., left], bent[left])
+            kept[left] = self._force_keeps(
+                rows.taken(left), drone[left], ends[..., left], bent[left]
+            )
         return kept
 
     def _force_keeps(self, rows: _Rows, drone: Indices, accelerations: Array, bent: Array) -> Flags:
