@@ -78,7 +78,7 @@ class _Rows(NamedTuple):
 
 
 class StopBounds:
-    """The limits of a motion, for stops from full rate.
+    """Limits of a motion, for stops from full rate.
 
     Parameters
     ----------
@@ -201,10 +201,13 @@ class StopBounds:
         fine &= self.limits.beyond[piece] + extra <= 0.0
         row, drone = np.nonzero(~fine)
         kept = np.ones(len(piece), dtype=np.bool_)
-        pairs = rows.taken(row)
-        kept[row[~self._pairs_keep(pairs, drone, acceleration[row, drone], jerk[row, drone])]] = (
-            False
-        )
+        kept[
+            row[
+                ~self._pairs_keep(
+                    rows.taken(row), drone, acceleration[row, drone], jerk[row, drone]
+                )
+            ]
+        ] = False
         return kept
 
     def _pairs_keep(self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array) -> Flags:
