@@ -201,13 +201,8 @@ class StopBounds:
         fine &= self.limits.beyond[piece] + extra <= 0.0
         row, drone = np.nonzero(~fine)
         kept = np.ones(len(piece), dtype=np.bool_)
-        kept[
-            row[
-                ~self._pairs_keep(
-                    rows.taken(row), drone, acceleration[row, drone], jerk[row, drone]
-                )
-            ]
-        ] = False
+        held = self._pairs_keep(rows.taken(row), drone, acceleration[row, drone], jerk[row, drone])
+        kept[row[~held]] = False
         return kept
 
     def _pairs_keep(self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array) -> Flags:
