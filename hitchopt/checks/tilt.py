@@ -46,22 +46,33 @@ def tilt_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     # A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball
     # of the radius about every coefficient.
     reach = angles + _spread(radius, np.linalg.norm(f, axis=1))
-    upright = np.max(reach, axis=-1)
-    # Else look at it in the plane of ẑ and the azimuth at mid time: where a thrust points below
-    # the horizon, leaving out the third coordinate turns it farther down.
-    middle = np.full((len(f), 1), 0.5)
-    azimuth = unit(bernstein.evaluate(f[:, :2], middle))
-    across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
-    level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
-    downward = np.maximum(np.max(level, axis=-1), 90.0)
-    sideways = np.where(np.min(across - radius, axis=-1) > 0.0, downward, UPSIDE_DOWN)
-    bound = np.minimum(np.where(upright < 90.0, upright, UPSIDE_DOWN), sideways)
+    bound = np.max(reach, axis=-1)
+    low = ~(bound < 90.0)
+    if np.any(low):
+        bound[low] = _sideways(f[low], radius[low])
     x = np.argmax(angles, axis=-1) / max(1, bernstein.degree(f))
     there = thrust_at(blocks, x)
     length = np.linalg.norm(there.vectors, axis=-1)
     value = _angle(np.linalg.norm(there.vectors[:, :2], axis=-1), there.vectors[:, 2])
     value = np.minimum(value + _spread(there.pull, length), UPSIDE_DOWN)
     return Estimate(bound, np.where(there.pull >= length, UPSIDE_DOWN, value), x)
+
+
+def _sideways(f: Array, radius: Array) -> Array:
+    """Bound tilts from above (cells,) [deg], in the plane of ẑ and the azimuth at mid time.
+
+    Where a thrust points below the horizon, leaving out the third coordinate turns it farther down.
+
+    Parameters
+    ----------
+    f: (cells, 3, degree + 1), coefficients of thrusts.
+    radius: (cells, 1), of their errors.
+    """
+    azimuth = unit(bernstein.evaluate(f[:, :2], np.full((len(f), 1), 0.5)))
+    across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
+    level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
+    downward = np.maximum(np.max(level, axis=-1), 90.0)
+    return np.where(np.min(across - radius, axis=-1) > 0.0, downward, UPSIDE_DOWN)
 
 
 def _angle(across: Array, upward: Array) -> Array:

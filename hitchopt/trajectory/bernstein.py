@@ -77,7 +77,7 @@ def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
     if degree(a) == 0 or degree(b) == 0:
         return a * b
-    return _batched(lambda x, y: _collected(x[..., :, None] * y[..., None, :]), a, b, 1)
+    return _batched(lambda x, y: _collected(np.einsum("...i,...j->...ij", x, y)), a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:

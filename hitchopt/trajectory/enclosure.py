@@ -85,7 +85,9 @@ def _inverse_lengths(y: Array, scale: Array, noise: Array | float) -> tuple[Arra
     """Return w (…, DIRECTION_ORDER + 1) and a bound (…) of ``| |y| w - 1 |``; 0 and 1 if none."""
     lengths = _lengths(y, DIRECTION_ORDER)
     known = np.min(lengths, axis=-1) > 0.0
-    w = bernstein.interpolate(1.0 / np.where(known[..., None], lengths, 1.0))
+    if not np.all(known):
+        lengths = np.where(known[..., None], lengths, 1.0)
+    w = bernstein.interpolate(1.0 / lengths)
     product = bernstein.multiply(bernstein.dot(y, y), bernstein.multiply(w, w))
     size = np.max(np.abs(w), axis=-1)
     residual = np.max(np.abs(product - 1.0), axis=-1) + ROUNDING * (1.0 + size * size)
@@ -95,6 +97,8 @@ def _inverse_lengths(y: Array, scale: Array, noise: Array | float) -> tuple[Arra
     error = residual / (1.0 + least)
     error = error + 2.0 * noise / np.where(scale > 0.0, scale, 1.0) * size / least
     known &= (scale > 0.0) & (error < 1.0)
+    if np.all(known):
+        return w, error
     return np.where(known[..., None], w, 0.0), np.where(known, error, 1.0)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.values import Array
-from hitchopt.view.drone_shape import Triangles, drone_shape
+from hitchopt.view.drone_shape import SEGMENTS, Triangles, drone_shape
 from hitchopt.view.house_colours import cable_colours, drone_colours, object_colours
 from hitchopt.view.object_shape import normals, object_shape, split
 from hitchopt.view.scene import Moment, Scene
@@ -86,16 +86,24 @@ class Painter:
     camera: from where.
     width: half of a cable's drawn width [m]; None for the scene's.
     size: factor of the drones' drawn sizes.
+    coarse: whether rotors and cables have half as many corners, which is enough if they are small.
     """
 
     def __init__(
-        self, scene: Scene, camera: Camera, width: float | None = None, size: float = 1.0
+        self,
+        scene: Scene,
+        camera: Camera,
+        width: float | None = None,
+        size: float = 1.0,
+        coarse: bool = False,
     ) -> None:
         team: Team = scene.motion.team
         self.camera, self.floor = camera, scene.motion.requirements.floor
         self.width = scene.radius if width is None else width
         self.cables = to_rgba_array(cable_colours(team.robots))
-        shape = drone_shape(size * scene.motion.requirements.separation.radius)
+        self.step = 2 if coarse else 1
+        radius = size * scene.motion.requirements.separation.radius
+        shape = drone_shape(radius, SEGMENTS // self.step)
         own = to_rgba_array(drone_colours(team))
         hollow = np.array([name[0] == "r" for name in team.drone_names])
         fills = np.where(hollow[:, None], to_rgba_array(OPEN), own)
@@ -115,17 +123,17 @@ class Painter:
         layers = []
         for part, shades in self.parts:
             corners = np.einsum("dij,vj->dvi", turns, part.vertices) + moment.drones[:, None]
-            faces = self.camera.seen(corners)[:, part.faces].reshape(-1, 3, 3)
-            quads = faces[:, [0, 1, 2, 2]]
-            layers.append((quads, np.repeat(shades, len(part.faces), axis=0), 0.0))
+            quads = self.camera.seen(corners)[:, part.quads].reshape(-1, 4, 3)
+            layers.append((quads, np.repeat(shades, len(part.quads), axis=0), 0.0))
         layers += self._objects(moment)
-        shades = np.repeat(self.cables, moment.cables.shape[1] - 1, axis=0)
+        cables = moment.cables[:, :: self.step]
+        shades = np.repeat(self.cables, cables.shape[1] - 1, axis=0)
         casing = np.broadcast_to(to_rgba_array(PAPER), shades.shape)
         for width, longer, colour, back in (
             (CASING * self.width, 0.0, casing, self.width),
             (self.width, OVERLAP * self.width, shades, 0.0),
         ):
-            layers.append((self._strips(moment.cables, width, longer), colour, back))
+            layers.append((self._strips(cables, width, longer), colour, back))
         polygons, colours, nearness = (
             np.concatenate(column)
             for column in zip(
@@ -137,7 +145,7 @@ class Painter:
             )
         )
         order = np.argsort(nearness, kind="stable")
-        ground = moment.cables.copy()
+        ground = cables.copy()
         ground[..., 2] = self.floor
         shadows = self._strips(ground, self.width, 0.0)
         dark = np.broadcast_to(to_rgba_array(SHADOW), (len(shadows), 4))

@@ -30,6 +30,9 @@ FEW = 3
 MANY, BESIDE = 30, 1
 """Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
 
+FINE = 12
+"""Largest number of robots whose drones and cables are drawn finely: more are few pixels wide."""
+
 STILL = 1e-3
 """Distance [m] that some drone is off its place in the panel before; else there is none."""
 
@@ -146,37 +149,40 @@ def draw_storyboard(
     half = np.max(np.abs(seen[:, :drones] - middles[:, None]), axis=(0, 1))
     half = half * (1.0 + 2.0 * MARGIN) + scene.motion.requirements.separation.radius
     size = max(1.0, _smallest(scene) * 2.0 * half[1])
-    painter = Painter(scene, camera, scene.radius, size)
+    coarse = scene.motion.team.robots > FINE
+    painter = Painter(scene, camera, scene.radius, size, coarse)
+    closer = Painter(scene, camera, NEAR_WIDTH * scene.radius)
     paths = camera.seen(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])
     made = []
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Any = figure.add_subplot(grid[k // columns, k % columns])
         moment, centre, reach = scene.at(float(scene.t[i])), middle, half
-        painting = painter.painted(moment)
+        painting = (closer if shot.near else painter).painted(moment)
         if shot.near:
             centre, reach = _nearest(scene, camera.seen(moment.cables)[..., :2], half)
-            painting = Painter(scene, camera, NEAR_WIDTH * scene.radius).painted(moment)
         before = reached[k - 1] if k and not shot.near else reached[k]
         lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
         apart = np.min(np.abs(painting.polygons - centre), axis=1)
         inside = np.all(apart <= reach, axis=1)
+        polygons: Any = painting.polygons[inside]
         axes.add_collection(
             LineCollection(
                 list(lines), colors=drone_colours(scene.motion.team), linewidths=0.6, alpha=PALE,
                 zorder=1,
-            )
+            ),
+            autolim=False,
         )  # fmt: skip
         shapes: Any = PolyCollection(
-            list(painting.polygons[inside]), facecolors=painting.colours[inside], linewidths=0.2,
+            polygons, facecolors=painting.colours[inside], linewidths=0.2,
             edgecolors="face", zorder=2,
         )  # fmt: skip
-        axes.add_collection(shapes)
+        axes.add_collection(shapes, autolim=False)
         axes.set_aspect("equal")
         axes.set_xlim(centre[0] - reach[0], centre[0] + reach[0])
         axes.set_ylim(centre[1] - reach[1], centre[1] + reach[1])
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
         for spine in axes.spines.values():
             spine.set_color("0.85")
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)

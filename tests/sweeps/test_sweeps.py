@@ -128,6 +128,13 @@ def test_workers_of_this_machine_are_not_profiled() -> None:
         assert future.result() == SETTINGS[name]
 
 
+def test_workers_of_this_machine_keep_freed_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "MALLOC_TRIM_THRESHOLD_"
+    monkeypatch.delenv(name, raising=False)
+    for _, future in finished(os.environ.get, {"task": (name,)}, 1):
+        assert future.result() is None
+
+
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")

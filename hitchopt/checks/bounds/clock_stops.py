@@ -33,6 +33,10 @@ CUTS = 6
 """Parts, equal in logarithms, of the interval in which the shortest duration lies: it is found to
 within 5 %."""
 
+LATEST = 1.5
+"""Longest stops, relative to the time until the plan rests: it rests sooner than these, but shorter
+ones may begin close to those that are a little too long."""
+
 SPACING = 0.07
 """[s] Distance of stops that are looked at first, for plans of up to ``SPACING * STARTS``."""
 
@@ -130,8 +134,8 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """
     bounds = StopBounds(limits or ClockLimits(motion))
     end = float(motion.drones.breaks[-1])
-    starts = spaced_starts(motion)
-    table = StopTable(rest_of(motion), starts, _shortest(bounds, starts))
+    starts, rest = spaced_starts(motion), rest_of(motion)
+    table = StopTable(rest, starts, _shortest(bounds, starts, rest))
     for _ in range(ROUNDS):
         longest, begins = table.longest
         ends = np.append(table.starts, end)
@@ -153,7 +157,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
         more = np.repeat(begins[wide], parts - 1)
         more += share * np.repeat((ends - begins)[wide], parts - 1)
         starts = np.concatenate([table.starts, more])
-        durations = np.concatenate([table.durations, _shortest(bounds, more)])
+        durations = np.concatenate([table.durations, _shortest(bounds, more, rest)])
         order = np.argsort(starts)
         table = StopTable(table.end, starts[order], durations[order])
     return table
@@ -172,36 +176,47 @@ def rest_of(motion: Motion) -> float:
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
 
 
-def _shortest(bounds: StopBounds, starts: Array) -> Array:
-    """Return the shortest durations (m,) [s] of stops; infinite where none is found."""
+def _shortest(bounds: StopBounds, starts: Array, rest: float) -> Array:
+    """Return the shortest durations (m,) [s] of stops; infinite where none is found.
+
+    None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
+    a reserve lets stops begin at any time.
+    """
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
     slow = bounds.limits.motion.requirements.limits.reserve < 1.0
+    most = np.full(len(starts), np.inf) if slow else LATEST * (rest - starts)
     for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
-        left = np.flatnonzero(np.isinf(high))
-        if len(left) and group:
+        left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
+        if len(left):
             tried = np.tile(group, (len(left), 1))
-            low[left], high[left] = _first(bounds, starts[left], low[left], tried)
+            low[left], high[left] = _first(bounds, starts[left], low[left], tried, most[left])
     left = np.flatnonzero(np.isfinite(high) & (low < high))
     tried = low[left, None] * (high / low)[left, None] ** (np.arange(1, CUTS + 1) / CUTS)
     tried[:, -1] = high[left]
-    high[left] = np.fmin(high[left], _first(bounds, starts[left], low[left], tried[:, :-1])[1])
+    found = _first(bounds, starts[left], low[left], tried[:, :-1], most[left])[1]
+    high[left] = np.fmin(high[left], found)
     return high
 
 
-def _first(bounds: StopBounds, starts: Array, low: Array, tried: Array) -> tuple[Array, Array]:
+def _first(
+    bounds: StopBounds, starts: Array, low: Array, tried: Array, most: Array
+) -> tuple[Array, Array]:
     """Return the durations before and at the first of those ``tried`` (m, k) that can be.
 
-    Where none can be, the last one and infinity.
+    Those from ``most`` (m,) on are left out. Where none can be, the last one and infinity.
     """
-    count = tried.shape[1]
-    owners = np.repeat(starts, count)
-    kept = bounds.may_keep(owners, tried.ravel())
-    left = np.flatnonzero(kept)
-    kept[left] = shown(bounds, owners[left], tried.ravel()[left])
-    here = kept.reshape(tried.shape)
-    first = np.where(np.any(here, axis=1), np.argmax(here, axis=1), count)
+    may = tried < most[:, None]
+    stop, which = np.nonzero(may)
+    may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
     row = np.arange(len(starts))
+    likely = np.zeros_like(may)
+    likely[row, np.argmax(may, axis=1)] = True
+    kept = np.zeros_like(may)
+    for chosen in (may & likely, may & ~likely):  # the others only where these fail
+        stop, which = np.nonzero(chosen & ~np.any(kept, axis=1, keepdims=True))
+        kept[stop, which] = shown(bounds, starts[stop], tried[stop, which])
+    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), tried.shape[1])
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     return steps[row, first], steps[row, first + 1]
 

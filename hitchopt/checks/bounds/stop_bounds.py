@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.derivative_grid import WIDTH, DerivativeGrid, Sizes, lengths
+from hitchopt.checks.bounds.derivative_grid import WIDTH, DerivativeGrid, Sizes, axis_lengths
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array, Indices
@@ -36,6 +36,9 @@ ROWS = 20_000
 VECTORS = 60_000
 """Vectors of each kind that are looked at in one go."""
 
+_W = np.array([0.0, 0.05, 0.1, 0.25, 0.5])
+"""Shares of a stop's time at which samples are taken."""
+
 SLACK = 1e-9
 """Relative margin for the clock's rounding."""
 
@@ -48,7 +51,7 @@ class _Rows(NamedTuple):
     stop: whose they are.
     cell: of the grid.
     late: whether in the second half.
-    whole: whether a row covers its cell.
+    chord: (width of its cell)² / 8 [s²]; 0 where a row covers its cell.
     T: duration of the stop [s].
     tau: (2, rows), plan time from the cell's begin over its width.
     s, a: (2, rows), rate and its derivative.
@@ -60,7 +63,7 @@ class _Rows(NamedTuple):
     stop: Indices
     cell: Indices
     late: Flags
-    whole: Flags
+    chord: Array
     T: Array
     tau: Array
     s: Array
@@ -71,17 +74,11 @@ class _Rows(NamedTuple):
 
     def taken(self, index: Indices) -> _Rows:
         """Return the chosen rows."""
-        return _Rows(
-            self.stop[index],
-            self.cell[index],
-            self.late[index],
-            self.whole[index],
-            *(each[..., index] for each in self[4:]),
-        )
+        return _Rows._make(each.take(index, axis=-1) for each in self)
 
 
 class StopBounds:
-    """The limits of a motion, for stops from full rate.
+    """Limits of a motion, for stops from full rate.
 
     Parameters
     ----------
@@ -111,7 +108,7 @@ class StopBounds:
     def may_keep(self, start: Array, duration: Array) -> Flags:
         """Return (stops,) whether stops keep limits at samples; what breaks one is out."""
         kept = np.zeros(len(start), dtype=np.bool_)
-        size = self._vectors
+        size = max(1, self._vectors // len(_W))
         for first in range(0, len(start), size):
             part = slice(first, first + size)
             kept[part] = self._samples(start[part], duration[part])
@@ -129,19 +126,19 @@ class StopBounds:
         return kept
 
     def _samples(self, start: Array, duration: Array) -> Flags:
-        """Return (stops,) whether drones keep their limits at the begin and before the middle."""
+        """Return (stops,) whether drones keep their limits in the first halves of stops."""
         limits = self.limits.motion.requirements.limits
-        kept = np.ones(len(start), dtype=np.bool_)
-        for w, s in ((0.0, 1.0), (0.5, 0.5)):
-            time = np.minimum(start + (w - 2.0 / 3.0 * w**3) * duration, self.grid.until[-1])
-            cell = np.maximum(np.searchsorted(self.grid.begin, time, side="right") - 1, 0)
-            share = (time - self.grid.begin[cell]) / self.grid.width[cell]
-            x1, x2, x3 = (self.grid.on_chord(order, cell, share) for order in range(3))
-            a, j = (each[:, None, None] for each in (-4.0 * w / duration, -4.0 / duration**2))
-            jerk = lengths(s**3 * x3 + 3.0 * s * a * x2 + j * x1)
-            kept &= np.all(jerk <= limits.jerk, axis=-1)
-            acceleration = lengths(s**2 * x2 + a * x1)
-            kept &= np.all(acceleration <= limits.acceleration, axis=-1)
+        w, T = (each.ravel() for each in np.broadcast_arrays(_W[:, None], duration))
+        time = np.tile(start, len(_W)) + (w - 2.0 / 3.0 * w * w * w) * T
+        time = np.minimum(time, self.grid.until[-1])
+        cell = np.maximum(np.searchsorted(self.grid.begin, time, side="right") - 1, 0)
+        share = (time - self.grid.begin[cell]) / self.grid.width[cell]
+        x1, x2, x3 = (self.grid.on_chord(order, cell, share) for order in range(3))
+        s, a, j = (each[:, None] for each in (1.0 - 2.0 * w * w, -4.0 * w / T, -4.0 / (T * T)))
+        s2 = s * s
+        fine = axis_lengths(s2 * s * x3 + (3.0 * s * a) * x2 + j * x1) <= limits.jerk
+        fine &= axis_lengths(s2 * x2 + a * x1) <= limits.acceleration
+        kept: Flags = np.all(fine, axis=1).reshape(len(_W), -1).all(axis=0)
         return kept
 
     def _rows(self, start: Array, duration: Array, stops: Indices) -> _Rows:
@@ -158,6 +155,7 @@ class StopBounds:
         begin, until = self.grid.begin[cell], self.grid.until[cell]
         tau = np.stack([np.maximum(begin, low[own]), np.minimum(until, high[own])])
         whole = (tau[0] == begin) & (tau[1] == until)
+        chord = np.where(whole, 0.0, self.grid.width[cell] ** 2 / 8.0)
         late, t, T = late[own], t[own], T[own]
         p = (tau - t) / T
         early = np.sqrt(2.0) * np.sin(np.arcsin(np.clip(3.0 / np.sqrt(2.0) * p, 0.0, 1.0)) / 3.0)
@@ -168,7 +166,7 @@ class StopBounds:
         j = np.where(late, 4.0, -4.0) / T**2
         share = (tau - begin) / self.grid.width[cell]
         return _Rows(
-            np.repeat(stops, 2)[own], cell, late, whole, T, share, s, a, j, v[0], (w[1] - w[0]) * T
+            np.repeat(stops, 2)[own], cell, late, chord, T, share, s, a, j, v[0], (w[1] - w[0]) * T
         )
 
     def _look(self, rows: _Rows, kept: Flags) -> None:
@@ -195,82 +193,105 @@ class StopBounds:
         """Return (rows,) whether all drones are shown to keep all limits."""
         limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
         piece, sizes = self.grid.piece[rows.cell], self.grid.sizes.taken(rows.cell)
-        fourth, fifth = self.grid.fourth[piece], self.grid.fifth[piece]
-        first, second, third = (margin[piece] for margin in self.limits.margins)
-        chord = np.where(rows.whole, 0.0, self.grid.width[rows.cell] ** 2 / 8.0)[:, None]
-        time = (rows.time**2 / 8.0)[:, None]
-        step = ((self.grid.width[rows.cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0)[:, None]
-        T, v, s = (each[:, None] for each in (rows.T, rows.v, rows.s[0]))
-        a, j = np.max(np.abs(rows.a), axis=0)[:, None], np.abs(rows.j)[:, None]
-        V, A, J = sizes.first, sizes.second, sizes.third
-        # How far vectors may be from those at the ends of rows, these taken on chords of cells.
-        bent = time * (s**4 * fourth + 6.0 * s**2 * a * J + (3.0 * a**2 + 4.0 * s * j) * A)
-        bent += chord * (s**2 * fourth + a * J) + s**2 * second + a * first
-        early = (s**5 * fifth + 10.0 * s**3 * a * fourth) + 10.0 * a * j * A
-        early += (15.0 * s * a**2 + 10.0 * s**2 * j) * J
-        late = 112.0 / T**2 * J + 72.0 / T * v**3 * fourth + 8.0 * v**6 * fifth
-        bend = np.where(rows.late[:, None], step * late, time * early)
-        bend += chord * (s**3 * fifth + 3.0 * s * a * fourth + j * J)
-        bend += s**3 * third + 3.0 * s * a * second + j * first
-        accelerations, jerk = [], np.zeros_like(V)
-        for end, tau in enumerate(rows.tau):
-            x1, x2, x3 = (self.grid.on_chord(order, rows.cell, tau) for order in range(3))
-            s1, a1, j1 = (each[:, None, None] for each in (rows.s[end], rows.a[end], rows.j))
-            accelerations.append(s1**2 * x2 + a1 * x1)
-            there = lengths(s1**3 * x3 + 3.0 * s1 * a1 * x2 + j1 * x1)
-            jerk = np.maximum(jerk, there)
-        acceleration = np.maximum(*(lengths(each) for each in accelerations)) + bent
-        acceleration = np.minimum(acceleration, _acceleration(sizes, rows)) * (1.0 + SLACK)
-        jerk = np.minimum(jerk + bend, _jerk(sizes, rows)) * (1.0 + SLACK)
-        kept: Flags = np.all((acceleration <= limits.acceleration) & (jerk <= limits.jerk), axis=-1)
-        extra = team.mass * acceleration
-        fine = self.limits.hover[piece] + extra <= team.max_thrust
+        acceleration, jerk = _acceleration(sizes, rows), _jerk(sizes, rows)
+        extra = team.mass * acceleration * (1.0 + SLACK)
+        fine = acceleration * (1.0 + SLACK) <= limits.acceleration
+        fine &= jerk * (1.0 + SLACK) <= limits.jerk
+        fine &= self.limits.hover[piece] + extra <= team.max_thrust
         fine &= self.limits.beyond[piece] + extra <= 0.0
-        left = np.flatnonzero(kept & ~np.all(fine, axis=-1))
-        if len(left):
-            forces = [each[left] for each in accelerations]
-            kept[left] = self._force_keeps(rows.taken(left), forces, bent[left])
+        row, drone = np.nonzero(~fine)
+        kept = np.ones(len(piece), dtype=np.bool_)
+        held = self._pairs_keep(rows.taken(row), drone, acceleration[row, drone], jerk[row, drone])
+        kept[row[~held]] = False
         return kept
 
-    def _force_keeps(self, rows: _Rows, accelerations: list[Array], bent: Array) -> Flags:
-        """Return (rows,) whether all thrusts and tilts are shown to keep their limits.
+    def _pairs_keep(self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array) -> Flags:
+        """Return (pairs,) whether drones are shown to keep all limits in a row each.
 
         Parameters
         ----------
-        accelerations: (rows, drones, 3) at both ends of rows [m/s²].
-        bent: (rows, drones), by how much they differ from these within.
+        rows: one for each pair.
+        drone: (pairs,).
+        acceleration, jerk: (pairs,) bounds of these that are known.
         """
-        motion = self.limits.motion
-        team, piece = motion.team, self.grid.piece[rows.cell]
+        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
+        grid, count = self.grid, len(team.mass)
+        cell = rows.cell
+        at, on = grid.piece[cell] * count + drone, cell * count + drone
+        fourth, fifth = grid.fourth.take(at), grid.fifth.take(at)
+        first, second, third = (margin.take(at) for margin in self.limits.margins)
+        A, J = grid.sizes.second.take(on), grid.sizes.third.take(on)
+        chord, time = rows.chord, rows.time * rows.time / 8.0
+        step = (grid.width[cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0
+        T, v, s = rows.T, rows.v, rows.s[0]
+        a, j = np.maximum(*np.abs(rows.a)), np.abs(rows.j)
+        s2, a2, v3 = s * s, a * a, v * v * v
+        s3 = s2 * s
+        # How far vectors may be from those at the ends of rows, these taken on chords of cells.
+        bent = time * (s2 * s2 * fourth + 6.0 * s2 * a * J + (3.0 * a2 + 4.0 * s * j) * A)
+        bent += chord * (s2 * fourth + a * J) + s2 * second + a * first
+        early = (s3 * s2 * fifth + 10.0 * s3 * a * fourth) + 10.0 * a * j * A
+        early += (15.0 * s * a2 + 10.0 * s2 * j) * J
+        late = 112.0 / T**2 * J + 72.0 / T * v3 * fourth + 8.0 * v3 * v3 * fifth
+        bend = np.where(rows.late, step * late, time * early)
+        bend += chord * (s3 * fifth + 3.0 * s * a * fourth + j * J)
+        bend += s3 * third + 3.0 * s * a * second + j * first
+        x1, x2, x3 = (grid.on_chord(order, cell, rows.tau, drone) for order in range(3))
+        s, a, j = rows.s, rows.a, rows.j
+        s2 = s * s
+        ends = s2 * x2 + a * x1
+        there = np.maximum(*axis_lengths(s2 * s * x3 + 3.0 * s * a * x2 + j * x1))
+        acceleration = np.minimum(np.maximum(*axis_lengths(ends)) + bent, acceleration)
+        acceleration *= 1.0 + SLACK
+        jerk = np.minimum(there + bend, jerk) * (1.0 + SLACK)
+        kept: Flags = (acceleration <= limits.acceleration) & (jerk <= limits.jerk)
+        extra = team.mass[drone] * acceleration
+        fine = self.limits.hover.take(at) + extra <= team.max_thrust[drone]
+        fine &= self.limits.beyond.take(at) + extra <= 0.0
+        left = np.flatnonzero(kept & ~fine)
+        if len(left):
+            kept[left] = self._force_keeps(
+                rows.taken(left), drone[left], ends[..., left], bent[left]
+            )
+        return kept
+
+    def _force_keeps(self, rows: _Rows, drone: Indices, accelerations: Array, bent: Array) -> Flags:
+        """Return (pairs,) whether thrusts and tilts are shown to keep their limits.
+
+        Parameters
+        ----------
+        rows, drone: of the pairs.
+        accelerations: (3, 2, pairs) at both ends of rows [m/s²].
+        bent: (pairs,), by how much they differ from these within.
+        """
+        team, piece = self.limits.motion.team, self.grid.piece[rows.cell]
         cos, sin = np.cos(self.limits.tilt), np.sin(self.limits.tilt)
-        chord = np.where(rows.whole, 0.0, self.grid.width[rows.cell] ** 2 / 8.0)[:, None]
-        time, s = (rows.time**2 / 8.0)[:, None], rows.s[0][:, None]
-        a = np.max(np.abs(rows.a), axis=0)[:, None]
-        slope, bend = self.grid.slope[piece], self.grid.bend[piece]
-        radius = self.limits.static.thrust.radius[piece] + ROUNDING * self.limits.hover[piece]
-        radius += team.mass * bent + chord * bend + time * (s**2 * bend + a * slope)
-        kept = np.ones(len(piece), dtype=np.bool_)
-        for tau, acceleration in zip(rows.tau, accelerations, strict=True):
-            force = self.grid.on_chord(3, rows.cell, tau)
-            force += team.mass[:, None] * acceleration
-            thrust = lengths(force) + radius
-            beyond = np.hypot(force[..., 0], force[..., 1]) * cos - force[..., 2] * sin + radius
-            kept &= np.all((thrust <= team.max_thrust) & (beyond <= 0.0), axis=-1)
+        chord, time, s = rows.chord, rows.time**2 / 8.0, rows.s[0]
+        a = np.maximum(*np.abs(rows.a))
+        slope, bend = self.grid.slope[piece, drone], self.grid.bend[piece, drone]
+        radius = self.limits.static.thrust.radius[piece, drone]
+        radius = radius + ROUNDING * self.limits.hover[piece, drone]
+        radius += team.mass[drone] * bent + chord * bend + time * (s**2 * bend + a * slope)
+        force = self.grid.on_chord(3, rows.cell, rows.tau, drone)
+        force += team.mass[drone] * accelerations
+        thrust = axis_lengths(force) + radius
+        beyond = np.hypot(force[0], force[1]) * cos - force[2] * sin + radius
+        kept: Flags = np.all((thrust <= team.max_thrust[drone]) & (beyond <= 0.0), axis=0)
         return kept
 
 
 def _acceleration(sizes: Sizes, rows: _Rows) -> Array:
     """Return a bound of the acceleration [m/s²]."""
-    s, a = rows.s[0], np.max(np.abs(rows.a), axis=0)
+    s, a = rows.s[0], np.maximum(*np.abs(rows.a))
     found: Array = (s * s)[:, None] * sizes.second + a[:, None] * sizes.first
     return found
 
 
 def _jerk(sizes: Sizes, rows: _Rows) -> Array:
     """Return a bound of the jerk [m/s³]."""
-    s, a, j = rows.s[0], np.max(np.abs(rows.a), axis=0), np.abs(rows.j)
+    s, a, j = rows.s[0], np.maximum(*np.abs(rows.a)), np.abs(rows.j)
     found: Array = (
-        (s**3)[:, None] * sizes.third
+        (s * s * s)[:, None] * sizes.third
         + (3.0 * s * a)[:, None] * sizes.second
         + j[:, None] * sizes.first
     )
