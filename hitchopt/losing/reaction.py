@@ -2,11 +2,10 @@
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones above others go aside and land by themselves. A hitch that can hold the lost
-drone keeps its tension until that has swung down and lets go then; where it hangs still, survivors
-come to pull as its weight needs, until it lies on the ground. A hitch that cannot hold it lets go
-at once and lets it down. Where cables hang free the lost drone has to reach the ground before its
-cable is taut, since no drone carries two.
+on the ground; drones above others go aside and land by themselves. All survivors of a hitch let
+tension go in a moment; where a hitch can hold the lost drone and it hangs still once it has swung
+down, they come to pull as its weight needs, until it lies on the ground. Where cables hang free the
+lost drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -155,7 +154,7 @@ class Reactions:
         held = None
         if not rest.lies and lands > course.time + CAUGHT[0]:
             held = Held(rest.pulls, course.time + CAUGHT[0], course.time + CAUGHT[1], lands)
-        return Reaction(drone, course, course.time + CAUGHT[0], rest.thrust, nearest, held)
+        return Reaction(drone, course, rest.thrust, nearest, held)
 
     def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.
@@ -183,7 +182,7 @@ class Reactions:
         nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
         _check_apart(course, nearest)
         thrust = largest_static_thrust(motion)
-        return Reaction(drone, course, course.begins, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest)
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""
@@ -209,7 +208,7 @@ class Reactions:
                 height = places[np.argmax(taut), 2] - motion.requirements.floor
                 words = f"{drone} hangs on its partner {height:.2g} m above the ground"
                 raise _none(course.time, words)
-        return Reaction(drone, course, course.begins, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest)
 
     def _lying(self, course: Course, others: Array, place: Array, drone: str) -> float:
         """Return the smallest separation of survivors and a drone that lies on the ground."""

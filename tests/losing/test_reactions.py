@@ -14,7 +14,7 @@ from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place, swings
-from hitchopt.losing.flown_reaction import reacting
+from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, Reactions
 from hitchopt.losing.survivable import survivable
 from hitchopt.motion.motion import Motion, Phase
@@ -189,9 +189,12 @@ def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> N
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
     held = found.held
     assert held is not None
-    assert found.lets_go == held.begins == TIME + 1.0
-    between = (flown.t >= found.course.begins) & (flown.t < held.begins)
-    np.testing.assert_allclose(forces[between], 0.5, atol=1e-3)
+    assert held.begins == TIME + 1.0
+    letting_go = (flown.t > found.course.begins) & (flown.t < found.course.begins + LETTING_GO)
+    assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
+    assert np.max(np.abs(np.diff(forces[flown.t < held.begins], axis=0))) < 0.03
+    between = (flown.t >= found.course.begins + LETTING_GO) & (flown.t < held.begins)
+    assert np.max(forces[between]) == 0.0
     assert np.max(forces[flown.t > held.ends + 0.11]) == 0.0
     rising = (flown.t > held.begins) & (flown.t < min(held.full, held.ends))
     share = (flown.t[rising] - held.begins) / (held.full - held.begins)
