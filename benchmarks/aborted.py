@@ -6,7 +6,8 @@ A seed gives the time of the command, uniform over the plan, the kind of abort a
 perturbations of the flight, with the fast preset. A flight succeeds where its outcome does (no
 touch, and clasps linked, bearing and held under a pull test where the abort ends hitched, else
 cables free of each other) and its drones have been within STILL of their setpoints in the last half
-second before it is judged. Rows are printed as they come: an interrupted series goes on with
+second before it is judged. A hold between hanging cables and a hitch is no end: after it the clock
+goes on to the end of the plan. Rows are printed as they come: an interrupted series goes on with
 ``--first``.
 """
 
@@ -23,10 +24,11 @@ import numpy as np
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
+from hitchopt.motion.retiming import followed, retimed
 from hitchopt.simulation.flight_task import read_task
 from hitchopt.simulation.simulate import Simulation, simulate
 from hitchopt.simulation.simulation_settings import USUAL, Settings
-from hitchopt.stopping.abort import WAYS, Aborts
+from hitchopt.stopping.abort import PASSING, WAYS, Aborts
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 STILL, JUDGED = 0.1, 0.5
@@ -50,8 +52,13 @@ def flown(aborts: Aborts, seed: int) -> tuple[str, bool]:
     except InfeasibleError as error:
         return f"| {seed} | {how} | {command:.2f} | – | – | – | refused: {error} |", False
     found = abort.certified
+    motion = found.motion
+    if how == "hold" and motion.phases[-1].state in PASSING:
+        onward = aborts.player.path(abort.rest, aborts.motion.duration)
+        motion = followed(motion, retimed(aborts.motion, onward))
+        how = "hold, then on"
     with tempfile.TemporaryDirectory() as place:
-        task = read_task(ho.Plan(found.motion, found.certificate).save(place))
+        task = read_task(ho.Plan(motion, found.certificate).save(place))
     done = simulate(task, Settings(perturbations=USUAL, seed=seed))
     far = away(done)
     succeeded = done.outcome.succeeded and far <= STILL

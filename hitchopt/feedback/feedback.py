@@ -64,7 +64,8 @@ class Feedback(OneLine):
     Distances keep their limits at all times while every drone is within ``reserve`` of its
     corrected setpoint and every vertex within it of the plan, as far as the plan itself leaves so
     much: corrected setpoints stay within half-spaces that the plan's polynomials give for whole
-    spans of time. A shift of all drones together is limited by the arena alone.
+    spans of time. A shift of all drones together is limited by the arena alone. With numba
+    installed the projection onto them is compiled: corrections are the same to rounding.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compiled code and numpy's path say the same, and numba is loaded for a replanner alone."""
+"""Compiled code and numpy's path say the same, and plans do not load numba."""
 
 from __future__ import annotations
 
