@@ -95,10 +95,12 @@ def _setpoints(states: States) -> Setpoints:
 def _forces(times: Array, planned: Array, reaction: Reaction) -> Array:
     """Return (k, 2n, 3) [N] what is fed forward at times [s], of what is planned to be."""
     gone = np.clip((times - reaction.course.begins) / LETTING_GO, 0.0, 1.0)
-    forces: Array = (1.0 - gone**2 * (3.0 - 2.0 * gone))[:, None, None] * planned
+    keeps = 1.0 - gone**2 * (3.0 - 2.0 * gone)
+    forces: Array = keeps[:, None, None] * planned
     held = reaction.held
     if held is not None:
         risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
         fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
+        forces = (1.0 - risen)[:, None, None] * forces
         forces = forces + (risen * (1.0 - fallen))[:, None, None] * held.pulls
     return forces
