@@ -112,6 +112,7 @@ def main() -> None:
         print(
             measure(stem, given.stops, given.aborts),
             f"<!-- {time.perf_counter() - begin:.0f} s -->",
+            flush=True,
         )
 
 

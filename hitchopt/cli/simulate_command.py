@@ -166,9 +166,9 @@ def _lost(
     course = found.course
     held = "" if found.held is None else f"{loss.drone} is held until {found.held.ends:.3f} s, "
     say(
-        f"reaction: tension is let go at t = {found.lets_go:.3f} s, {held}all are on the ground at "
-        f"{course.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} of a "
-        "thrust"
+        f"reaction: tension is let go from t = {course.begins:.3f} s on, {held}all are on the "
+        f"ground at {course.duration:.3f} s; hovering with its weight takes up to "
+        f"{found.thrust:.0%} of a thrust"
     )
     return settings, reacting(task, found)
 

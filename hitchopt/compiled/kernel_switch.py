@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache, partial
+from hashlib import sha256
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -35,11 +38,25 @@ def kernels(*, on: bool = True) -> Iterator[bool]:
 
 
 def kernel(function: F) -> F:
-    """Compile a function when it is first called, and keep the result on disk.
+    """Compile a function when it is first called, and keep the result on disk where that can be.
 
     Divisions by zero give what numpy makes of them. Numba notices changes of a kernel's own file
-    only, not of other kernels that it calls.
+    only, not of other kernels that it calls: names of its files carry the digest of them all.
     """
     from numba import njit
 
-    return cast(F, njit(cache=True, error_model="numpy")(function))
+    compile_it = partial(njit, error_model="numpy")
+    try:
+        function.__qualname__ += f"_{sources_digest(Path(function.__code__.co_filename).parent)}"
+        return cast(F, compile_it(function, cache=True))
+    except (OSError, RuntimeError):  # no sources, or no place that can be written
+        return cast(F, compile_it(function))
+
+
+@cache
+def sources_digest(folder: Path) -> str:
+    """Return a digest of all Python files in a folder."""
+    digest = sha256()
+    for path in sorted(folder.glob("*.py")):
+        digest.update(sha256(path.name.encode() + b"\0" + path.read_bytes()).digest())
+    return digest.hexdigest()[:16]

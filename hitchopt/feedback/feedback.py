@@ -14,14 +14,16 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InputError, UnsupportedError
-from hitchopt.feedback.covered_set import cell_breaks, covered_set
+from hitchopt.feedback.covered_set import ONES, cell_breaks, covered_set, projection
 from hitchopt.feedback.vertex_response import vertex_response
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.states import states_at
 from hitchopt.one_line import OneLine
 from hitchopt.stopping.sampler import Sampler, Setpoints
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
@@ -62,7 +64,8 @@ class Feedback(OneLine):
     Distances keep their limits at all times while every drone is within ``reserve`` of its
     corrected setpoint and every vertex within it of the plan, as far as the plan itself leaves so
     much: corrected setpoints stay within half-spaces that the plan's polynomials give for whole
-    spans of time. A shift of all drones together is limited by the arena alone.
+    spans of time. A shift of all drones together is limited by the arena alone. With numba
+    installed the projection onto them is compiled: corrections are the same to rounding.
 
     Parameters
     ----------
@@ -103,6 +106,8 @@ class Feedback(OneLine):
         covered = covered_set(motion, breaks, not_negative("reserve", reserve))
         states = states_at(motion, 0.5 * (breaks[1:] + breaks[:-1]))
         self._cells = covered.cells
+        with kernels():
+            self._within = projection()
         self._breaks = breaks.tolist()
         formed = np.array([cell is not None for cell in covered.cells])
         found = vertex_response(
@@ -118,10 +123,12 @@ class Feedback(OneLine):
             (s.drones.breaks[0], s.drones.breaks[-1]) for s in motion.spans(HITCHED_STATE)
         ]
         self._end = float(breaks[-1])
-        self._clasps = team.layout.clasps
+        clasps = motion.vertices.coefficients[:, team.layout.clasps]
         self._drones = Sampler(motion.drones)
-        self._vertices = Sampler(motion.vertices)
+        self._vertices = Sampler(PiecewisePolynomial(motion.vertices.breaks, clasps))
         self.reset()
+        for cell in filter(None, self._cells):  # compiles, and lays out, before the first step
+            self._within(cell, self._offsets)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"
@@ -199,30 +206,33 @@ class Feedback(OneLine):
     def _strayed(self, planned: Setpoints, drones: ArrayLike) -> bool:
         """Return whether a drone is far from where it was last told to be."""
         away = _shaped("drones", drones, self._offsets.shape) - planned.positions - self._offsets
-        return bool(np.einsum("ij,ij->i", away, away).max(initial=0.0) > FAR * FAR)
+        return bool(np.fmax.reduce((away * away) @ ONES) > FAR * FAR)
 
     def _measure(self, vertices: Array, time: float, rate: float) -> None:
         """Filter the errors of the vertices that a measurement of a plan time holds."""
         if self._row[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._row) - 1)] < 0:
             return
-        there = self._vertices.at(min(max(time, 0.0), self._end), rate, 0.0, 0.0)
-        self._speed = there.velocities[self._clasps]
-        error = there.positions[self._clasps] - vertices
-        size = np.einsum("ij,ij->i", error, error)
-        good = size <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
-        weight = np.where(self._age > HELD, 1.0, 1.0 - np.exp(-self._age / SMOOTHING))
-        weight = np.where(good, weight, 0.0)[:, None]
-        self._error += weight * (np.where(good[:, None], error, 0.0) - self._error)
+        there = self._vertices.at(min(max(time, 0.0), self._end), 1.0, 0.0, 0.0)
+        self._speed = rate * there.velocities
+        error = there.positions - vertices
+        good = (error * error) @ ONES <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
+        weight = -np.expm1(self._age / -SMOOTHING)
+        weight[self._age > HELD] = 1.0
+        if not good.all():
+            weight[~good] = 0.0
+            error[~good] = 0.0
+        self._error += weight[:, None] * (error - self._error)
         self._age[good] = 0.0
 
     def _correct(self, time: float, here: int, seconds: float, *, growing: bool) -> None:
         """Advance the integral and the offsets by some time."""
-        fresh = (self._age <= HELD)[:, None]
-        error = fresh * self._error
+        error, speed = self._error, self._speed
+        if np.maximum.reduce(self._age) > HELD:
+            fresh = self._age <= HELD
+            error, speed = fresh[:, None] * error, fresh[:, None] * speed
+            self._integral[~fresh] *= math.exp(-seconds / FADING)
         if growing:
-            self._integral += INTEGRAL * seconds * error
-        if not fresh.all():
-            self._integral *= np.where(fresh, 1.0, math.exp(-seconds / FADING))
+            self._integral += (INTEGRAL * seconds) * error
         np.minimum(np.maximum(self._integral, -LARGEST_MOVE), LARGEST_MOVE, out=self._integral)
         share, asked = self._authority(time), None
         cell = self._cells[here]
@@ -230,18 +240,18 @@ class Feedback(OneLine):
             goal = np.zeros_like(self._offsets)
         else:
             row = self._row[here]
-            wanted = PROPORTIONAL * error + self._integral + LEAD * self._speed * fresh
-            asked = share * (self._inverse[row] @ wanted.ravel()).reshape(-1, 3)
-            goal = cell.within(asked)
+            wanted = PROPORTIONAL * error + self._integral + LEAD * speed
+            asked = (self._inverse[row] @ (share * wanted).ravel()).reshape(-1, 3)
+            goal = self._within(cell, asked)
             following = self._cells[min(here + 1, len(self._cells) - 1)]
             if following is not None and following is not cell:
-                goal = following.within(goal)
+                goal = self._within(following, goal)
         change = goal - self._offsets
-        largest = math.sqrt(float(np.einsum("ij,ij->i", change, change).max()))
+        largest = math.sqrt(np.maximum.reduce((change * change) @ ONES))
         step = min(1.0, self._rate * seconds / largest) if largest > 0.0 else 0.0
         offsets = self._offsets + step * change
         if cell is not None and here != self._here:  # else between two of the same convex set
-            offsets = cell.within(offsets)
+            offsets = self._within(cell, offsets)
         self._here = here
         if asked is not None:
             missed = (self._forward[self._row[here]] @ (offsets - asked).ravel()).reshape(-1, 3)

@@ -16,6 +16,11 @@ from hitchopt.values import Array
 RATE = 100.0
 """[Hz] Rate of the setpoints of a reaction."""
 
+LETTING_GO = 0.3
+"""[s] Time in which survivors let tension go. Cables that stay level are pulled hardest by what
+falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
+was let go at once, in twice the time, or only after the fall."""
+
 FADING = 0.1
 """[s] Time in which survivors let go of a lost drone that lies on the ground."""
 
@@ -89,11 +94,13 @@ def _setpoints(states: States) -> Setpoints:
 
 def _forces(times: Array, planned: Array, reaction: Reaction) -> Array:
     """Return (k, 2n, 3) [N] what is fed forward at times [s], of what is planned to be."""
-    keeps = np.where(times < reaction.lets_go, 1.0, 0.0)
+    gone = np.clip((times - reaction.course.begins) / LETTING_GO, 0.0, 1.0)
+    keeps = 1.0 - gone**2 * (3.0 - 2.0 * gone)
     forces: Array = keeps[:, None, None] * planned
     held = reaction.held
     if held is not None:
         risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
         fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
+        forces = (1.0 - risen)[:, None, None] * forces
         forces = forces + (risen * (1.0 - fallen))[:, None, None] * held.pulls
     return forces

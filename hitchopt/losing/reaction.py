@@ -2,11 +2,11 @@
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
 certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones above others go aside and land by themselves. A hitch that can hold the lost
-drone keeps its tension until that has swung down and lets go then; where it hangs still, survivors
-come to pull as its weight needs, until it lies on the ground. A hitch that cannot hold it lets go
-at once and lets it down. Where cables hang free the lost drone has to reach the ground before its
-cable is taut, since no drone carries two.
+on the ground; drones above others go aside and land by themselves. All survivors of a hitch let
+tension go in a moment; where a hitch can hold the lost drone and it hangs still once it has swung
+down, they come to pull as its weight needs, until it lies on the ground. They do so at once where
+its partner's leg is short, which its fall would draw to its clasp. Where cables hang free the lost
+drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hitchopt.checks.bounds.static_thrust import largest_static_thrust
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.hitch import GRAVITY
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN, free_fall, resting_place, swings
 from hitchopt.losing.reaction_records import Course, Held, Reaction
 from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
@@ -42,8 +42,12 @@ HOLD = 0.1
 SWING = 0.8
 """[s] Time in which a lost drone swings down: one that lies on the ground then is not held."""
 
-CAUGHT = (1.0, 2.0)
-"""[s] Times after the loss between which survivors come to pull as a hanging drone needs."""
+CAUGHT, AT_ONCE = (1.0, 2.0), (DELAY, 2.0 * DELAY)
+"""[s] Times after the loss between which survivors come to pull as a hanging drone needs; AT_ONCE
+where its partner would be drawn to its clasp."""
+
+OVERSHOOT = 2.0
+"""Distance over which a weight that falls draws a partner, over that at rest."""
 
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
@@ -152,10 +156,13 @@ class Reactions:
         sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
         there = np.flatnonzero(sunk_by >= end[2] - floor)
         lands = float(t[there[0]]) if len(there) else course.sinking.duration
-        held = None
+        held, partner = None, lost ^ 1
+        leg = states.positions[partner] - states.vertices[team.layout.pulled_to[partner]]
+        short = float(np.linalg.norm(leg)) < OVERSHOOT * _gives(team, lost)
         if not rest.lies and lands > course.time + CAUGHT[0]:
-            held = Held(rest.pulls, course.time + CAUGHT[0], course.time + CAUGHT[1], lands)
-        return Reaction(drone, course, course.time + CAUGHT[0], rest.thrust, nearest, held)
+            begins, full = AT_ONCE if short else CAUGHT
+            held = Held(rest.pulls, course.time + begins, course.time + full, lands)
+        return Reaction(drone, course, rest.thrust, nearest, held)
 
     def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.
@@ -168,8 +175,7 @@ class Reactions:
         clasps, floor = states.vertices[points], motion.requirements.floor
         legs = states.positions - clasps
         lengths = np.linalg.norm(legs, axis=-1)
-        gives = GRAVITY / GAIN * float(team.mass[lost] / team.mass[partner])
-        gives = min(gives, float(lengths[partner]) - LEAST_LEG)
+        gives = min(_gives(team, lost), float(lengths[partner]) - LEAST_LEG)
         when = min(course.time + SWING, course.sinking.duration)
         sunk_by = float(states.positions[lost, 2] - course.sinking.drones.at(when)[lost, 2])
         above = float(clasps[lost, 2]) - floor - float(lengths[lost]) - gives - sunk_by
@@ -183,7 +189,7 @@ class Reactions:
         nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
         _check_apart(course, nearest)
         thrust = largest_static_thrust(motion)
-        return Reaction(drone, course, course.begins, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest)
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""
@@ -209,7 +215,7 @@ class Reactions:
                 height = places[np.argmax(taut), 2] - motion.requirements.floor
                 words = f"{drone} hangs on its partner {height:.2g} m above the ground"
                 raise _none(course.time, words)
-        return Reaction(drone, course, course.begins, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest)
 
     def _lying(self, course: Course, others: Array, place: Array, drone: str) -> float:
         """Return the smallest separation of survivors and a drone that lies on the ground."""
@@ -223,6 +229,11 @@ class Reactions:
         if least < 1.0:
             raise _none(course.time, f"a survivor lands on {drone}, at {least:.3g}")
         return float(least)
+
+
+def _gives(team: Team, lost: int) -> float:
+    """Return how far a lost drone's weight draws its partner from its setpoint [m]."""
+    return GRAVITY / GAIN * float(team.mass[lost] / team.mass[lost ^ 1])
 
 
 def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:

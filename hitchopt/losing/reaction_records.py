@@ -62,7 +62,6 @@ class Reaction(OneLine):
     ----------
     drone: that is lost.
     course: what survivors fly.
-    lets_go: time at which all survivors let tension go [s].
     thrust: largest thrust of a survivor that hovers with the lost drone's weight on its cable, over
         its largest one.
     nearest: smallest separation of two survivors, or distance of one to the lost drone over two
@@ -73,7 +72,6 @@ class Reaction(OneLine):
 
     drone: str
     course: Course
-    lets_go: float
     thrust: float
     nearest: float
     held: Held | None = None

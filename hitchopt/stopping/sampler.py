@@ -73,11 +73,12 @@ class Sampler:
         powers = [1.0]
         for _ in range(self._order):  # plain numbers are faster than an array of eight
             powers.append(powers[-1] * x)
-        by_plan_time = np.dot(powers, self._rows[piece]).reshape(4, -1)
-        chain = (
-            (1.0, 0.0, 0.0, 0.0, 0.0, rate, 0.0, 0.0)
-            + (0.0, slope, rate * rate, 0.0)
-            + (0.0, jerk, 3.0 * rate * slope, rate * rate * rate)
-        )
-        values = np.dot(np.array(chain).reshape(4, 4), by_plan_time)
+        values = np.dot(powers, self._rows[piece]).reshape(4, -1)
+        if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
+            chain = (
+                (1.0, 0.0, 0.0, 0.0, 0.0, rate, 0.0, 0.0)
+                + (0.0, slope, rate * rate, 0.0)
+                + (0.0, jerk, 3.0 * rate * slope, rate * rate * rate)
+            )
+            values = np.dot(np.array(chain).reshape(4, 4), values)
         return Setpoints(time, rate, *values.reshape(4, self._drones, 3))

@@ -1,4 +1,4 @@
-"""Compiled code and numpy's path say the same, and numba is loaded for a replanner alone."""
+"""Compiled code and numpy's path say the same, and plans do not load numba."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from hitchopt.checks.bounds.static_thrust import StaticThrust
 from hitchopt.checks.certify import certify
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.compiled.kernel_switch import kernels, kernels_on
+from hitchopt.feedback.covered_set import cell_breaks, covered_set, projection
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import excess
 from hitchopt.trajectory import enclosure
@@ -151,6 +152,22 @@ def test_constants_are_the_same() -> None:
     assert enclosure.ROUNDING == polynomial_kernels.ENCLOSED
     assert stop_bounds.SWITCH == stop_kernel.SWITCH
     assert stop_bounds.SLACK == stop_kernel.SLACK
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0])
+def test_projections_onto_half_spaces_agree(scale: float) -> None:
+    rng = np.random.default_rng(int(100.0 * scale))
+    motion = random_motion(5, 4)
+    cells = covered_set(motion, cell_breaks(motion), 0.01).cells
+    with kernels():
+        compiled = projection()
+    moved = 0
+    for cell in filter(None, cells):
+        given = rng.normal(0.0, scale, (motion.team.drones, 3))
+        plain = cell.within(given)
+        np.testing.assert_allclose(compiled(cell, given), plain, atol=1e-12)
+        moved += bool(np.any(np.abs(plain - given) > 1e-9))
+    assert moved
 
 
 @contextmanager

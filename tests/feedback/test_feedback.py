@@ -124,11 +124,13 @@ def test_a_false_measurement_counts_as_missing() -> None:
     assert np.all(feedback.offsets == 0.0)
 
 
-def test_corrections_do_not_grow_while_a_drone_is_far_from_its_place() -> None:
+@pytest.mark.parametrize("missing", [[], [1]])
+def test_corrections_do_not_grow_while_a_drone_is_far_from_its_place(missing: list[int]) -> None:
     plan = plan_of()
     states = plan.at(0.5)
     vertices, drones = states.vertices - [0.0, 0.0, 0.05], states.positions.copy()
     drones[3, 0] += 0.4
+    drones[missing] = np.nan
     free, kept = ho.Feedback(plan, delay=0.0), ho.Feedback(plan, delay=0.0)
     for _ in range(200):
         free.step(0.5, STEP, vertices)

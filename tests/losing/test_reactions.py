@@ -14,7 +14,7 @@ from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place, swings
-from hitchopt.losing.flown_reaction import reacting
+from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, Reactions
 from hitchopt.losing.survivable import survivable
 from hitchopt.motion.motion import Motion, Phase
@@ -172,6 +172,23 @@ def test_a_wrong_drone_and_a_wrong_time_are_named() -> None:
         reactions_of(1.0).found("q0", 1e3)
 
 
+def test_survivors_pull_at_once_where_a_partner_has_a_short_leg(tmp_path: Path) -> None:
+    team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
+    start = ho.Hitch(team, regular_polygon(4, 1.0), 2.4, [0.85] * 4)  # legs of 0.35 m at r
+    plan = ho.transport(start, to=[0.7, 0.3, 2.4])
+    reactions = Reactions(plan.motion)
+    late, soon = (reactions.found(name, TIME).held for name in ("r1", "q1"))
+    assert late is not None
+    assert soon is not None
+    assert late.begins == TIME + 1.0
+    assert soon.begins == pytest.approx(TIME + DELAY)
+    flown = reacting(read_task(plan.save(tmp_path)), reactions.found("q1", TIME))
+    pulling = (flown.t > soon.full) & (flown.t < soon.ends)
+    assert np.any(pulling)
+    forces = flown.setpoints.cable_forces[pulling]
+    np.testing.assert_allclose(forces - soon.pulls, np.zeros_like(forces), atol=1e-9)
+
+
 def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> None:
     plan, found = plan_of(2.4), reactions_of(2.4).found("r2", TIME)
     task = read_task(plan.save(tmp_path))
@@ -189,9 +206,12 @@ def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> N
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
     held = found.held
     assert held is not None
-    assert found.lets_go == held.begins == TIME + 1.0
-    between = (flown.t >= found.course.begins) & (flown.t < held.begins)
-    np.testing.assert_allclose(forces[between], 0.5, atol=1e-3)
+    assert held.begins == TIME + 1.0
+    letting_go = (flown.t > found.course.begins) & (flown.t < found.course.begins + LETTING_GO)
+    assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
+    assert np.max(np.abs(np.diff(forces[flown.t < held.begins], axis=0))) < 0.03
+    between = (flown.t >= found.course.begins + LETTING_GO) & (flown.t < held.begins)
+    assert np.max(forces[between]) == 0.0
     assert np.max(forces[flown.t > held.ends + 0.11]) == 0.0
     rising = (flown.t > held.begins) & (flown.t < min(held.full, held.ends))
     share = (flown.t[rising] - held.begins) / (held.full - held.begins)
