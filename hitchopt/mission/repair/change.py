@@ -153,6 +153,11 @@ class Kind:
     relaxes: bool = False
     family: str = ""
 
+    @property
+    def lasts(self) -> bool:
+        """Whether it gives a step the time that it is known to take at the least."""
+        return self.least > 0.0 and self.quantity.key.endswith(".duration")
+
     def change(self, size: float) -> Change | None:
         """Return the change of a relative size, rounded away from the old value to DIGITS.
 

@@ -99,16 +99,22 @@ def find_suggestions(
         limit within which this is called.
     progress: called with what is being tried now.
     """
-    judge = _Judge(budget, progress, optimiser=False)
+    slow = _Judge(budget, progress, optimiser=True)
+    kinds = likely_kinds(problem, error)
+    longer = [kind for kind in kinds if error.note and kind.lasts]  # as long as a route takes
+    known = _suggestions(slow(kind.change(kind.least)) for kind in longer)
+    judge = _Judge(slow.left, progress, optimiser=False)
+    others = [kind for kind in kinds if not (known and kind.lasts)]
     found = [
+        *known,
         *_suggestions(map(judge, spread_changes(problem, error))),
-        *_smallest(likely_kinds(problem, error), judge),
+        *_smallest(others, judge),
     ]
     if not found:
         found = _smallest(last_resorts(problem, error), judge)
     if not found and error.note:  # the optimiser was needed and may be needed still
         slow = _Judge(judge.left, progress, optimiser=True)
-        found = _smallest(likely_kinds(problem, error), slow)
+        found = _smallest(kinds, slow)
     return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
 
 
