@@ -165,9 +165,13 @@ class _Triangle:
         name, value, most = "tension", apart, whole
         remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
         if whole >= pull:
-            name, value = "load", float(np.linalg.norm(self.load[worst]))
-            level = float(np.linalg.norm(self.edges[worst]))
-            most = math.sqrt(max(pull * pull - level * level, 0.0))
+            # The share of the load at which |edges - share · load| is the sum of both pulls.
+            load, edges = self.load[worst], self.edges[worst]
+            against, weight = float(edges @ load), float(np.linalg.norm(load))
+            spare = max(pull * pull - float(edges @ edges), 0.0)
+            root = math.sqrt(against * against + weight * weight * spare)
+            name, value = "load", weight
+            most = (against + root) / weight if weight > 0.0 else 0.0
             factor = value / most if most > 0.0 else math.inf
             lighter = "lower team.load or team.cable_density"
             remedy = f"raise team.tension {factor:.3g} times, or {lighter}"

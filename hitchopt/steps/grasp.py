@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal, get_args
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects import SolidObject
@@ -124,20 +125,25 @@ class Grasp(Step):
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
         holding = Holding(self.object, polygons, asked, held)
         here = replace(task, before=replace(closing.after, holding=holding))
-        requirements = task.requirements
-        try:
-            kept = requirements if legs is not None else _spaced(requirements, SPARE)
-            check_hold(here.within(kept, here.before), holding)
-        except InfeasibleError:
-            if legs is not None:
-                raise
-            if np.any(hitch.roll):
-                more = RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
-            else:
-                wide = end_of_morph(task.hitch, below, None, _spaced(requirements, SPREAD)).hitch
-                more = RolledLegs(wide.q_legs, wide.roll)
-            return self._closing(task, body, asked, more)
+        if legs is None:
+            try:
+                check_hold(here.within(_spaced(task.requirements, SPARE), here.before), holding)
+            except InfeasibleError:
+                try:
+                    more = self._farther(task, hitch)
+                    return self._closing(task, body, asked, more)
+                except InfeasibleError:
+                    pass  # what binds without more room is told
+        check_hold(here, holding)
         return closing, here
+
+    def _farther(self, task: StepTask, hitch: Hitch) -> RolledLegs:
+        """Return legs that keep larger distances: rolled more, if they are rolled, or moved on."""
+        if np.any(hitch.roll):
+            return RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
+        wide = _spaced(task.requirements, SPREAD)
+        moved = end_of_morph(task.hitch, hitch.polygon, None, wide).hitch
+        return RolledLegs(moved.q_legs, moved.roll)
 
 
 def _spaced(requirements: Requirements, factor: float) -> Requirements:

@@ -240,18 +240,17 @@ def _refusal(refusals: Sequence[HitchoptError], note: str) -> HitchoptError:
 
     A route that only takes too long is told before others, that which takes the least time first.
     """
+    own = refusals[0]
     told = [refusal for refusal in refusals if isinstance(refusal, InfeasibleError)]
     if not told:
-        return refusals[0]
+        return own
     first = min(told, key=_shortest)  # the first one where none has a time
-    if first is not refusals[0]:
-        note = SHUT if _shortest(refusals[0]) == math.inf else SLOWER
+    if first is not own and isinstance(own, InfeasibleError):
+        note = SHUT if _shortest(own) == math.inf else SLOWER
     return InfeasibleError(first.violations, first.note or (note if len(refusals) > 1 else ""))
 
 
-def _shortest(refusal: HitchoptError) -> float:
+def _shortest(refusal: InfeasibleError) -> float:
     """Return the time that a route takes at least [s], if that alone is why it is refused."""
-    if not isinstance(refusal, InfeasibleError):
-        return math.inf
     timed = all((v.constraint, v.sense) == ("duration", "min") for v in refusal.violations)
-    return max(v.limit for v in refusal.violations) if timed else math.inf
+    return max((v.limit for v in refusal.violations if timed), default=math.inf)

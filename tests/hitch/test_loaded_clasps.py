@@ -213,6 +213,7 @@ def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
         T, halves = rng.uniform(0.3, 0.5, 2), rng.uniform(0.0, 0.2, (1, 2))
         forces = np.zeros((1, 3))
         forces[0, 2] = -np.sum(halves) - rng.uniform(0.0, 0.4)
+        forces[0, :2] = rng.choice([0.0, 0.3]) * rng.normal(size=2)
         loads = ClaspLoads(forces, halves, np.zeros(1))
         try:
             leg_directions(u, T, "open", loads)

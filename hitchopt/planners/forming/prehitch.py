@@ -3,8 +3,8 @@
 Shortened legs: every pair stands as it will in the hitch, its legs shortened by a common share, no
 nearer than a smallest radius. The share is searched downward, then the polygon is made smaller, so
 that cables reach, or larger, so that pairs on short edges keep off each other, there and on their
-way out to the hitch. Where no such place
-suffices pairs stand across their vertices, whatever their legs.
+way out to the hitch. Where no such place suffices and chords of pairs are too oblique for cables to
+clasp, pairs stand across their vertices, whatever their legs.
 """
 
 from __future__ import annotations
