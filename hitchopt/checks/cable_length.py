@@ -106,13 +106,24 @@ def _bound(blocks: tuple[Array, ...], wrapped: int = 0) -> Estimate:
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
     longer = [arc_at(bend, x)[:, None, None] for bend in bends]
     for sag in sags:
-        weight, tension = np.moveaxis(bernstein.evaluate(sag, x[:, None]), -1, 0)
-        factor = np.divide(weight, tension, out=np.zeros_like(weight), where=tension > 0.0) ** 2
+        factor = _ratios_at(sag, x) ** 2
         level = _whole_spans(spans[..., None])[..., 0]
         arc_there = np.sum(there * (level[..., 0] ** 2 + level[..., 1] ** 2), axis=1)
         longer.append((factor / 24.0 * arc_there)[:, None, None])
     value = np.max(_errors(there[..., None], given, longer), axis=(1, 2))
     return Estimate(np.max(reach, axis=(1, 2), initial=0.0), np.maximum(value, 0.0), x)
+
+
+def _ratios_at(sag: Array, x: Array) -> Array:
+    """Return the weights over the tensions (cells,) at x; their limits where tensions vanish."""
+    weight, tension = np.moveaxis(bernstein.evaluate(sag, x[:, None]), -1, 0)
+    pulling = sag[:, 1] > 0.0
+    last = sag.shape[-1] - 1 - np.argmax(pulling[:, ::-1], axis=1)
+    nearest = np.where(x < 0.5, np.argmax(pulling, axis=1), last)  # that leads at the cell's end
+    there = np.take_along_axis(sag, nearest[:, None, None], axis=-1)[..., 0]
+    weight, tension = np.where(tension > 0.0, [weight, tension], there.T)
+    ratios: Array = np.divide(weight, tension, out=np.zeros_like(weight), where=tension > 0.0)
+    return ratios
 
 
 def _whole_spans(vectors: Array) -> Array:

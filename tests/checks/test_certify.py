@@ -292,3 +292,19 @@ def test_a_hitch_at_rest_has_its_configuration_s_own_numbers() -> None:
     assert certificate["tilt"].worst == pytest.approx(lean, rel=1e-9)
     exterior = math.degrees(math.pi - math.acos(0.4 / math.hypot(0.4, 1.5)))
     assert certificate["convexity"].worst == pytest.approx(exterior, rel=1e-6)
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_weights_that_come_and_go_with_the_tension_need_the_same_length(end: int) -> None:
+    polygon = np.array([[3.0, 1.0], [2.6, 2.5], [3.4, 2.5]])
+    team = Team(3, [2.4, 2.5, 2.6], tension=0.5, cable_density=0.01)
+    motion = still(team, polygon, [0.35, 0.5, 0.45])
+    drones = motion.drones.coefficients.copy()
+    q0, p0 = drones[end, 0, :, end], motion.vertices.coefficients[end, 0, :, end]
+    drones[end, 0, :, end] += 1e-6 * (q0 - p0) / np.linalg.norm(q0 - p0)  # longest at that end
+    rise = np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5])[:: 1 if end == 0 else -1]
+    pull = np.broadcast_to(rise, (motion.tensions.pieces, 3, 8))
+    tensions = PiecewisePolynomial(motion.tensions.breaks, pull)
+    found = certify(replace(with_drones(motion, drones), tensions=tensions))["cable_length"]
+    assert found.worst == pytest.approx(1e-6 / 2.4, rel=1e-3)
+    assert found.where == ("cable 0",)
