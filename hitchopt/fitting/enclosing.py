@@ -28,6 +28,9 @@ POINTS = 240
 TURNS = 8
 """Starting polygons, turned by equal parts of their symmetry."""
 
+AXES, STRETCHES = 24, (1.0, 1.2, 1.4, 1.7, 2.0, 2.4, 3.0)
+"""Directions and ratios in which regular polygons are stretched."""
+
 SHARPEST = math.radians(150.0)
 """[rad] Largest exterior angle."""
 
@@ -39,6 +42,9 @@ FLAT_COST = 4.0
 
 GAIN = 1e-9
 """[m²] Least gain of area, or of edges squared, that counts."""
+
+ROUNDING = 1e-9
+"""Margins that differ by less are the same: drones in one place are not 3e-16 apart."""
 
 CENTIMETRE = 0.01
 """[m] Step of cable lengths."""
@@ -53,8 +59,11 @@ LONGEST = 1.0
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
     """Return an n-gon of short edges, much alike, that keep a distance [m] to a section.
 
-    It has the least sum of squares of edges that is found. The directions of its edges are improved
-    one by one, from several starts.
+    It has the least sum of squares of edges that is found, edges that are not much shorter than
+    others, and no flat corners. The directions of its edges, all of which keep just the distance,
+    are improved one by one, from several starts. Where none such are found, as for many edges
+    around a narrow section, it is a regular polygon that is stretched, of which some edges keep
+    more.
     """
     sides = np.roll(section.core, -1, axis=0) - section.core
     of_sides = np.arctan2(sides[:, 0], -sides[:, 1]) if len(sides) > 1 else np.zeros(0)
@@ -63,26 +72,59 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     angles = np.unique(np.concatenate([even, of_sides % (2.0 * math.pi)]))
     outward = np.column_stack([np.cos(angles), np.sin(angles)])
     distances = section.support(outward) + clearance
+    worst = n * (16.0 * np.max(distances - outward @ section.centroid)) ** 2
 
     def squares(choices: Indices) -> Array:
         """Return the sums (…) of squares of edges that face directions (…, n), clockwise."""
         faces, far = angles[choices], distances[choices]
         turn = (faces - np.roll(faces, -1, axis=-1)) % (2.0 * math.pi)
-        good = (turn > LEAST_TURN * 2.0 * math.pi / n) & (turn < SHARPEST)
-        safe = np.where(good, turn, 1.0)
+        possible = np.all((turn > 0.0) & (turn < SHARPEST), axis=-1, keepdims=True)
+        safe = np.where(possible, turn, 1.0)
         ahead = (np.roll(far, -1, axis=-1) - far * np.cos(safe)) / np.sin(safe)
         before = (far - np.roll(far, -1, axis=-1) * np.cos(safe)) / np.sin(safe)
         edges = ahead + np.roll(before, 1, axis=-1)
         around = np.isclose(np.sum(turn, axis=-1), 2.0 * math.pi)
-        long = edges > LEAST_EDGE * np.mean(edges, axis=-1, keepdims=True)
-        total = np.sum(edges * edges, axis=-1)
-        return np.where(np.all(good & long, axis=-1) & around, total, np.inf)
+        flat = np.maximum(LEAST_TURN - turn / (2.0 * math.pi / n), 0.0)
+        short = np.maximum(LEAST_EDGE - edges / np.mean(edges, axis=-1, keepdims=True), 0.0)
+        lacks = np.sum(flat + short, axis=-1)
+        total = np.sum(edges * edges, axis=-1) + np.where(lacks > 0.0, worst * (1.0 + lacks), 0.0)
+        return np.where(possible[..., 0] & around, total, np.inf)
 
     chosen = _improved(squares, n, len(angles))
+    if squares(chosen) > worst:
+        return _stretched(section, n, clearance)
     normals, far = outward[chosen], distances[chosen]
     pairs = np.stack([np.roll(normals, 1, axis=0), normals], axis=1)
     corners = np.linalg.solve(pairs, np.stack([np.roll(far, 1), far], axis=1)[..., None])[..., 0]
     return ConvexPolygon(corners)
+
+
+def _stretched(section: Section, n: int, clearance: float) -> ConvexPolygon:
+    """Return the least regular n-gon, turned and stretched, that keeps a distance to a section."""
+    axes, stretches, turns = np.meshgrid(
+        math.pi * np.arange(AXES) / AXES, STRETCHES, np.arange(TURNS) / TURNS, indexing="ij"
+    )
+    along = np.stack([np.cos(axes), np.sin(axes)], axis=-1)[..., None, :]
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    round_ = 2.0 * math.pi / n * (turns[..., None] - np.arange(n))
+    middle = sum(
+        0.5 * (section.support(unit) - section.support(-unit))[..., None] * unit
+        for unit in (along, across)
+    )
+    corners = (stretches[..., None] * np.cos(round_))[..., None] * along
+    corners = corners + np.sin(round_)[..., None] * across
+    edges = np.roll(corners, -1, axis=-2) - corners
+    sizes = np.linalg.norm(edges, axis=-1, keepdims=True)
+    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1) / sizes
+    far = section.support(outward) - np.sum(middle * outward, axis=-1) + clearance
+    scale = np.max(far / np.sum(corners * outward, axis=-1), axis=-1)
+    turn = np.arccos(np.sum(outward * np.roll(outward, 1, axis=-2), axis=-1))
+    good = (turn > LEAST_TURN * 2.0 * math.pi / n) & (turn < SHARPEST)
+    long = sizes[..., 0] > LEAST_EDGE * np.mean(sizes[..., 0], axis=-1, keepdims=True)
+    squares = scale**2 * np.sum(sizes[..., 0] ** 2, axis=-1)
+    least = np.argmin(np.where(np.all(good & long, axis=-1), squares, np.inf))
+    best = np.unravel_index(least, squares.shape)
+    return ConvexPolygon(middle[best] + scale[best] * corners[best])
 
 
 def inner_polygon(section: Section, n: int, inset: float) -> ConvexPolygon:
@@ -197,7 +239,7 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
         best, found = 0.0, 0.0
         for cable in cables:
             margin = min(margin_of(_spread_task(polygon, cable, requirements)), SPREAD_MARGIN)
-            if margin > best:
+            if margin > best + ROUNDING:
                 best, found = margin, cable
             if best >= SPREAD_MARGIN:
                 break

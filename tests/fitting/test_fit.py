@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -34,6 +35,27 @@ def test_enclosing_polygons_keep_the_clearance_and_touch_it(section: ho.Section,
     gaps = np.sum(p * outward, axis=1) - section.support(outward)
     np.testing.assert_allclose(gaps, 0.04, atol=1e-9)  # the lines of edges
     assert np.min(distances) >= 0.04 - 1e-9  # and what is between their ends
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_edges_around_any_section_are_neither_tiny_nor_in_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = (
+        rng.normal(size=(8, 2)) * 10.0 ** rng.uniform(-2.0, 0.5) * [1.0, rng.uniform(0.02, 1.0)]
+    )
+    section = ho.Section((points + rng.uniform(-3.0, 3.0, 2))[ConvexHull(points).vertices])
+    for n in (3, 5, 8, 13):
+        polygon = enclosing_polygon(section, n, 0.035)
+        p, u = polygon.vertices, polygon.edge_directions
+        outward = np.column_stack([-u[:, 1], u[:, 0]])
+        assert np.min(np.sum(p * outward, axis=1) - section.support(outward)) >= 0.035 - 1e-9
+        assert np.min(polygon.edge_lengths) >= 0.5 * np.mean(polygon.edge_lengths)
+        assert np.min(polygon.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
+
+
+def test_a_triangle_that_is_far_from_regular_is_enclosed() -> None:
+    fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 4)
+    assert fit.holding.grip_capacity.mass > 0.0
 
 
 def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> None:
