@@ -54,7 +54,7 @@ def test_edges_around_any_section_are_neither_tiny_nor_in_line(seed: int) -> Non
 
 
 def test_a_triangle_that_is_far_from_regular_is_enclosed() -> None:
-    fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 4)
+    fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 3)
     assert fit.holding.grip_capacity.mass > 0.0
 
 
