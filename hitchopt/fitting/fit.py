@@ -20,6 +20,8 @@ from hitchopt.holding.grip_statics import Grip
 from hitchopt.holding.resting_mass import rest_capacity
 from hitchopt.objects import Section
 from hitchopt.one_line import OneLine
+from hitchopt.planners.carrying.hold_polygons import HoldPolygons
+from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.values import Array, instance, not_negative, positive, whole
 
@@ -30,6 +32,9 @@ GRIP, REST = "grip", "rest"
 
 MOST_ROBOTS = 24
 """Largest number of robots: pairs of parts of a grip are laid out at once."""
+
+LENGTHENED = 3
+"""Most times that cables are made longer, each time with the best grip for them."""
 
 TABLE_ROBOTS = (3, 4, 5, 6)
 """Numbers of robots that are compared, besides the one asked for."""
@@ -78,7 +83,14 @@ class FitTask:
             remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
             broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
             raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
-        return Holding(self, enclosing, cable)
+        found = Holding(self, enclosing, cable)
+        for _ in range(0 if self.cable_length else LENGTHENED):
+            needed = found.closing_cable
+            longer = Holding(self, enclosing, max(needed, found.cable_length))
+            if needed <= found.cable_length or isinstance(longer.grip, InfeasibleError):
+                break
+            found = longer
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +120,23 @@ class Holding(OneLine):
             return best_grip(self._grip_task)
         except InfeasibleError as error:
             return error
+
+    @property
+    def closing_cable(self) -> float:
+        """The shortest cables [m] at the polygon from which they close around the object.
+
+        There ``enclose`` keeps room for where the object really is. They are no other ones where
+        nothing is gripped, or drones come too close there whatever the cables.
+        """
+        if isinstance(self.grip, InfeasibleError):
+            return self.cable_length
+        section, gap = self.task.section, self.task.clearance + ROOM
+        closed, centre = self.grip.vertices[:, :2], section.centroid
+        around = HoldPolygons.with_short_edges(closed, centre, (section,), gap).around
+        try:
+            return shortest_cable(ConvexPolygon(around), self.task.requirements)
+        except InfeasibleError:
+            return self.cable_length
 
     @cached_property
     def rest(self) -> ConvexPolygon | InfeasibleError:

@@ -11,6 +11,9 @@ from hitchopt.one_line import OneLine
 RESOLUTION = 1e-7
 """[kg] Resolution of masses."""
 
+ROUNDING = 1e-9
+"""Margin below zero at which a limit is kept, as by the certificate: pulls may be at a limit."""
+
 SUGGESTED = {
     "grip": "raise the tension, or use rougher cables",
     "tilt": "raise limits.tilt_deg",
@@ -66,15 +69,15 @@ def largest_mass(margins: Callable[[float], Mapping[str, float]], most: float) -
         return found[name], name
 
     margin, name = worst(0.0)
-    if margin < 0.0:
+    if margin < -ROUNDING:
         return Capacity(0.0, name)
-    if worst(most)[0] >= 0.0:
+    if worst(most)[0] >= -ROUNDING:
         raise ValueError(f"{most} kg are held, and were to be too much")
     low, high = 0.0, most
     while high - low > RESOLUTION:
         middle = 0.5 * (low + high)
         margin, reason = worst(middle)
-        if margin >= 0.0:
+        if margin >= -ROUNDING:
             low = middle
         else:
             high, name = middle, reason

@@ -53,9 +53,25 @@ def test_edges_around_any_section_are_neither_tiny_nor_in_line(seed: int) -> Non
         assert np.min(polygon.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
 
 
-def test_a_triangle_that_is_far_from_regular_is_enclosed() -> None:
-    fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 3)
+def test_a_triangle_that_is_far_from_regular_is_gripped() -> None:
+    fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 3, tension=1.0)
     assert fit.holding.grip_capacity.mass > 0.0
+
+
+def test_cables_are_long_enough_for_the_polygon_from_which_they_close() -> None:
+    holding = ho.fit(0.2, 3, tension=1.0).holding
+    assert holding.closing_cable <= holding.cable_length
+    limits, thing = (
+        {"tilt_deg": 45},
+        {"circle": 0.2, "to": 0.3, "mass": 0.03, "at": [2.0, 1.0, 0.0]},
+    )
+    team = {"robots": 3, "cable_length": holding.cable_length, "tension": 1.0}
+    polygon = 1.2 * holding.enclosing.vertices + [2.0, 1.0]
+    start = {"hitch": {"polygon": polygon.tolist(), "altitude": 1.2}}
+    steps = [{"enclose": {"object": "drum"}}, {"grasp": {"object": "drum", "by": "grip"}}]
+    given = {"team": team, "limits": limits, "objects": {"drum": thing}}
+    plan = ho.solve(ho.problem_from_dict(given | {"start": start, "mission": steps}))
+    assert plan.certificate.certified
 
 
 def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> None:

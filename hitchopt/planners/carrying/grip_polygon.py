@@ -105,11 +105,14 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
         wraps = wraps_around(section, centre + grips)
         contacts = contacts_of(centre + grips, wraps, section.core)
         parts = straight_parts(centre + grips, contacts, np.zeros_like(pulls))
-        grips = balanced(grips, pulls, parts, contacts - centre, none)
+        with np.errstate(divide="ignore", invalid="ignore"):  # clasps that have come to the section
+            moved = balanced(grips, pulls, parts, contacts - centre, none)
+        grips = np.where(np.isfinite(moved).all(axis=(1, 2), keepdims=True), moved, grips)
     turns = wraps_around(section, centre + grips).least_turns(section)
     merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
-    found: Array = centre + grips[np.argmax(np.minimum(turns, TURN) * np.maximum(merits, 0.0))]
-    return found
+    worth = np.minimum(turns, TURN) * np.maximum(np.nan_to_num(merits), 0.0)
+    found: Array = centre + grips[np.argmax(worth)]
+    return found if np.max(worth) > 0.0 else closed
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
