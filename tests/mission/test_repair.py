@@ -238,3 +238,17 @@ def test_edits_make_sections_that_are_missing() -> None:
         "arena": {},
     }
     assert data["limits"] is None
+
+
+def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
+    data = mapping(INFEASIBLE[0].parents[1] / "grip_drum.yaml")
+    (name, body), *_ = data["objects"].items()
+    body["mass"] *= 2.2
+    found = {s.change.key: s.change for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    for key in ("mass", "friction"):
+        change = found[f"objects.{name}.{key}"]
+        assert isinstance(change.new, float)
+        assert plans(edited(data, change.edits))
+        halfway = 0.5 * (change.new + body[key])
+        half = {**data, "objects": {**data["objects"], name: {**body, key: halfway}}}
+        assert not plans(half)

@@ -58,6 +58,22 @@ def with_bound(problem: Problem, key: str, value: float) -> Edited:
     return Edited(replace(problem, **{section: part}), (Edit(key, value),))
 
 
+def with_mass(problem: Problem, name: str, value: float) -> Edited:
+    """Return the problem with an object of another mass [kg]."""
+    return _with_object(problem, name, "mass", value)
+
+
+def with_friction(problem: Problem, name: str, value: float) -> Edited:
+    """Return the problem with an object of another friction."""
+    return _with_object(problem, name, "friction", value)
+
+
+def _with_object(problem: Problem, name: str, key: str, value: float) -> Edited:
+    changed: dict[str, Any] = {key: value}
+    objects = {**problem.objects, name: replace(problem.objects[name], **changed)}
+    return Edited(replace(problem, objects=objects), (Edit(f"objects.{name}.{key}", value),))
+
+
 def with_arena(problem: Problem, arena: Arena) -> Edited:
     """Return the problem in another box."""
     value = {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()}

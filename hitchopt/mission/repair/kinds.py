@@ -22,6 +22,8 @@ from hitchopt.mission.repair.change import (
 )
 from hitchopt.mission.repair.editing import (
     team_values,
+    with_friction,
+    with_mass,
     with_outlines_scaled,
     with_robots_apart,
     with_robots_drawn,
@@ -51,6 +53,15 @@ SAFETY = (
 HEAVY = frozenset({"load"})
 """What tensions are too low for."""
 
+HELD = frozenset({"grip"})
+"""What lighter objects, and rougher ones, repair."""
+
+EASED = 0.95
+"""Share of what is held at rest that is tried first: lifting and carrying pull at it too."""
+
+ROUGHEST = 1.0
+"""Largest coefficient of friction suggested."""
+
 MOST_NAMED = 3
 """Most single cables tried, those that the broken limits name first."""
 
@@ -61,6 +72,7 @@ def likely_kinds(problem: Problem, error: InfeasibleError) -> list[Kind]:
         *_starts(problem),
         *_lengths(problem, error.violations),
         *_forces(problem, error.violations),
+        *_objects(problem, error.violations),
         *limit_kinds(problem, error.violations),
         *step_kinds(problem, error.violations),
         *wall_kinds(problem, error.violations),
@@ -117,6 +129,23 @@ def _forces(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]
     key = "team.quadrotor.max_thrust" if same else "team.quadrotor"
     thrust = replace(thrust, key=key, words="" if same else thrust.words)
     yield Kind(thrust, 1, TIMES | {"thrust"}, relaxes=True)
+
+
+def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Kind]:
+    """Yield objects that are lighter or rougher, where a refused hold names them."""
+    shares = [v.value / v.limit for v in violations if v.constraint == "grip" and v.limit > 0.0]
+    shares += [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
+    share = EASED * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / EASED)
+    for name, body in problem.objects.items():
+        told = (f"objects.{name}" in v.when or name in v.where for v in violations)
+        if body.fixed or not any(told):
+            continue
+        mass = Quantity(f"objects.{name}.mass", body.mass, "kg", partial(with_mass, problem, name))
+        yield replace(lowered(mass, HELD | HEAVY | FORCES | TOO_CLOSE), least=1.0 - share)
+        if 0.0 < body.friction <= share * ROUGHEST:
+            key, most = f"objects.{name}.friction", ROUGHEST / body.friction - 1.0
+            rough = Quantity(key, body.friction, "", partial(with_friction, problem, name))
+            yield Kind(rough, 1, HELD, 1.0 / share - 1.0, most)
 
 
 def _every(problem: Problem, name: str, unit: str, words: str) -> Quantity:

@@ -32,6 +32,9 @@ before they meet other corners."""
 BALANCING = 30
 """Newton's steps with which they are balanced."""
 
+EASED = 0.95
+"""Share of the largest mass at rest that is suggested: lifting and carrying pull at it too."""
+
 TENSIONS = np.geomspace(0.2, 5.0, 60)
 """[N] Tensions that are tried for a suggestion."""
 
@@ -161,14 +164,14 @@ def grip_suggestion(
     capacity = capacity_of(body, closed, team, tension, requirements)
     ways = []
     if capacity.mass > 0.0:
-        ways.append(f"lower objects.{name}.mass to {capacity.mass:.3g} kg")
+        ways.append(f"lower objects.{name}.mass to {EASED * capacity.mass:.3g} kg")
     most, _ = largest_tension(requirements, team.quadrotor[0])
     for value in TENSIONS[(tension < TENSIONS) & (most > TENSIONS)]:
-        if capacity_of(body, closed, team, float(value), requirements).mass >= body.mass:
+        if EASED * capacity_of(body, closed, team, float(value), requirements).mass >= body.mass:
             ways.append(f"ask for a tension of {value:.3g} N")
             break
     if capacity.binding == "grip" and capacity.mass > 0.0:
-        rougher = body.friction * body.mass / capacity.mass
+        rougher = body.friction * body.mass / (EASED * capacity.mass)
         ways.append(f"use rougher cables, objects.{name}.friction {rougher:.3g} or more")
     for robots in ROBOTS:
         if robots == team.robots:
@@ -178,6 +181,6 @@ def grip_suggestion(
             found = grip_capacity(task, best_grip(task), body.friction, FACTOR)
         except InfeasibleError:
             continue
-        if found.mass >= body.mass:
+        if EASED * found.mass >= body.mass:
             ways.append(f"use {robots} robots")
     return capacity, ", or ".join(ways) or "give it a rim, or use stronger quadrotors"
