@@ -51,7 +51,7 @@ def needed_stretch(
         x, p, pull = (_sampled(part, span, inner) for part in (drones, vertices, pulls))
         forces = cable_forces(team, x, p, pull, np.ones(team.robots))
         demands = Demands(
-            np.stack([_rates(drones, span, order) for order in range(4)], axis=-1),
+            np.moveaxis(np.stack([_rates(drones, span, order) for order in range(4)]), 0, -1),
             np.max(length(_rates(vertices, span, 1)), axis=1),
             loads_at_rest(team, forces),
             team.mass,
