@@ -81,30 +81,35 @@ class Demands:
         -------
         (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
         """
-        count, drones = self.drones.shape[:2]
-        forms, slopes, shut = self._slowness()
+        many = max(1, CHUNK // self.drones.shape[1])
+        parts = [slice(first, first + many) for first in range(0, len(u), many)]
+        return np.concatenate([self._cast(at, u[at], x[at]) for at in parts])
+
+    def _cast(self, at: slice, u: Array, x: Array) -> Array:
+        """Return ``reach`` at some points, in turn for as many rays of drones as CHUNK allows."""
+        forms, slopes, shut = self._slowness(at)
         linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
-        slowest = np.zeros(u.shape)
+        slowest, drones = np.zeros(u.shape), forms.shape[2]
         size = max(1, CHUNK // u.shape[1])  # of drones, then of points with all of their drones
         points = max(1, size // drones)
         with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
-            for first in range(0, count, points):
-                at, found = slice(first, first + points), slowest[first : first + points]
+            for first in range(0, len(u), points):
+                span, found = slice(first, first + points), slowest[first : first + points]
                 for drone in range(0, drones, size):
                     some = slice(drone, drone + size)
-                    squared = forms[0, at, some] @ quadratic[at]
+                    squared = forms[0, span, some] @ quadratic[span]
                     np.maximum(found, np.sqrt(np.max(squared, axis=1)), out=found)
                     for form, slope in zip(forms[1:], slopes, strict=True):
-                        root = form[at, some] @ quadratic[at]
+                        root = form[span, some] @ quadratic[span]
                         np.sqrt(root, out=root)
-                        root += slope[at, some] @ linear[at]
+                        root += slope[span, some] @ linear[span]
                         np.fmax(found, np.fmax.reduce(root, axis=1), out=found)
         factor: Array = 1.0 / np.maximum(slowest, 1e-150)
         factor[shut] = 0.0
         return factor
 
-    def _slowness(self) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return by what the inverse of a ray's factor is computed, limit by limit.
+    def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return by what the inverse of a ray's factor is computed, limit by limit, at some points.
 
         With ``a ρ² + 2 b ρ + c = 0`` where a limit is reached, and c < 0 as at rest it is kept,
         ``1 / ρ = -b / c + √((b / c)² - a / c)``, in which nothing cancels.
@@ -115,14 +120,14 @@ class Demands:
         under the root for thrust and tilt; (2, J, 2n, 2), forms of (u, x): -b / c for these two;
         (J,), whether rest itself breaks a limit.
         """
-        q1, q2 = self.drones[..., 1], self.drones[..., 2]
+        q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
         squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
-        along = np.stack([dot(q1, self.loads), dot(q2, self.loads)], axis=-1)
+        along = np.stack([dot(q1, loads), dot(q2, loads)], axis=-1)
         upward = np.stack([q1[..., 2], q2[..., 2]], axis=-1)
-        lift, upwards = self.loads[..., 2, None], _products(upward)
+        lift, upwards = loads[..., 2, None], _products(upward)
         forms = [squares / (self.share * self.limits.acceleration) ** 2]
         slopes, shut = [], np.zeros(len(q1), dtype=np.bool_)
-        for c, slope2 in self._rest():
+        for c, slope2 in self._rest(loads):
             shut |= np.any(c >= 0.0, axis=1)
             inverse = (self.mass / np.where(c < 0.0, -c, 1.0))[..., None]
             slopes.append(inverse * (along - slope2 * lift * upward))
@@ -130,12 +135,17 @@ class Demands:
             forms.append(form + _products(slopes[-1]))
         return np.stack(forms), np.stack(slopes), shut
 
-    def _rest(self) -> tuple[tuple[Array, float], tuple[Array, float]]:
-        """Return c (J, 2n) of thrust and tilt, and what squares of heights count for in them."""
-        squares = dot(self.loads, self.loads)
+    def _rest(self, loads: Array) -> tuple[tuple[Array, float], tuple[Array, float]]:
+        """Return c (J, 2n) of thrust and tilt, and what squares of heights count for in them.
+
+        Parameters
+        ----------
+        loads: (J, 2n, 3) [N]
+        """
+        squares = dot(loads, loads)
         slope2 = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
         most = self.share * self.max_thrust
-        return (squares - most * most, 0.0), (squares - slope2 * self.loads[..., 2] ** 2, slope2)
+        return (squares - most * most, 0.0), (squares - slope2 * loads[..., 2] ** 2, slope2)
 
     def stretch(self) -> float:
         """Return how many times slower a flight must be to keep its limits, the parameter its time.
@@ -146,7 +156,7 @@ class Demands:
         q2 = self.drones[..., 2]
         squares, along, upward = dot(q2, q2), dot(q2, self.loads), q2[..., 2]
         slowest = [np.sqrt(squares) / (self.share * self.limits.acceleration)]
-        for c, slope2 in self._rest():
+        for c, slope2 in self._rest(self.loads):
             if np.any(c >= 0.0):
                 return math.inf
             inverse = self.mass / -c
