@@ -14,7 +14,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.planners.optimise.candidates import Candidate, searched
 from hitchopt.planners.optimise.guesses import mean_turn
 from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.screening import end_margin
+from hitchopt.planners.optimise.screening import end_margins
 from hitchopt.planners.optimise.search_task import Search
 
 CAP = 20.0
@@ -82,7 +82,7 @@ def restarted(case: Case, rng: np.random.Generator) -> list[Candidate]:
     path = KnotPath.through("restart", case.start, case.end, polygons)
     if np.min(path.slack) <= 0.0:
         return []
-    margins = (end_margin(case.start, case.requirements), end_margin(case.end, case.requirements))
+    margins = end_margins(case.start, case.end, case.requirements)
     return searched([path], Search(case.requirements, case.judge, None, margins))
 
 

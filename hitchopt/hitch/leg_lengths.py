@@ -96,6 +96,11 @@ def reference_margin(task: LegTask) -> float:
     return bodies.margin(task, task.reference)
 
 
+def reference_margins(task: LegTask) -> Array:
+    """Return the same (J,) of every polygon by itself."""
+    return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
+
+
 def _merit(task: LegTask, found: LegLengths) -> float:
     short = max(0.0, task.wanted - found.margin)
     return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import EAST, unit
+from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
 from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
 from hitchopt.hitch.leg_task import LegTask
@@ -104,12 +104,22 @@ class LegBodies:
 
     def margin(self, task: LegTask, d: Array) -> float:
         """Return the smallest distance over its limit; crossings count up to their margin only."""
-        distance = np.linalg.norm(self.offsets(self.nodes(d)), axis=1)
+        return task.wanted * float(np.min(self._shares(task, d), initial=np.inf))
+
+    def margins(self, task: LegTask, d: Array) -> Array:
+        """Return the same (J,) of every polygon by itself."""
+        smallest = np.full(len(d), np.inf)
+        np.minimum.at(smallest, self.frame, self._shares(task, d))
+        return task.wanted * smallest
+
+    def _shares(self, task: LegTask, d: Array) -> Array:
+        """Return the pairs' distances over their limits and margins, (pairs,)."""
+        distance = length(self.offsets(self.nodes(d)))
         ratios = distance / self.limits[self.kind]
         enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
-        shares = apart / task.margins[self.frame]
-        return task.wanted * float(np.min(shares, initial=np.inf))
+        shares: Array = apart / task.margins[self.frame]
+        return shares
 
     def inside(self, arena: Arena | None, d: Array) -> bool:
         """Return whether every drone is between the arena's upright walls."""
@@ -122,9 +132,11 @@ class LegBodies:
         """Find the pairs whose sweeps between two splits come within reach of their limits."""
         J = len(task.reference)
         # From above nothing is farther than in space.
-        ends = [self.nodes(lower)[:, :2], self.nodes(upper)[:, :2]]
-        swept = np.stack(ends).reshape(2, J, self.count, 2)
-        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(4, J, -1, 2)
+        ends = [self.nodes(lower)[:, :2]]
+        if upper is not lower:
+            ends.append(self.nodes(upper)[:, :2])
+        swept = np.stack(ends).reshape(-1, J, self.count, 2)
+        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
         cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
         cutoff += SWAY if self._turns else 0.0
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)

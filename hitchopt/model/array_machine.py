@@ -29,8 +29,8 @@ OPERATIONS: dict[int, np.ufunc] = {
 }
 """Operations of casadi that are one of numpy's."""
 
-CHUNK = 2048
-"""Number of columns at a time, such that all intermediate values stay in the processor's cache."""
+CHUNK = 6144
+"""Number of columns at a time: fewer spend more on calls than on numbers, more leave the cache."""
 
 
 @dataclass(frozen=True, eq=False)

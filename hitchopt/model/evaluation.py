@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import casadi as ca
@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import cable_forces
-from hitchopt.model.array_machine import array_machine
+from hitchopt.model.array_machine import CHUNK, array_machine
 from hitchopt.model.attitude import attitude_function
 from hitchopt.model.loaded_clasp import loaded_clasp_function
 from hitchopt.model.robot import JET, robot_function
@@ -40,6 +40,11 @@ class FlatJets:
     q_legs: Array
     tensions: Array
     roll: Array | None = None
+
+    def taken(self, span: slice) -> FlatJets:
+        """Return those at some values of the parameter."""
+        roll = None if self.roll is None else self.roll[span]
+        return FlatJets(self.vertices[span], self.q_legs[span], self.tensions[span], roll)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +102,33 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
 
     The paper's class is used where all tensions are equal, the general clasp elsewhere; where
     clasps carry weight or legs are rolled, the clasp with loads. Values are nan where tensions
-    cannot carry them.
+    cannot carry them. Large teams are evaluated at a few values of the parameter at a time, so that
+    what is gathered for it stays in the processor's cache.
     """
-    if team.loaded or flat.roll is not None:
-        return _loaded_jets(team, flat)
     count, n = flat.q_legs.shape[:2]
-    columns, layout = count * n, team.layout
+    loaded = team.loaded or flat.roll is not None
     equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
         flat.tensions[..., 1:]
     )
+    size = max(1, CHUNK // n)
+    whole: list[Array] = []
+    for first in range(0, max(count, 1), size):
+        span = slice(first, first + size)
+        some = flat if count <= size else flat.taken(span)
+        part = _loaded_jets(team, some) if loaded else _plain_jets(team, some, equal)
+        if some is flat:
+            return part
+        own = [getattr(part, field.name) for field in fields(part)]
+        whole = whole or [np.empty((count, *each.shape[1:])) for each in own]
+        for into, each in zip(whole, own, strict=True):
+            into[span] = each
+    return DroneJets(*whole)
+
+
+def _plain_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
+    """Return ``drone_jets`` of clasps without loads, robot by robot, tensions all equal or not."""
+    count, n = flat.q_legs.shape[:2]
+    columns, layout = count * n, team.layout
     q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
         robot_function(equal),
         [

@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import parts
-from hitchopt.hitch.leg_lengths import quick_split, split_slack
+from hitchopt.hitch.leg_lengths import (
+    quick_split,
+    reference_margin,
+    reference_margins,
+    split_slack,
+)
 from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
@@ -209,6 +214,23 @@ def test_near_pairs_are_the_same_however_they_are_searched(
     assert seen[0] == seen[1] == seen[2] == seen[3]
     assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
     assert 100 < len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
+
+
+def test_margins_of_many_polygons_are_those_of_each_by_itself() -> None:
+    rng = np.random.default_rng(6)
+    team = Team(4, 2.6)
+    outlines = [random_convex_polygon(4, 1.2, rng) for _ in range(6)]
+    polygons = np.stack([outline.vertices for outline in outlines])
+    q_legs = np.stack([0.5 * (2.6 - outline.edge_lengths) for outline in outlines])
+    q_legs[-1] *= 0.1  # drones at their vertices
+
+    def task(some: slice) -> LegTask:
+        return LegTask(team, Requirements(), polygons[some], q_legs[some], 0.0, 9.0)
+
+    each = [reference_margin(task(slice(j, j + 1))) for j in range(6)]
+    np.testing.assert_array_equal(reference_margins(task(slice(6))), each)
+    assert reference_margin(task(slice(6))) == min(each)
+    assert len(set(each)) == 6
 
 
 def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_made() -> None:

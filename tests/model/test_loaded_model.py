@@ -5,7 +5,7 @@ Derivatives of the functions themselves are compared in ``test_robot_model``.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry import ConvexArc
 from hitchopt.hitch import Hitch, Team
+from hitchopt.model import evaluation
 from hitchopt.model.evaluation import FlatJets, drone_jets, slipping_drones
 from hitchopt.model.loaded_clasp import loaded_planar_function
 from hitchopt.planners.friction.leaning import cables_of_legs
@@ -55,6 +56,22 @@ def moving(h: Hitch, seed: int, t: Array) -> FlatJets:
     if not h.team.layout.closed:
         legs[:, 0] = 0.0
     return FlatJets(along(h.vertices, 0.05), legs, along(h.team.tension, 0.02), along(h.roll, 0.1))
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_drones_are_the_same_however_many_are_evaluated_at_a_time(
+    monkeypatch: pytest.MonkeyPatch, loaded: bool
+) -> None:
+    h = hitch(3, 5, "closed", 0.01)
+    flat = moving(h, 4, np.linspace(0.0, 1.0, 130))
+    if not loaded:
+        h, flat = Hitch.balanced(Team(5, 3.0), h.polygon), replace(flat, roll=None)
+    found = {}
+    for chunk in (5 * 65, 10**6):  # no part has so few columns that casadi evaluates it
+        monkeypatch.setattr(evaluation, "CHUNK", chunk)
+        found[chunk] = drone_jets(h.team, flat)
+    for field in fields(found[10**6]):
+        np.testing.assert_array_equal(*(getattr(jets, field.name) for jets in found.values()))
 
 
 @given(seeds, st.integers(3, 7), topologies, st.sampled_from([0.0, 0.01]))

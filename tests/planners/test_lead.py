@@ -69,7 +69,12 @@ def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> No
 
     from hitchopt.planners.path import leading_legs
 
-    slopes = leading_legs._slopes(path)
+    slopes, left = leading_legs._slopes(path)
+    led, usual = (
+        np.max(np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1))
+        for p in (leading_legs._slid(path, slopes), path)
+    )
+    assert left == pytest.approx(led / usual, rel=1e-9)
     for k in range(5):
         best = start_of(slid(path, k, slopes[0, k]), k)
         for change in (-0.3, -0.01, 0.01, 0.3):

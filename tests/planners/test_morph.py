@@ -1,11 +1,15 @@
 """Morphs: legs that make way, shut ways and their diagnosis."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.leg_lengths import reference_margin
+from hitchopt.planners.path.blended_path import blended
 from hitchopt.planners.path.leg_law import leg_task_along, with_legs_clear
+from hitchopt.planners.path.rigid_path import RigidPath
 from hitchopt.planners.path.shape_path import ShapePath, shapes_along
 from hitchopt.planners.path.straight_morph import StraightMorph
 from hitchopt.requirements import Requirements
@@ -33,6 +37,26 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     flight = StraightMorph(start, end, Requirements()).solve()
     assert flight is not None
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
+
+
+def test_paths_give_as_many_derivatives_as_are_asked_for() -> None:
+    """Of a blend through three rolled hitches, and of one that is carried."""
+    team = Team(3, 2.4)
+    hitches = [Hitch.balanced(team, TRIANGLE, 1.0, roll) for roll in (0.1, 0.3, 0.2)]
+    wide = replace(hitches[1], polygon=hitches[1].polygon.translated([0.3, 0.1]))
+    s = np.linspace(0.0, 1.0, 7)
+    for path in (
+        blended([hitches[0], wide, hitches[2]]).path,
+        RigidPath(hitches[0], np.array([0.5, 0.2, 1.3]), 0.7),
+    ):
+        whole = path.flat(s)
+        for count in (1, 2, 4):
+            some = path.flat(s, count)
+            for field in fields(whole):
+                all_of_it = getattr(whole, field.name)
+                np.testing.assert_allclose(
+                    getattr(some, field.name), all_of_it[..., :count], rtol=0.0, atol=1e-15
+                )
 
 
 def test_a_linear_law_is_kept_where_it_will_do() -> None:

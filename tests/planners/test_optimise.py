@@ -12,7 +12,12 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.optimise import ipopt_steps
 from hitchopt.planners.optimise.candidates import Candidate, OptimisedMorph
-from hitchopt.planners.optimise.guesses import guesses, mean_turn, widened
+from hitchopt.planners.optimise.guesses import (
+    _closed_lengths,
+    guesses,
+    mean_turn,
+    widened,
+)
 from hitchopt.planners.optimise.ipopt_steps import solve_program
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram
@@ -61,6 +66,28 @@ def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
         if guess.name.startswith("edges"):
             for polygon in guess.polygons:
                 ConvexPolygon(polygon)  # refuses what is not convex
+
+
+@pytest.mark.parametrize("least", [0.0, 0.9])
+def test_edges_that_turn_keep_the_nearest_lengths_that_close_polygons(least: float) -> None:
+    """By the conditions of their optimum, with bounds that bind and without."""
+    rng = np.random.default_rng(7)
+    polygon = random_convex_polygon(5, 1.2, rng)
+    directions = np.arctan2(*polygon.edge_directions.T[::-1]) + rng.uniform(-0.2, 0.2, (2, 5))
+    lengths = polygon.edge_lengths * rng.uniform(0.8, 1.2, (2, 5))
+    shortest = least * polygon.edge_lengths
+    found = _closed_lengths(directions, lengths, shortest)
+    assert found is not None
+    free = found > shortest + 1e-5
+    assert np.all(found >= shortest - 1e-9)
+    assert np.all(free) == (least == 0.0)
+    for own, angles, wanted, inside in zip(found, directions, lengths, free, strict=True):
+        sides = np.stack([np.cos(angles), np.sin(angles)])
+        np.testing.assert_allclose(sides @ own, 0.0, atol=1e-6)
+        forces = np.linalg.lstsq(sides[:, inside].T, (own - wanted)[inside])[0]
+        left = own - wanted - forces @ sides
+        np.testing.assert_allclose(left[inside], 0.0, atol=1e-5)
+        assert np.all(left > -1e-5)
 
 
 def test_widened_guesses_keep_their_ends_shapes_and_middles() -> None:

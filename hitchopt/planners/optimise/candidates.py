@@ -17,7 +17,7 @@ from hitchopt.planners.optimise.ipopt_steps import iterates
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.screening import (
     clear,
-    end_margin,
+    end_margins,
     estimate,
     judged,
     level_enough,
@@ -134,7 +134,7 @@ class OptimisedMorph:
     def problem(self) -> list[KnotPath]:
         """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
         whole = self._paths((guess.name, guess.polygons) for guess in self.guesses)
-        return [path for path in whole if loose(path, self.requirements)] or whole
+        return loose(whole, self.requirements) or whole
 
     def solve(self) -> list[Candidate]:
         """Return the paths found, the fastest first."""
@@ -142,10 +142,7 @@ class OptimisedMorph:
             level_enough(hitch, self.requirements) for hitch in (self.start, self.end)
         ):
             return []
-        margins = (
-            end_margin(self.start, self.requirements),
-            end_margin(self.end, self.requirements),
-        )
+        margins = end_margins(self.start, self.end, self.requirements)
         effort = Effort(ASKED_WORK if self.asked else WORK)
         search = Search(self.requirements, self.judge, self.tension, margins, effort=effort)
         # With wider polygons half way, legs have more room to pass one another.

@@ -120,13 +120,22 @@ def _edgewise(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array)
 
 
 def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array | None:
-    """Return the lengths (J, n) nearest to ``lengths`` that close every polygon, by one QP."""
+    """Return the lengths (J, n) nearest to ``lengths`` that close every polygon.
+
+    They are projections where those are long enough, else the solution of one QP.
+    """
     J, n = lengths.shape
+    sides = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+    gaps = np.swapaxes(sides, 1, 2) @ lengths[..., None]
+    pushes = np.linalg.solve(np.swapaxes(sides, 1, 2) @ sides, gaps)
+    projected: Array = lengths - (sides @ pushes)[..., 0]
+    if np.all(projected >= shortest):
+        return projected
     row = np.arange(J).repeat(n)
     column = np.arange(J * n)
     rows = sparse.csc_matrix(
         (
-            np.concatenate([np.cos(directions).ravel(), np.sin(directions).ravel()]),
+            np.moveaxis(sides, -1, 0).ravel(),
             (np.concatenate([row, J + row]), np.tile(column, 2)),
         ),
         shape=(2 * J, J * n),

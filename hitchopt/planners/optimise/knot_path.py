@@ -135,7 +135,7 @@ class KnotPath:
 
     def at(self, s: Array) -> KnotPath:
         """Return the hitches at s (K,) of its path, as if they were knots."""
-        flat = self.path.flat(s)
+        flat = self.path.flat(s, 1)
         shapes, tensions = shapes_of(self.team, flat), flat.tensions[..., 0]
         q_legs = shapes.legs[..., 0]
         return replace(

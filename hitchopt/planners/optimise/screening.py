@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.leg_lengths import reference_margin
+from hitchopt.hitch.leg_lengths import reference_margin, reference_margins
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search
@@ -76,15 +77,33 @@ def sound(path: KnotPath) -> bool:
     )
 
 
-def loose(path: KnotPath, requirements: Requirements) -> bool:
-    """Return whether a path's bodies are not all in one heap."""
-    return _margin(path.team, requirements, path.polygons, path.q_legs, path.roll) >= CLOSEST
+def loose(paths: Sequence[KnotPath], requirements: Requirements) -> list[KnotPath]:
+    """Return those of guesses from one hitch to another whose bodies are not all in one heap."""
+    if not paths:
+        return []
+    polygons, q_legs = (
+        np.concatenate([getattr(path, name) for path in paths]) for name in ("polygons", "q_legs")
+    )
+    rolls = [path.roll for path in paths if path.roll is not None]
+    roll = np.concatenate(rolls) if rolls else None
+    margins = _margins(paths[0].team, requirements, polygons, q_legs, roll)
+    first = np.cumsum([0, *(len(path.polygons) for path in paths[:-1])])
+    smallest = np.minimum.reduceat(margins, first)
+    return [path for path, margin in zip(paths, smallest, strict=True) if margin >= CLOSEST]
 
 
-def end_margin(hitch: Hitch, requirements: Requirements) -> float:
-    """Return how many times their limits a hitch's distances are."""
-    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return _margin(hitch.team, requirements, polygon, q_legs, hitch.roll[None]) * BELOW
+def end_margins(start: Hitch, end: Hitch, requirements: Requirements) -> tuple[float, float]:
+    """Return how many times their limits the distances of the hitches at both ends are."""
+    polygons, q_legs, roll = (
+        np.stack(part)
+        for part in (
+            (start.polygon.vertices, end.polygon.vertices),
+            (start.q_legs, end.q_legs),
+            (start.roll, end.roll),
+        )
+    )
+    first, last = BELOW * _margins(start.team, requirements, polygons, q_legs, roll)
+    return float(first), float(last)
 
 
 def level_enough(hitch: Hitch, requirements: Requirements) -> bool:
@@ -95,15 +114,15 @@ def level_enough(hitch: Hitch, requirements: Requirements) -> bool:
     if not np.any(hitch.roll):
         return True
     polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return _margin(hitch.team, requirements, polygon, q_legs, None) > LEVEL_ENOUGH
+    return bool(_margins(hitch.team, requirements, polygon, q_legs, None)[0] > LEVEL_ENOUGH)
 
 
-def _margin(
+def _margins(
     team: Team, requirements: Requirements, polygons: Array, q_legs: Array, roll: Array | None
-) -> float:
-    """Return how many times their limits the distances of hitches are, walls left out."""
+) -> Array:
+    """Return how many times their limits the distances of hitches (J,) are, walls left out."""
     bare = replace(requirements, arena=None)
-    return reference_margin(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
+    return reference_margins(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:

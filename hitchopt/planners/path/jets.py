@@ -12,11 +12,14 @@ from hitchopt.values import Array
 
 def product(a: Array, b: Array) -> Array:
     """Return the jet of a·b, by Leibniz' rule; (…, m) each."""
-    a, b = np.broadcast_arrays(a, b)
-    out = np.zeros(a.shape)
-    for k in range(a.shape[-1]):
-        for i in range(k + 1):
-            out[..., k] += comb(k, i) * a[..., i] * b[..., k - i]
+    orders = a.shape[-1]
+    out = np.empty((*np.broadcast_shapes(a.shape[:-1], b.shape[:-1]), orders))
+    for k in range(orders):
+        total = a[..., 0] * b[..., k]
+        for i in range(1, k + 1):
+            term = a[..., i] * b[..., k - i]
+            total += term if i == k else comb(k, i) * term
+        out[..., k] = total
     return out
 
 

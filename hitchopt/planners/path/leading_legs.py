@@ -9,6 +9,7 @@ are, for every cable by itself, those that leave its two drones the least to do.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -43,12 +44,8 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     """
     if path.legs.length.pieces > 1:
         return
-    slopes = _slopes(path)
-    ends = np.array([0.0, 1.0])
-    usual, led = (
-        np.max(length(drones_along(p, ends).positions[..., 1])) for p in (path, _slid(path, slopes))
-    )
-    if led > HELPS * usual:
+    slopes, left = _slopes(path)
+    if left > HELPS:
         return
     paths = {share: _slid(path, share * slopes) for share in SHARES}
     times = {share: flight_estimate(p, limits) for share, p in paths.items()}
@@ -58,19 +55,23 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
         yield _slid(path, SMALLER * best * slopes)
 
 
-def _slopes(path: ShapePath) -> Array:
-    """Return (2, n) [m]: the slides' slopes at s = 0 and 1 that slow the drones most there.
+def _slopes(path: ShapePath) -> tuple[Array, float]:
+    """Return the slides' slopes (2, n) [m] at s = 0 and 1 that slow the drones most there.
 
-    A drone's derivative by s is linear in its leg's, which moves it along the leg.
+    Also the fastest drone's share of its speed that they leave. A drone's derivative by s is linear
+    in its leg's, which moves it along the leg.
     """
-    ends = np.array([0.0, 1.0])
-    ones = np.ones((2, path.team.robots))
-    usual = drones_along(path, ends).positions[..., 1]
-    along = drones_along(_slid(path, ones), ends).positions[..., 1] - usual
-    usual, along = (v.reshape(2, path.team.robots, -1) for v in (usual, along))
-    size = np.sum(along**2, axis=-1)
-    slopes: Array = -np.sum(usual * along, axis=-1) / np.where(size > 0.0, size, np.inf)
-    return slopes
+    ends, n = np.array([0.0, 1.0]), path.team.robots
+    usual, slid = (
+        drones_along(p, ends).positions[..., 1].reshape(2, n, 2, -1)
+        for p in (path, _slid(path, np.ones((2, n))))
+    )
+    along = slid - usual
+    size = np.sum(along**2, axis=(2, 3))
+    slopes: Array = -np.sum(usual * along, axis=(2, 3)) / np.where(size > 0.0, size, np.inf)
+    fastest = np.max(length(usual))
+    led = np.max(length(usual + slopes[..., None, None] * along))
+    return slopes, float(led / fastest) if fastest > 0.0 else math.inf
 
 
 def _slid(path: ShapePath, slopes: Array) -> ShapePath:

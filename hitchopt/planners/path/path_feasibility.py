@@ -10,7 +10,8 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.layout import Layout
 from hitchopt.planners.path.shape_path import Path, Shapes, shapes_along
-from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.fly_path import GRID, timing_demands
+from hitchopt.planners.timing.speed_profile import path_grid
 from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
@@ -23,8 +24,8 @@ SHORTEST_EDGE = 1e-3
 SHORTEST_LEG = 1e-3
 """[m] Shortest leg on a path: a shorter one has no accurate direction."""
 
-PROBES, LOAD_PROBES = 401, 161
-"""Numbers of points of the path at which its shapes and loads at rest are checked before timing."""
+PROBES = 401
+"""Number of points of the path at which its shapes are checked before timing."""
 
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
@@ -68,9 +69,11 @@ def check_shapes_at(s: Array, shapes: Shapes, layout: Layout) -> None:
 
 
 def check_loads(path: Path, limits: Limits) -> None:
-    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path."""
-    s = np.linspace(0.0, 1.0, LOAD_PROBES)
-    demands = Demands.along(path, limits, s)
+    """Raise InfeasibleError where hovering against the pull alone breaks a limit on the path.
+
+    At the points at which the path is timed.
+    """
+    s, demands = path_grid(GRID), timing_demands(path, limits)
     thrust, tilt = demands.at_rest()
     most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))
     for name, unit, ratios, most, remedy in (

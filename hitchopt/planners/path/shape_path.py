@@ -26,8 +26,8 @@ class Path(Protocol):
     def team(self) -> Team:
         """Whose cables."""
 
-    def flat(self, s: Array) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,)."""
+    def flat(self, s: Array, count: int = JET) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
 
 
 def drones_along(path: Path, s: Array) -> DroneJets:
@@ -65,9 +65,10 @@ class LegLaw:
         return cls(nothing, fractions)
 
     def q_legs(self, s: Array, slack: Array) -> Array:
-        """Return the jets (J, n, 4) of ``d`` for those of the slack."""
-        shared = jets.product(self.share.jet(s, JET), slack)
-        return self.length.jet(s, JET) + shared if np.any(self.length.coefficients) else shared
+        """Return the jets (J, n, m) of ``d`` for those of the slack."""
+        count = slack.shape[-1]
+        shared = jets.product(self.share.jet(s, count), slack)
+        return self.length.jet(s, count) + shared if np.any(self.length.coefficients) else shared
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,19 +103,19 @@ class ShapePath:
             roll=roll_between(start, end),
         )
 
-    def flat(self, s: Array) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,)."""
-        vertices = self.vertices.jet(s, JET)
+    def flat(self, s: Array, count: int = JET) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        vertices = self.vertices.jet(s, count)
         edges = self.team.layout.edges(vertices, axis=1)
-        tensions = np.zeros((len(s), self.team.robots, JET))
+        tensions = np.zeros((len(s), self.team.robots, count))
         tensions[..., 0] = self.team.tension
         if self.tensions is not None:
-            tensions = self.tensions.jet(s, JET)
+            tensions = self.tensions.jet(s, count)
         slack = -_cable_along(self.team, edges, tensions)
         slack[..., 0] += self.team.cable_length
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
-        roll = None if self.roll is None else self.roll.jet(s, JET)
+        roll = None if self.roll is None else self.roll.jet(s, count)
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
 
 
@@ -136,7 +137,7 @@ def roll_between(
 
 
 def _cable_along(team: Team, edges: Array, tensions: Array) -> Array:
-    """Return the jets (J, n, 4) [m] of the lengths of cable along edges (J, n, 3, 4) [m]."""
+    """Return the jets (J, n, m) [m] of the lengths of cable along edges (J, n, 3, m) [m]."""
     squares = jets.product(edges, edges)
     chords = jets.square_root(np.sum(squares, axis=2))
     if team.cable_density == 0.0:
@@ -171,7 +172,7 @@ class Shapes:
 
 def shapes_along(path: Path, s: Array) -> Shapes:
     """Return the shapes at s (J,)."""
-    return shapes_of(path.team, path.flat(s))
+    return shapes_of(path.team, path.flat(s, 1))
 
 
 def shapes_of(team: Team, flat: FlatJets) -> Shapes:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
@@ -20,6 +21,10 @@ LIMIT_SHARE = 0.999
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
 certificate, which bounds them by other means."""
+
+CHUNK = 32_000
+"""Number of rays of drones that are cast at a time: temporary arrays fit in a core's cache, and are
+small enough for memory that is used again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,32 +81,71 @@ class Demands:
         -------
         (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
         """
-        q1, q2 = self.drones[..., 1], self.drones[..., 2]
-        aa, ab, bb = (dot(a, b)[:, :, None] for a, b in ((q1, q1), (q1, q2), (q2, q2)))
-        zu, zx = q1[..., 2][:, :, None], q2[..., 2][:, :, None]
-        lu = dot(q1, self.loads)[:, :, None]
-        lx = dot(q2, self.loads)[:, :, None]
-        u, x = u[:, None, :], x[:, None, :]
-        squared = aa * u**2 + 2.0 * ab * u * x + bb * x**2  # |q' u + q'' x|²
-        upward = zu * u + zx * x
-        along = lu * u + lx * x
-        m = self.mass[None, :, None]
-        load2 = dot(self.loads, self.loads)[:, :, None]
-        load_z = self.loads[..., 2][:, :, None]
-        most = self.share * self.max_thrust[None, :, None]
-        slope2 = 1.0 + np.tan(self.share * self.limits.tilt) ** 2
-        factor = self.share * self.limits.acceleration / np.sqrt(np.maximum(squared, 1e-300))
-        factor = np.minimum(factor, _first_root(m * m * squared, m * along, load2 - most * most))
-        factor = np.minimum(
-            factor,
-            _first_root(
-                m * m * (squared - slope2 * upward**2),
-                m * (along - slope2 * upward * load_z),
-                load2 - slope2 * load_z**2,
-            ),
-        )
-        smallest: Array = np.min(factor, axis=1)
-        return smallest
+        many = max(1, CHUNK // self.drones.shape[1])
+        parts = [slice(first, first + many) for first in range(0, len(u), many)]
+        return np.concatenate([self._cast(at, u[at], x[at]) for at in parts])
+
+    def _cast(self, at: slice, u: Array, x: Array) -> Array:
+        """Return ``reach`` at some points, in turn for as many rays of drones as CHUNK allows."""
+        forms, slopes, shut = self._slowness(at)
+        linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
+        slowest, drones = np.zeros(u.shape), forms.shape[2]
+        size = max(1, CHUNK // u.shape[1])  # of drones, then of points with all of their drones
+        points = max(1, size // drones)
+        with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
+            for first in range(0, len(u), points):
+                span, found = slice(first, first + points), slowest[first : first + points]
+                for drone in range(0, drones, size):
+                    some = slice(drone, drone + size)
+                    squared = forms[0, span, some] @ quadratic[span]
+                    np.maximum(found, np.sqrt(np.max(squared, axis=1)), out=found)
+                    for form, slope in zip(forms[1:], slopes, strict=True):
+                        root = form[span, some] @ quadratic[span]
+                        np.sqrt(root, out=root)
+                        root += slope[span, some] @ linear[span]
+                        np.fmax(found, np.fmax.reduce(root, axis=1), out=found)
+        factor: Array = 1.0 / np.maximum(slowest, 1e-150)
+        factor[shut] = 0.0
+        return factor
+
+    def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return by what the inverse of a ray's factor is computed, limit by limit, at some points.
+
+        With ``a ρ² + 2 b ρ + c = 0`` where a limit is reached, and c < 0 as at rest it is kept,
+        ``1 / ρ = -b / c + √((b / c)² - a / c)``, in which nothing cancels.
+
+        Returns
+        -------
+        (3, J, 2n, 3), forms of (u², 2 u x, x²): the inverse's square for the acceleration, what is
+        under the root for thrust and tilt; (2, J, 2n, 2), forms of (u, x): -b / c for these two;
+        (J,), whether rest itself breaks a limit.
+        """
+        q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
+        squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
+        along = np.stack([dot(q1, loads), dot(q2, loads)], axis=-1)
+        upward = np.stack([q1[..., 2], q2[..., 2]], axis=-1)
+        lift, upwards = loads[..., 2, None], _products(upward)
+        forms = [squares / (self.share * self.limits.acceleration) ** 2]
+        slopes, shut = [], np.zeros(len(q1), dtype=np.bool_)
+        for c, slope2 in self._rest(loads):
+            shut |= np.any(c >= 0.0, axis=1)
+            inverse = (self.mass / np.where(c < 0.0, -c, 1.0))[..., None]
+            slopes.append(inverse * (along - slope2 * lift * upward))
+            form = self.mass[:, None] * inverse * (squares - slope2 * upwards)
+            forms.append(form + _products(slopes[-1]))
+        return np.stack(forms), np.stack(slopes), shut
+
+    def _rest(self, loads: Array) -> tuple[tuple[Array, float], tuple[Array, float]]:
+        """Return c (J, 2n) of thrust and tilt, and what squares of heights count for in them.
+
+        Parameters
+        ----------
+        loads: (J, 2n, 3) [N]
+        """
+        squares = dot(loads, loads)
+        slope2 = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
+        most = self.share * self.max_thrust
+        return (squares - most * most, 0.0), (squares - slope2 * loads[..., 2] ** 2, slope2)
 
     def stretch(self) -> float:
         """Return how many times slower a flight must be to keep its limits, the parameter its time.
@@ -109,14 +153,20 @@ class Demands:
         Below 1 where it could be faster, infinite where not even the forces at rest are within the
         limits. Slowed by κ, velocities fall with κ, accelerations with κ² and jerks with κ³.
         """
-        still = np.zeros((len(self.drones), 1))
-        jerk = np.max(length(self.drones[..., 3]))
-        reach = float(np.min(self.reach(still, still + 1.0)))
-        if not reach > 0.0:
-            return math.inf
+        q2 = self.drones[..., 2]
+        squares, along, upward = dot(q2, q2), dot(q2, self.loads), q2[..., 2]
+        slowest = [np.sqrt(squares) / (self.share * self.limits.acceleration)]
+        for c, slope2 in self._rest(self.loads):
+            if np.any(c >= 0.0):
+                return math.inf
+            inverse = self.mass / -c
+            b = inverse * (along - slope2 * self.loads[..., 2] * upward)
+            root = b * b + self.mass * inverse * (squares - slope2 * upward * upward)
+            slowest.append(np.where(root >= 0.0, b + np.sqrt(np.maximum(root, 0.0)), 0.0))
+        by_forces = math.sqrt(max(0.0, *(float(np.max(each)) for each in slowest)))
         by_speed = 1.0 / np.sqrt(np.min(self.speed_bound))
-        by_jerk = np.cbrt(jerk / (self.share * self.limits.jerk))
-        return float(max(by_speed, 1.0 / math.sqrt(reach), by_jerk))
+        by_jerk = np.cbrt(np.max(length(self.drones[..., 3])) / (self.share * self.limits.jerk))
+        return float(max(by_speed, by_forces, by_jerk))
 
     def at_rest(self) -> tuple[Array, Array]:
         """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""
@@ -131,13 +181,6 @@ def loads_at_rest(team: Team, cable_forces: Array) -> Array:
     return loads
 
 
-def _first_root(a: Array, b: Array, c: Array) -> Array:
-    """Return the smallest positive root of ``a ρ² + 2 b ρ + c``, infinity if none, 0 if c ≥ 0."""
-    discriminant = b * b - a * c
-    root = np.sqrt(np.maximum(discriminant, 0.0))
-    # Written so that nothing cancels: with c < 0 the wanted root is -c / (b + root).
-    below = b + root
-    found = np.where(
-        (discriminant >= 0.0) & (below > 0.0), -c / np.where(below > 0.0, below, 1.0), np.inf
-    )
-    return np.where(c >= 0.0, 0.0, found)
+def _products(pair: Array) -> Array:
+    """Return the products (…, 3) of both numbers (…, 2): first², first · second, second²."""
+    return pair[..., [0, 0, 1]] * pair[..., [0, 1, 1]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,6 +46,12 @@ GENTLER = 1.005
 """Stretch for the sake of the body rate above which a flight with less jerk is tried as well."""
 
 
+@lru_cache(maxsize=1)
+def timing_demands(path: Path, limits: Limits) -> Demands:
+    """Return the demands of a path on toppra's grid; those of the last path are stored."""
+    return Demands.along(path, limits, path_grid(GRID))
+
+
 def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     """Return the flight along a path, from rest to rest.
 
@@ -81,7 +88,7 @@ def _timed(path: Path, aimed: Limits, limits: Limits | None = None) -> tuple[Fli
     limits: those to be kept; None for the same ones.
     """
     grid = path_grid(GRID)
-    demands = Demands.along(path, aimed, grid)
+    demands = timing_demands(path, aimed)
     profile = fastest_profile(grid, demands)
     ramp = max(acceleration_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
     finer = 1

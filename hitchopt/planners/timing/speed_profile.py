@@ -8,7 +8,7 @@ its classes take three times as long to set these up as to solve them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,10 +22,6 @@ from hitchopt.values import Array
 
 RAYS = 64
 """Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
-
-CHUNK = 40_000
-"""Number of elements of a temporary array: rays are cast for as many points of the path at a time.
-The dozen arrays fit in a core's cache, which makes it four times as fast."""
 
 TINY = 1e-8
 """ṡ² by which toppra stays below what it has found, so that rounding leaves programs feasible."""
@@ -230,7 +226,7 @@ def allowed_corners(demands: Demands) -> AllowedCorners:
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
     x[:, [0, -1]] = 0.0
-    ends = _cast(demands, u, x)
+    ends = demands.reach(u, x)
     moving = np.where(x > 0.0, x, 1.0)
     ends = np.minimum(ends, np.where(x > 0.0, fastest[:, None] / moving, np.inf))
     return AllowedCorners(np.stack([ends * u, ends * x], axis=-1), steepest, fastest)
@@ -246,15 +242,3 @@ def acceleration_rows(demands: Demands) -> AccelerationRows:
     normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
     bounds = np.sum(normals * corners[:, :-1], axis=-1)
     return AccelerationRows(normals, bounds, allowed.steepest, allowed.fastest)
-
-
-def _cast(demands: Demands, u: Array, x: Array) -> Array:
-    """Return demands.reach in chunks of the path, to bound the memory."""
-    size = max(1, CHUNK // (demands.drones.shape[1] * u.shape[1]))
-    parts = []
-    for first in range(0, len(u), size):
-        span = slice(first, first + size)
-        drones, vertex_speed = demands.drones[span], demands.vertex_speed[span]
-        part = replace(demands, drones=drones, vertex_speed=vertex_speed, loads=demands.loads[span])
-        parts.append(part.reach(u[span], x[span]))
-    return np.concatenate(parts)

@@ -21,7 +21,7 @@ SPANS = 8
 ENCLOSING = 8
 """Number of coefficients on a span: those of the drones' septic pieces."""
 
-CHUNK = 60_000
+CHUNK = 20_000
 """Number of coefficients of drones that are processed in one go."""
 
 
@@ -48,10 +48,14 @@ def needed_stretch(
     factors = []
     for first in range(0, len(h), size):  # a thousand robots fill the memory
         span = slice(first, first + size)
-        x, p, pull = (_sampled(part, span, inner) for part in (drones, vertices, pulls))
+        x, p, pull = (
+            _combined(part.coefficients[span], bernstein.basis(inner, part.degree))
+            for part in (drones, vertices, pulls)
+        )
         forces = cable_forces(team, x, p, pull, np.ones(team.robots))
+        rates = [_rates(drones, span, order) for order in (1, 2, 3)]
         demands = Demands(
-            np.stack([_rates(drones, span, order) for order in range(4)], axis=-1),
+            np.moveaxis(np.stack([x, *rates]), 0, -1),
             np.max(length(_rates(vertices, span, 1)), axis=1),
             loads_at_rest(team, forces),
             team.mass,
@@ -64,12 +68,6 @@ def needed_stretch(
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), max(factors))
 
 
-def _sampled(part: PiecewisePolynomial, pieces: slice, inner: Array) -> Array:
-    """Return values (pieces · J, *shape) at the places ``inner`` (J,) of each of the pieces."""
-    values = part.coefficients[pieces] @ bernstein.basis(inner, part.degree).T
-    return np.moveaxis(values, -1, 1).reshape(-1, *part.shape)
-
-
 def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
     """Return the coefficients (pieces · SPANS · ENCLOSING, items, 3) of a derivative by time.
 
@@ -78,9 +76,13 @@ def _rates(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
     c, h = part.coefficients[pieces], part.durations[pieces]
     for _ in range(order):
         c = bernstein.differentiate(c)
-    c = c / h[:, None, None, None] ** order
-    rates = c @ _spans(bernstein.degree(c)).T
-    return np.moveaxis(rates, -1, 1).reshape(-1, *rates.shape[1:-1])
+    return _combined(c / h[:, None, None, None] ** order, _spans(bernstein.degree(c)))
+
+
+def _combined(c: Array, rows: Array) -> Array:
+    """Return combinations (pieces · J, *shape) of coefficients (pieces, *shape, m), rows (J, m)."""
+    flat = c.reshape(len(c), -1, c.shape[-1])
+    return (rows @ np.swapaxes(flat, 1, 2)).reshape(-1, *c.shape[1:-1])
 
 
 @lru_cache
