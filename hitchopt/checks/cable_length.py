@@ -18,6 +18,7 @@ from hitchopt.checks.bounds.wrapped_arcs import arc_at, arc_enclosure, wrapped_a
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
+from hitchopt.motion.carried import saved_lengths
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import lowered, tautness
@@ -39,7 +40,8 @@ def _used_up(motion: Motion, _: float) -> Finding:
     The largest of ``|leg + edge + leg - L| / L`` and of how far the plan's own ``d_k`` and ``e_k``
     are from the distances that they stand for, over L as well. Where cables have weight, legs and
     edges are longer than their chords s by ``(ρ g / T)² s³ cos²α / 24``, α their slope; ρ counts to
-    the share that the cable is taut.
+    the share that the cable is taut. Where a rim is on the legs, their cables run level up to its
+    edge, and are shorter than straight legs by ``saved_lengths``.
     """
     length = motion.team.cable_length
     blocks = [motion.legs.coefficients / length[:, None, None]]
@@ -70,31 +72,42 @@ def _largest(motion: Motion, stored: list[Array]) -> Finding:
     else:
         parts += bent_edges(motion)
         blocks = [wrapped_arcs(motion) / length[:, None, None]]
+    wrapped, saved = len(blocks), saved_lengths(motion)
+    if saved is not None:
+        blocks.append(saved[:, :, None] / length[:, None, None])
     rows = concatenated(parts, axis=2) / length[:, None, None]
     margin = 4.0 * position_margin(motion) / length  # of three lengths, and of their sum
-    bound = partial(_bound, wrapped=len(blocks))
+    bound = partial(_bound, wrapped=wrapped, saved=len(blocks) - wrapped)
     cells = Cells.over(motion.drones.breaks, [rows, *blocks, *stored], margin)
-    found = largest(cells, bound, KnownBound("lengths", 2 if motion.contacts is None else 0))
+    found = largest(cells, bound, KnownBound("lengths", 0 if blocks else 2))
     return Finding(found.worst, found.time, (f"cable {found.item}",))
 
 
-def _bound(blocks: tuple[Array, ...], wrapped: int = 0) -> Estimate:
+def _bound(blocks: tuple[Array, ...], wrapped: int = 0, saved: int = 0) -> Estimate:
     """Bound by how much lengths sum to more than 1; with stored legs, errors of any sign.
 
     Parameters
     ----------
     blocks: both legs and the edge (cells, 9, degree + 1), or both of its straight parts (cells, 12,
-        …); then what ``wrapped_arcs`` returns, as often as ``wrapped`` says; stored legs; sags.
+        …); then what ``wrapped_arcs`` and ``saved_lengths`` return, as often as ``wrapped`` and
+        ``saved`` say; stored legs; sags.
     """
     vectors = blocks[0].reshape(len(blocks[0]), -1, 3, blocks[0].shape[-1])
-    bends, stored, sags = blocks[1 : 1 + wrapped], blocks[1 + wrapped :][:1], blocks[2 + wrapped :]
+    further = 1 + wrapped + saved
+    bends, less, stored = (
+        blocks[1 : 1 + wrapped],
+        blocks[1 + wrapped : further],
+        blocks[further:][:1],
+    )
+    sags = blocks[further + 1 :]
     lengths = enclosure.norm(vectors)
     arcs = [_arcs(vectors, lengths, sag) for sag in sags]
     arcs += [arc_enclosure(bend) for bend in bends]
-    order = max(bernstein.degree(part) for part in (lengths.coefficients, *stored))
+    order = max(bernstein.degree(part) for part in (lengths.coefficients, *less, *stored))
     order = max(order, *(bernstein.degree(arc.coefficients) for arc in arcs), 0)
     parts = bernstein.elevate(lengths.coefficients, order)
     longer = [bernstein.elevate(arc.coefficients, order)[:, None] for arc in arcs]
+    longer += [-bernstein.elevate(each, order) for each in less]
     reach = _errors(parts, tuple(bernstein.elevate(legs, order) for legs in stored), longer)
     reach[:, 0] += np.sum(lengths.radius, axis=1)[:, None]
     for arc in arcs:
@@ -105,6 +118,7 @@ def _bound(blocks: tuple[Array, ...], wrapped: int = 0) -> Estimate:
     there = length(spans)
     given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
     longer = [arc_at(bend, x)[:, None, None] for bend in bends]
+    longer += [-bernstein.evaluate(each, x[:, None])[..., None] for each in less]
     for sag in sags:
         factor = _ratios_at(sag, x) ** 2
         level = _whole_spans(spans[..., None])[..., 0]

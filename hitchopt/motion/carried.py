@@ -14,7 +14,8 @@ sqrt(1 - (v / T)²)`` of what edges pull with. Of one share for all edges no for
 no moment: it is that of the mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges.
 
 Vertices are where straight legs would meet. The rim lies on legs at its edge, so vertices are below
-it, and their drones lower, by the mean leg's slope times its distance from there to the edge.
+it, and their drones lower, by the mean leg's slope times its distance from there to the edge. Over
+that distance cables run level, and are shorter than straight legs.
 """
 
 from __future__ import annotations
@@ -111,15 +112,63 @@ def rim_drop(
     tensions: (…, n) [N]
     borne: share of the weight that is on the legs (…).
     """
+    onward, back = _to_rim(body, places)
+    rise = np.tan(_mean_rise(team, body, places, tensions, borne))
+    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * rise
+    return drop
+
+
+def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -> Array:
+    """Return by how much straight legs are longer than those that a rim bends (…, n, 2) [m].
+
+    Cables run level up to the edge of a rim whose whole weight is on the legs, and only then rise.
+    Parameters are those of ``rim_drop``; legs are those of a cable, q and r.
+    """
+    onward, back = _to_rim(body, places)
+    longer = 1.0 / np.cos(_mean_rise(team, body, places, tensions)) - 1.0
+    level = np.stack([np.roll(onward, 1, axis=-1), np.roll(back, -1, axis=-1)], axis=-1)
+    savings: Array = level * longer[..., None, None]
+    return savings
+
+
+def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array]:
+    """Return how far edges run on to the rim's edge beyond their ends and starts (…, n) [m]."""
     assert body.rim is not None
     edges = np.roll(places, -1, axis=-2) - places
-    lengths = np.linalg.norm(edges, axis=-1)
-    along = edges / lengths[..., None]
-    onward = body.rim.section.reach(np.roll(places, -1, axis=-2), along)
-    back = body.rim.section.reach(places, -along)
+    along = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    reach = body.rim.section.reach
+    return reach(np.roll(places, -1, axis=-2), along), reach(places, -along)
+
+
+def _mean_rise(
+    team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
+) -> Array:
+    """Return the angle (…) [rad] at which the mean leg rises, as of ``rim_drop``."""
+    lengths = np.linalg.norm(np.roll(places, -1, axis=-2) - places, axis=-1)
     slope = borne * leg_slope(team, body.mass, lengths, tensions)
-    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(np.arcsin(np.minimum(slope, 1.0)))
-    return drop
+    rise: Array = np.arcsin(np.minimum(slope, 1.0))
+    return rise
+
+
+def saved_lengths(motion: Motion) -> Array | None:
+    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
+
+    It grows with the square of the share that is borne, as ``strut_shares`` does.
+    """
+    total: Array | None = None
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        on = _resting(motion, name)
+        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        if body.rim is None or not motion.team.layout.closed or not np.any(borne):
+            continue
+        poses = motion.object_poses.coefficients[on, index, :, 0]
+        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
+        most = np.zeros((len(on), motion.team.robots))
+        pulls = motion.tensions.coefficients[on, ..., 0]
+        most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
+        saved = most[..., None] * bernstein.multiply(borne, borne)[:, None]
+        total = saved if total is None else total + saved
+    return total
 
 
 def strut_shares(motion: Motion) -> Array | None:

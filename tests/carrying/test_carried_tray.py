@@ -134,6 +134,35 @@ def test_the_rim_lies_on_straight_legs(motion: Motion) -> None:
     assert np.max(start[..., 2]) < 0.25 - 0.01
 
 
+def test_cables_that_run_level_below_the_rim_are_as_long_as_they_are(motion: Motion) -> None:
+    """Legs run level from the clasp to the rim's edge and rise there; straight ones are longer."""
+    t, layout = lifted(motion), motion.team.layout
+    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
+    t = t[pushed < 0.01]
+    poses = motion.object_poses.at(t)[:, None, 0]
+    clasps = in_frame(poses, motion.vertices.at(t))
+    clasps[..., 2] = 0.25
+    start, end = clasps[:, layout.anchors], in_frame(poses, motion.drones.at(t))
+    along = (end - start)[..., :2]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    inward = np.sum(start[..., :2] * along, axis=-1)
+    level = np.sqrt(inward**2 - np.sum(start[..., :2] ** 2, axis=-1) + 0.3**2) - inward
+    bend = start.copy()
+    bend[..., :2] += level[..., None] * along
+    legs = level + np.linalg.norm(end - bend, axis=-1)
+    edges = np.linalg.norm(layout.edges(clasps), axis=-1)
+    lengths = legs[:, 0::2] + edges + legs[:, 1::2]
+    np.testing.assert_allclose(lengths, 2.2, atol=1e-3)
+
+
+def test_straight_legs_of_a_bent_cable_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = "hitchopt.planners.carrying.held_motion.rim_savings"
+    monkeypatch.setattr(place, lambda *_: np.zeros(()))
+    with pytest.raises(ho.InfeasibleError) as refusal:
+        ho.solve(ho.problem_from_dict(tray()))
+    assert {each.constraint for each in refusal.value.violations} == {"cable_length"}
+
+
 def test_vertices_at_the_rim_itself_do_not_bear(monkeypatch: pytest.MonkeyPatch) -> None:
     place = "hitchopt.planners.carrying.held_motion.rim_drop"
     monkeypatch.setattr(place, lambda *_: np.zeros(()))

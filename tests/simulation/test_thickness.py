@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scripted import regular_hitch, standing, unformed
 
+import hitchopt as ho
 from hitchopt.simulation.error_measures import effective_lengths
+from hitchopt.simulation.flight_task import read_task
 from hitchopt.simulation.rope_thickness import COARSENESS, bend_lengths, thickness_allowance
 from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import Settings
@@ -46,3 +51,32 @@ def test_no_hitch_no_additional_length() -> None:
     task = unformed(standing(regular_hitch(3), 0.1))
     np.testing.assert_array_equal(thickness_allowance(task, DIAMETER, 0.03), np.zeros(3))
     np.testing.assert_array_equal(bend_lengths(task, DIAMETER, 0.03), np.zeros(3))
+
+
+def test_what_grips_bends_around_its_object_and_farther_at_clasps(tmp_path: Path) -> None:
+    """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
+    polygon = 0.56 * np.array([[1.0, 0.0], [-0.5, -np.sqrt(0.75)], [-0.5, np.sqrt(0.75)]])
+    steps = ({"enclose": {"object": "drum"}}, {"grasp": {"object": "drum", "by": "grip"}})
+    problem = {
+        "team": {"robots": 3, "cable_length": 1.6, "tension": 1.3, "cable_friction": 0.15},
+        "limits": {"tilt_deg": 60},
+        "objects": {"drum": {"circle": 0.2, "mass": 0.1, "friction": 0.5, "at": [0.0, 0.0, 0.0]}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 0.8}},
+        "mission": [*steps, {"lift": {"by": 0.1}}],
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    task, motion = read_task(plan.save(tmp_path / "plan")), plan.motion
+    assert motion.contacts is not None
+    layout, t = motion.team.layout, motion.duration
+    vertices, drones = motion.vertices.at(t), motion.drones.at(t)
+    first, last = np.moveaxis(motion.contacts.at(t), 1, 0)
+    path = np.diff(np.stack([drones[0::2], vertices[layout.starts], first], axis=1), axis=1)
+    path /= np.linalg.norm(path, axis=-1, keepdims=True)
+    turn = np.arccos(np.sum(path[:, 0] * path[:, 1], axis=-1))  # from leg to edge
+    away = 0.5 * (first + last)[:, :2] - motion.object_poses.at(t)[0, :2]
+    wrapped = 2.0 * np.arccos(np.linalg.norm(away, axis=1) / 0.2)
+    found = thickness_allowance(task, DIAMETER, 0.0)
+    wanted = 2.0 * DIAMETER * (turn - np.sin(0.5 * turn)) + 0.5 * DIAMETER * wrapped
+    np.testing.assert_allclose(found, wanted, atol=1e-3)
+    straight = thickness_allowance(replace(task, motion=None), DIAMETER, 0.0)
+    assert np.all(found > straight + 0.015)

@@ -20,7 +20,7 @@ from hitchopt.hitch.cable_spans import (
     sag_factors,
 )
 from hitchopt.hitch.statics import leg_directions
-from hitchopt.motion.carried import Supports, rim_drop, strut_share
+from hitchopt.motion.carried import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.phases import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
@@ -73,7 +73,11 @@ class HeldHitch:
         return float(np.min(np.sum(inward * away, axis=-1)))
 
     def drones(
-        self, tension: Array, forces: Array, taken: Array | None = None
+        self,
+        tension: Array,
+        forces: Array,
+        taken: Array | None = None,
+        saved: Array | float = 0.0,
     ) -> tuple[Array, Array]:
         """Return drones (…, 2n, 3) [m] in the object's frame, and legs' chords (…, n, 2) [m].
 
@@ -82,6 +86,7 @@ class HeldHitch:
         tension: (…, n) [N]
         forces: (…, n, 3) [N], of the object on clasps, in its frame.
         taken: (…), share of edges' pulls that the rim takes; None where loads hang at clasps.
+        saved: (…, n, 2) [m], by how much straight legs are longer than those that the rim bends.
 
         Raises
         ------
@@ -102,7 +107,8 @@ class HeldHitch:
             left, pulls = (1.0 - taken[..., None]) * legs, np.stack([legs, legs], axis=-1)
         q, r = leg_directions(along, left, team.topology, loads, None, pulls)
         factors = sag_factors(team, tension)
-        d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
+        lengths = np.stack([q_legs, slack - q_legs], axis=-1) + saved
+        d, e = (leg_vectors(lengths[..., i], (q, r)[i], factors) for i in (0, 1))
         both = np.stack([d, e], axis=-2)
         anchors = self.places[team.layout.anchors].reshape(*both.shape[-3:])
         chords = np.linalg.norm(both, axis=-1)
@@ -151,7 +157,10 @@ class HeldHitch:
             forces[..., 2] = -course.borne[..., None] * weight
         edges = np.linalg.norm(np.roll(self.places, -1, axis=0) - self.places, axis=-1)
         strut = strut_share(self.team, self.body.mass, edges, course.tension)
-        drones, legs = self.drones(course.tension, forces, course.borne**2 * strut)
+        saved = rim_savings(self.team, self.body, self.places[:, :2], course.tension)
+        squared = course.borne**2
+        saved = squared[..., None, None] * saved
+        drones, legs = self.drones(course.tension, forces, squared * strut, saved)
         below = course.between(*move.below) + self.drop(course.tension, course.borne)
         lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
         places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))
