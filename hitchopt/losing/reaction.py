@@ -5,9 +5,9 @@ certificate allows, and the team sinks as a whole, as fast as the limits leave r
 on the ground; drones above others go aside and land by themselves. All survivors of a hitch let
 tension go in a moment; where a hitch can hold the lost drone and it hangs still once it has swung
 down, they come to pull as its weight needs, until it lies on the ground. They do so at once where
-its partner's leg is short, which its fall would draw to its clasp, or where its own is and its fall
-would end on the cable, not on the ground. Where cables hang free the lost drone has to reach the
-ground before its cable is taut, since no drone carries two.
+its leg or its partner's is short and its fall would end on the cable, not on the ground: on what
+has run by then it falls far, and draws its partner to its clasp. Where cables hang free the lost
+drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SWING = 0.8
 
 CAUGHT, AT_ONCE = (1.0, 2.0), (DELAY, 2.0 * DELAY)
 """[s] Times after the loss between which survivors come to pull as a hanging drone needs; AT_ONCE
-where its leg or its partner's is short."""
+where a leg is short and the ground is far."""
 
 OVERSHOOT = 2.0
 """Distance over which a weight that falls draws a partner, over that at rest."""
@@ -157,9 +157,9 @@ class Reactions:
         lands = float(t[there[0]]) if len(there) else course.sinking.duration
         held, pair, farther = None, [lost, lost ^ 1], OVERSHOOT * _gives(team, lost)
         legs = states.positions[pair] - states.vertices[team.layout.pulled_to[pair]]
-        own, partners = np.linalg.norm(legs, axis=-1).tolist()
-        deep = start[2] - floor > own + partners + farther  # else it falls to the ground
-        short = partners < farther or (own < farther and deep)
+        lengths = np.linalg.norm(legs, axis=-1)
+        deep = start[2] - floor > np.sum(lengths) + farther  # else it falls to the ground
+        short = deep and np.min(lengths) < farther
         if not rest.lies and lands > course.time + CAUGHT[0]:
             begins, full = AT_ONCE if short else CAUGHT
             held = Held(rest.pulls, course.time + begins, course.time + full, lands)

@@ -211,7 +211,7 @@ def short_legs(altitude: float) -> ho.Plan:
 def test_survivors_pull_at_once_where_a_leg_is_short(
     drone: str, altitude: float, waits: float, tmp_path: Path
 ) -> None:
-    """On a short leg of its own, a lost drone may fall if it reaches the ground."""
+    """A lost drone may fall if it reaches the ground before its cable has run."""
     plan = short_legs(altitude)
     found = Reactions(plan.motion).found(drone, TIME)
     held = found.held
