@@ -20,7 +20,7 @@ MOST = 64
 def clearly_too_close(goal: Hitch, separation: Separation) -> bool:
     """Return whether a certificate of any path to a goal finds a drone too close to something.
 
-    Other drones and foreign cables are looked at, where the path ends. No says nothing: crossing
+    Other drones, foreign cables and its own edge are looked at, where the path ends. No says nothing: crossing
     cables, and teams of many robots, are not looked at.
     """
     team = goal.team
@@ -35,6 +35,7 @@ def clearly_too_close(goal: Hitch, separation: Separation) -> bool:
         return True
     first, last = np.concatenate([drones, ends[::2]]), np.concatenate([ends, ends[1::2]])
     offsets = shortest_offset(np.stack([drones[:, None] - first, drones[:, None] - last], axis=-2))
-    foreign = cable[:, None] != np.append(cable, np.arange(team.robots))
-    near = np.min(dot(offsets, offsets), initial=np.inf, where=foreign)
+    counted = cable[:, None] != np.append(cable, np.arange(team.robots))
+    counted[:, team.drones :] |= team.layout.has_leg.reshape(-1, 1)  # its own edge as well
+    near = np.min(dot(offsets, offsets), initial=np.inf, where=counted)
     return bool(near < ((1.0 - CLEARLY) * separation.cable) ** 2)
