@@ -20,8 +20,8 @@ MOST = 64
 def clearly_too_close(goal: Hitch, separation: Separation) -> bool:
     """Return whether a certificate of any path to a goal finds a drone too close to something.
 
-    Other drones, foreign cables and its own edge are looked at, where the path ends. No says nothing: crossing
-    cables, and teams of many robots, are not looked at.
+    Other drones, foreign cables and its own edge are looked at, where the path ends. No says
+    nothing: crossing cables, and teams of many robots, are not looked at.
     """
     team = goal.team
     if team.robots > MOST:
