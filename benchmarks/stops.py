@@ -17,14 +17,22 @@ from pathlib import Path
 import numpy as np
 
 import hitchopt as ho
+from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
 from hitchopt.stopping.abort import WAYS, Aborts
+from hitchopt.stopping.clock_changes import STEADY
 from hitchopt.stopping.player import Player
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.values import Array
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 USUAL = ("triangle", "move_edge", "hexagon", "tie_carry_untie", "swarms/head_on")
 RATE, ABORT_RATE = 1e3, 1e4
+"""[Hz]"""
+
+BLOCK = 50
+"""Number of stops that are sampled in one go."""
 
 
 def over(values: Array, limit: float) -> float:
@@ -32,14 +40,54 @@ def over(values: Array, limit: float) -> float:
     return float(np.max(np.linalg.norm(values, axis=-1))) / limit
 
 
-def stop(player: Player, limits: ho.Limits) -> tuple[float, float]:
-    """Return the largest acceleration or jerk over its limit in a stop, and its duration [s]."""
-    seconds, worst = player.pause(), 0.0
-    for _ in range(int(seconds * RATE) + 2):
-        here = player.step(1.0 / RATE)
-        ratios = over(here.accelerations, limits.acceleration), over(here.jerks, limits.jerk)
-        worst = max(worst, *ratios)
-    return worst if player.resting else np.inf, seconds
+def sampled(clock: ClockPhases) -> Array:
+    """Return plan times and their derivatives (samples, 4) at RATE, and at the clock's end."""
+    ends = np.cumsum(clock.duration)
+    t = np.append(np.arange(0.0, ends[-1], 1.0 / RATE), ends[-1])
+    phase = np.minimum(np.searchsorted(ends, t, side="right"), len(ends) - 1)
+    return advanced(clock.jets[phase], t - (ends - clock.duration)[phase])
+
+
+def derivatives(drones: PiecewisePolynomial, times: Array) -> list[Array]:
+    """Return the first three derivatives (samples, drones, 3) at plan times, piece by piece."""
+    piece = np.clip(np.searchsorted(drones.breaks, times, side="right") - 1, 0, drones.pieces - 1)
+    x = np.clip((times - drones.breaks[piece]) / drones.durations[piece], 0.0, 1.0)
+    found = [np.empty((len(times), *drones.shape)) for _ in range(3)]
+    for each in np.unique(piece).tolist():
+        here = piece == each
+        for order, values in enumerate(found, 1):
+            c = drones.differentiated(order).coefficients[each]
+            weights = bernstein.basis(x[here], c.shape[-1] - 1)
+            values[here] = (weights @ c.reshape(-1, c.shape[-1]).T).reshape(-1, *drones.shape)
+    return found
+
+
+def broken(plan: ho.Plan, jets: Array) -> float:
+    """Return the largest acceleration or jerk over its limit on a clock with jets (samples, 4)."""
+    limits = plan.motion.requirements.limits
+    first, second, third = derivatives(plan.motion.drones, jets[:, 0])
+    s, a, j = jets[:, 1:, None, None].transpose(1, 0, 2, 3)
+    return max(
+        over(s**2 * second + a * first, limits.acceleration),
+        over(s**3 * third + 3.0 * s * a * second + j * first, limits.jerk),
+    )
+
+
+def stopped(plan: ho.Plan, moments: Array, table: StopTable) -> tuple[float, float]:
+    """Return the largest value over its limit in stops at plan times, and the longest stop [s]."""
+    worst = longest = 0.0
+    for block in np.array_split(moments, -(-len(moments) // BLOCK)):
+        clocks = []
+        for moment in block.tolist():
+            player = Player(plan, moment, stops=table)
+            longest = max(longest, player.pause())
+            if len(player.ahead):
+                clocks.append(sampled(player.ahead))
+                if abs(clocks[-1][-1, 1]) > STEADY and clocks[-1][-1, 0] < plan.duration - STEADY:
+                    return np.inf, longest
+        if clocks:
+            worst = max(worst, broken(plan, np.concatenate(clocks)))
+    return worst, longest
 
 
 def flown(plan: ho.Plan, begin: float) -> float:
@@ -67,13 +115,9 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     """Return a row of the table."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
     rng = np.random.default_rng(1)
-    limits = plan.motion.requirements.limits
     common = Aborts(plan.motion)
-    table, found = common.stops, []
-    for moment in rng.uniform(0.0, plan.duration, stops):
-        player = Player(plan, float(moment), stops=table)
-        found.append(stop(player, limits))
-    worst, longest = np.max(found, axis=0)
+    moments = rng.uniform(0.0, plan.duration, stops)
+    worst, longest = stopped(plan, moments, common.player.stops)
     ended, tried, largest = 0, 0, 0.0
     held = 0
     for moment in rng.uniform(0.0, plan.duration, aborts):

@@ -216,3 +216,32 @@ def largest_shares(
     speed = max(np.sqrt(most[1]) / limits[0], np.sqrt(most[0]) / limits[3])
     others = max(np.sqrt(most[2]) / limits[1], most[4], most[5])
     return float(max(speed, np.sqrt(others), np.cbrt(np.sqrt(most[3]) / limits[2])))
+
+
+@kernel
+def brake_shares(
+    start: Array,
+    goal: Array,
+    places: Array,
+    brakes: Array,
+    stencil: Indices,
+    has_leg: NDArray[np.bool_],
+    team: Array,
+    limits: Array,
+    thrust_limits: Array,
+) -> Array:
+    """Return (brakes,) ``largest_shares`` of paths that come to rest wherever that is.
+
+    Parameters
+    ----------
+    places: of the samples, relative to a brake's duration.
+    brakes: durations [s].
+    """
+    found = np.empty(len(brakes))
+    for i in range(len(brakes)):
+        timing = np.array([brakes[i], np.inf, 0.0])
+        vertices, drones, _, thrusts = path_jets(
+            start, goal, brakes[i] * places, timing, stencil, has_leg, team
+        )
+        found[i] = largest_shares(vertices, drones, thrusts, limits, thrust_limits)
+    return found

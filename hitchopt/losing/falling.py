@@ -1,9 +1,8 @@
 """Where a lost drone falls and hangs, and what the survivors carry then.
 
 Cables run over clasps without friction: where the team comes to rest with the lost drone as a dead
-weight on its cable is the minimum of a convex energy (``hitchopt.settling``). The swing down to it
-is taken to be arcs about the lost drone's clasp. Neither is a bound for all of time: they are
-computed at samples.
+weight on its cable is the minimum of a convex energy (``hitchopt.settling``). That and the fall are
+no bounds for all of time: they are computed at samples.
 """
 
 from __future__ import annotations
@@ -38,12 +37,6 @@ BALANCED = 1e-3
 
 BELOW = 0.8
 """[m] Height below its clasp at which the search for a hanging drone begins."""
-
-ARCS = np.radians(np.arange(0.0, 151.0, 5.0))
-"""Angles [rad] by which a lost drone swings down about its clasp and beyond."""
-
-REACHES = 5
-"""Number of radii at each of them."""
 
 STEP = 0.02
 """[s] Time between samples of a free fall."""
@@ -128,30 +121,6 @@ def _rest(motion: Motion, states: States, lost: int, stiffer: float) -> Rest | N
     share = float(np.max(thrusts / team.max_thrust))
     lies = bool(here[lost, 2] <= motion.requirements.floor)
     return Rest(here, vertices, share, pulls, lies, stiffer)
-
-
-def swings(clasp: Array, start: Array, longest: float, floor: float) -> Array:
-    """Return places (samples, 3) [m] of a drone that swings down about its clasp.
-
-    They lie between its arc, if its cable does not run, and its free fall, if it runs freely.
-
-    Parameters
-    ----------
-    clasp, start: (3,) [m], of the clasp and of the drone when it is lost.
-    longest: its distance from the clasp when it hangs [m].
-    floor: height of the ground [m].
-    """
-    leg = start - clasp
-    size = float(np.linalg.norm(leg))
-    out = leg / max(size, 1e-9)
-    down = np.array([0.0, 0.0, -1.0])
-    cosines = np.maximum(np.cos(ARCS), 1e-9)
-    most = np.minimum(max(size, longest), size / cosines)
-    radii = size + np.linspace(0.0, 1.0, REACHES)[:, None, None] * (most - size)[:, None]
-    arcs = np.cos(ARCS)[:, None] * out + np.sin(ARCS)[:, None] * down
-    places: Array = (clasp + radii * arcs).reshape(-1, 3)
-    places[:, 2] = np.maximum(places[:, 2], floor)
-    return places
 
 
 def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Array]:

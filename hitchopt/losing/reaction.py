@@ -5,7 +5,8 @@ certificate allows, and the team sinks as a whole, as fast as the limits leave r
 on the ground; drones above others go aside and land by themselves. All survivors of a hitch let
 tension go in a moment; where a hitch can hold the lost drone and it hangs still once it has swung
 down, they come to pull as its weight needs, until it lies on the ground. They do so at once where
-its partner's leg is short, which its fall would draw to its clasp. Where cables hang free the lost
+its leg or its partner's is short and its fall would end on the cable, not on the ground: on what
+has run by then it falls far, and draws its partner to its clasp. Where cables hang free the lost
 drone has to reach the ground before its cable is taut, since no drone carries two.
 """
 
@@ -21,9 +22,10 @@ from hitchopt.checks.certificate import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.losing.falling import GAIN, free_fall, resting_place, swings
+from hitchopt.losing.falling import GAIN, free_fall, resting_place
 from hitchopt.losing.reaction_records import Course, Held, Reaction
 from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
+from hitchopt.losing.swinging import LEAST_LEG, swings
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import States, states_at
@@ -33,9 +35,6 @@ from hitchopt.values import Array, not_negative
 DELAY = 0.05
 """[s] Time from the loss until the survivors react."""
 
-LEAST_LEG = 0.05
-"""[m] Length of a partner's leg that remains when it gives way."""
-
 HOLD = 0.1
 """[s] Rest of drones whose cables hang free before they land."""
 
@@ -44,7 +43,7 @@ SWING = 0.8
 
 CAUGHT, AT_ONCE = (1.0, 2.0), (DELAY, 2.0 * DELAY)
 """[s] Times after the loss between which survivors come to pull as a hanging drone needs; AT_ONCE
-where its partner would be drawn to its clasp."""
+where a leg is short and the ground is far."""
 
 OVERSHOOT = 2.0
 """Distance over which a weight that falls draws a partner, over that at rest."""
@@ -145,7 +144,7 @@ class Reactions:
         others, point = np.arange(team.drones) != lost, team.layout.pulled_to[lost]
         start, end = states.positions[lost], rest.positions[lost]
         longest = float(np.linalg.norm(end - rest.vertices[point]))
-        arcs = swings(states.vertices[point], start, longest, floor)
+        arcs = swings(team, states, lost, longest, floor)
         nearest = min(
             _ratio(motion, states.positions[others], arcs),
             _ratio(motion, rest.positions[others], end[None]),
@@ -156,9 +155,11 @@ class Reactions:
         sunk_by = start[2] - course.sinking.drones.at(t)[:, lost, 2]
         there = np.flatnonzero(sunk_by >= end[2] - floor)
         lands = float(t[there[0]]) if len(there) else course.sinking.duration
-        held, partner = None, lost ^ 1
-        leg = states.positions[partner] - states.vertices[team.layout.pulled_to[partner]]
-        short = float(np.linalg.norm(leg)) < OVERSHOOT * _gives(team, lost)
+        held, pair, farther = None, [lost, lost ^ 1], OVERSHOOT * _gives(team, lost)
+        legs = states.positions[pair] - states.vertices[team.layout.pulled_to[pair]]
+        lengths = np.linalg.norm(legs, axis=-1)
+        deep = start[2] - floor > np.sum(lengths) + farther  # else it falls to the ground
+        short = deep and np.min(lengths) < farther
         if not rest.lies and lands > course.time + CAUGHT[0]:
             begins, full = AT_ONCE if short else CAUGHT
             held = Held(rest.pulls, course.time + begins, course.time + full, lands)
@@ -185,7 +186,7 @@ class Reactions:
         moved = states.positions.copy()
         moved[partner] -= gives * legs[partner] / lengths[partner]
         others = np.arange(team.drones) != lost
-        arcs = swings(clasps[lost], states.positions[lost], float(lengths[lost]) + gives, floor)
+        arcs = swings(team, states, lost, float(lengths[lost]) + gives, floor)
         nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
         _check_apart(course, nearest)
         thrust = largest_static_thrust(motion)

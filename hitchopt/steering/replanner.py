@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +23,17 @@ from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.steering.retarget import DISTANCES, IN_FLIGHT, SLOWER, Retarget, certified_retarget
+from hitchopt.steering.goal_distances import clearly_too_close
+from hitchopt.steering.retarget import (
+    DISTANCES,
+    IN_FLIGHT,
+    NotNowError,
+    Retarget,
+    braked_retarget,
+    certified_retarget,
+)
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes, shortest_shift
+from hitchopt.steering.retarget_timing import shortest_shift
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -36,9 +43,6 @@ WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
 
 HOLD = 1.0
 """[s] Rest with which steering begins."""
-
-BRAKES = 3
-"""Brakes that are tried, from the shortest on, where limits of motion are broken."""
 
 SAME_STATE = 1e-6
 """[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
@@ -112,7 +116,7 @@ class Replanner(OneLine):
 
     def _load(self) -> None:
         """Load compiled code, or compile it, before the first goal is given."""
-        with suppress(_NotNowError):
+        with suppress(NotNowError):
             state = self._state(self.motion)
             path = RetargetPath.to(self.motion.team, state, self._goal, 0.0)
             shortest_shift(path, self.requirements.planned.limits, 1.0)
@@ -168,7 +172,7 @@ class Replanner(OneLine):
                 found = self._planned(outline, altitude, turned, at + wait)
             except InfeasibleError as error:
                 return self._kept(at, str(error))
-            except _NotNowError as late:
+            except NotNowError as late:
                 refusal = refusal or str(late)
                 continue
             answer, self._goal = found
@@ -218,30 +222,32 @@ class Replanner(OneLine):
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
         refused: tuple[RetargetPath, float] | None = None
-        before: Hitch | None = None
+        given: Hitch | None = None
+        hopeless = False
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, fractions, chosen=chosen)
             except InfeasibleError as error:
                 refusal = refusal or error
                 continue
-            if before is not None and np.allclose(end.q_legs, before.q_legs, 0.0, SAME_STATE):
+            if given is not None and np.allclose(end.q_legs, given.q_legs, 0.0, SAME_STATE):
                 break  # the goal keeps all limits at rest: the path to it does not
-            before = end
+            if not chosen:
+                given, hopeless = end, clearly_too_close(end, need.separation)
+                if hopeless:
+                    continue
             path = RetargetPath.to(team, state, end, yaw)
-            tried = False
-            for brake in islice(brakes(path, need.planned.limits), BRAKES):
-                tried = True
-                found = certified_retarget(past, path, brake, need, complete=False)
-                if isinstance(found, Retarget):
-                    return found, end
-                if refusal is None:
-                    refusal, refused = found, (path, brake)
-                broken = {each.constraint for each in found.violations}
-                if not broken <= SLOWER.keys():
-                    break
-            if not tried:
-                raise _NotNowError(f"from t = {at:.4g} s: no brake keeps all limits")
+            found, brake = braked_retarget(past, path, need)
+            if isinstance(found, Retarget):
+                return found, end
+            if refusal is None:
+                refusal, refused = found, (path, brake)
+        if given is not None and hopeless:  # planned only to say what keeps it
+            path = RetargetPath.to(team, state, given, yaw)
+            found, brake = braked_retarget(past, path, need)
+            if isinstance(found, Retarget):
+                return found, given
+            refusal, refused = found, (path, brake)
         assert refusal is not None
         if refused and all(each.constraint in DISTANCES for each in refusal.violations):
             found = certified_retarget(past, *refused, need)  # all that is to be said of it
@@ -275,19 +281,15 @@ class Replanner(OneLine):
 
         Raises
         ------
-        _NotNowError: no hitch there with the team's tensions.
+        NotNowError: no hitch there with the team's tensions.
         """
         state = MovingState.of(past, past.duration)
         when = f"at t = {past.duration:.4g} s"
         if not past.phases[-1].formed:
-            raise _NotNowError(f"{when} there is no hitch")
+            raise NotNowError(f"{when} there is no hitch")
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
         if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
-            raise _NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
+            raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return state
-
-
-class _NotNowError(Exception):
-    """A retarget cannot begin at this time."""

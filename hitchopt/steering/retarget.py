@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering.retarget_path import RetargetPath
-from hitchopt.steering.retarget_timing import shortest_shift
+from hitchopt.steering.retarget_timing import brakes, shortest_shift
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
@@ -47,6 +47,9 @@ SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust":
 
 DISTANCES = ("separation", "cable_clearance", "crossing")
 """Checks of what neither eases, looked at first: another path is tried where one is broken."""
+
+BRAKES = 3
+"""Brakes that are tried, from the shortest on, where limits of motion are broken."""
 
 STRETCH = 1.02
 """Least factor by which a shift is prolonged then."""
@@ -84,6 +87,32 @@ class Retarget(OneLine):
     def plan(self) -> Plan:
         """The whole plan, the old one until ``start``, with a full certificate of its own."""
         return Plan(self.motion, certify(self.motion), "Steered")
+
+
+class NotNowError(Exception):
+    """A retarget cannot begin at this time."""
+
+
+def braked_retarget(
+    past: Motion, path: RetargetPath, requirements: Requirements
+) -> tuple[Retarget | InfeasibleError, float]:
+    """Return the answer for a path, or the first refusal, and the brake [s] that it is for.
+
+    Raises
+    ------
+    NotNowError: no brake keeps all limits.
+    """
+    first: tuple[InfeasibleError, float] | None = None
+    for brake in islice(brakes(path, requirements.planned.limits), BRAKES):
+        found = certified_retarget(past, path, brake, requirements, complete=False)
+        if isinstance(found, Retarget):
+            return found, brake
+        first = first or (found, brake)
+        if not {each.constraint for each in found.violations} <= SLOWER.keys():
+            break
+    if first is None:
+        raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+    return first
 
 
 def certified_retarget(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import length
@@ -21,7 +22,7 @@ from hitchopt.planners.path import jets
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.steering.smooth_change import JET, SmoothChange
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 SIDE = 1e-9
 """Share of a piece by which one-sided derivatives are taken inside of it."""
@@ -174,26 +175,30 @@ class RetargetPath:
 
     def jets(self, t: Array, brake: float, shift: float) -> PathJets:
         """Return vertices and drones at times t (J,) [s]."""
-        team, layout = self.team, self.team.layout
-        simple = not team.loaded and np.all(team.tension == team.tension[0])
-        if simple and kernels_on():
+        if self.compiled:
             from hitchopt.compiled.path_kernel import path_jets
 
-            change, timing = self._change, np.array([brake, shift, self.yaw])
-            return PathJets(
-                *path_jets(
-                    change.start,
-                    change.goal,
-                    t,
-                    timing,
-                    layout.stencil,
-                    layout.has_leg,
-                    _rows(team),
-                )
-            )
+            timing = np.array([brake, shift, self.yaw])
+            start, goal, stencil, has_leg, rows = self.arrays
+            return PathJets(*path_jets(start, goal, t, timing, stencil, has_leg, rows))
         flat = self.flat(t, brake, shift)
-        found = drone_jets(team, flat)
+        found = drone_jets(self.team, flat)
         return PathJets(flat.vertices, found.positions, found.legs, found.thrusts)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled code takes this path."""
+        team = self.team
+        return kernels_on() and not team.loaded and bool(np.all(team.tension == team.tension[0]))
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Indices, NDArray[np.bool_], Array]:
+        """Start and goal of the curves, the layout's stencil and legs, and the team's rows.
+
+        As compiled code takes them.
+        """
+        change, layout = self._change, self.team.layout
+        return change.start, change.goal, layout.stencil, layout.has_leg, _rows(self.team)
 
     def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
         """Return the polynomials, which meet the state itself at their start."""

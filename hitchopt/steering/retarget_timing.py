@@ -54,9 +54,8 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     if kernels_on():
         from hitchopt.compiled.path_kernel import largest_shares
 
-        given = [limits.speed, limits.acceleration, limits.jerk, limits.vertex_speed, limits.tilt]
         share = largest_shares(
-            found.vertices, found.drones, found.thrusts, np.array(given), path.team.max_thrust
+            found.vertices, found.drones, found.thrusts, _row(limits), path.team.max_thrust
         )
         return share if math.isfinite(share) else math.inf
     x, thrust = found.drones, found.thrusts
@@ -80,16 +79,33 @@ def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
     if not path.state.moves:
         yield BRAKES[0]
         return
-    times = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
-    alone = path.braked
     left = []
-    for brake in BRAKES:
-        found = excess(alone, limits, brake * times, brake, math.inf)
+    for brake, found in zip(BRAKES, _excesses(path.braked, limits), strict=True):
         if found <= BRAKE_SHARES[0]:
             yield brake
         elif found <= BRAKE_SHARES[1]:
             left.append(brake)
     yield from left
+
+
+def _excesses(alone: RetargetPath, limits: Limits) -> Iterator[float]:
+    """Yield what ``excess`` is for each of BRAKES; compiled code takes all of them in one go."""
+    places = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
+    if not alone.compiled:
+        yield from (excess(alone, limits, b * places, b, math.inf) for b in BRAKES)
+        return
+    from hitchopt.compiled.path_kernel import brake_shares
+
+    start, goal, stencil, has_leg, rows = alone.arrays
+    durations, most = np.array(BRAKES), alone.team.max_thrust
+    found = brake_shares(start, goal, places, durations, stencil, has_leg, rows, _row(limits), most)
+    yield from np.where(np.isfinite(found), found, math.inf).tolist()
+
+
+def _row(limits: Limits) -> Array:
+    """Return the limits as compiled code takes them."""
+    given = [limits.speed, limits.acceleration, limits.jerk, limits.vertex_speed, limits.tilt]
+    return np.array(given)
 
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 from typing import Literal, get_args
 
@@ -16,10 +17,11 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import JOINT, CableState
-from hitchopt.motion.retiming import before, followed, resting, retimed
+from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.stopping.grounding import descended, released
 from hitchopt.stopping.player import Player
+from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import choice, not_negative
 
 How = Literal["hold", "back", "release_and_land", "land"]
@@ -75,6 +77,10 @@ class Abort:
     certified: Certified
 
 
+MIDDLE = 5.0 / 12.0
+"""Share of a stop's duration by which plan time advances until its jerk changes its sign."""
+
+
 class Aborts:
     """The aborts of one plan: what they have in common is computed once.
 
@@ -87,10 +93,19 @@ class Aborts:
         self.motion = motion
         self.player = Player(motion)
 
-    @property
+    @cached_property
     def stops(self) -> StopTable:
-        """The stops of the common clock."""
-        return self.player.stops
+        """The stops of the common clock that polynomials follow.
+
+        Those whose clock's jerk jumps a little before or after a break of the plan are left out:
+        pieces so short suffer from rounding, and longer ones do not follow a jump of the jerk.
+        """
+        table, breaks = self.player.stops, self.motion.drones.breaks
+        jumps = np.stack([table.starts, table.starts + MIDDLE * table.durations])
+        later = np.clip(np.searchsorted(breaks, jumps), 1, len(breaks) - 1)
+        away = np.minimum(np.abs(jumps - breaks[later - 1]), np.abs(jumps - breaks[later]))
+        clear = np.all((away <= SAME_BREAK) | (away > SHORTEST), axis=0)
+        return StopTable(table.end, table.starts[clear], table.durations[clear])
 
     def found(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a time [s].

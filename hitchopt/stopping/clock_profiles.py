@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import numpy as np
 
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
 
 SHORTEST = 1e-9
@@ -59,31 +62,41 @@ def _profile(task: object, jet: Array, acceleration: float, jerk: float) -> Cloc
 def phases_of(jet: Array, seconds: Array, jerks: Array) -> ClockPhases:
     """Return phases of constant jerk one after the other, from a jet (3,) on."""
     jets = []
-    here = np.append(jet[:3], 0.0)
-    for duration, jerk in zip(seconds, jerks, strict=True):
-        here[3] = jerk
-        jets.append(here)
-        here = advanced(here, duration)
-    owner = np.zeros(len(seconds), dtype=np.intp)
-    return ClockPhases(owner, np.reshape(jets, (-1, 4)), np.asarray(seconds, dtype=np.float64))
+    p, v, a = (float(value) for value in jet[:3])  # plain numbers are faster than arrays of four
+    for dt, j in zip(np.asarray(seconds).tolist(), np.asarray(jerks).tolist(), strict=True):
+        jets.append((p, v, a, j))
+        p, v, a = (
+            p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)),
+            v + dt * (a + dt * j / 2.0),
+            a + dt * j,
+        )
+    owner = np.zeros(len(jets), dtype=np.intp)
+    return ClockPhases(owner, np.reshape(jets, (-1, 4)), np.array(seconds, dtype=np.float64))
 
 
 def one_sign(phases: ClockPhases) -> ClockPhases:
     """Return the phases, split where their rates change sign."""
-    jet = phases.jets[0, :3] if len(phases) else np.zeros(3)
     seconds: list[float] = []
     jerks: list[float] = []
-    for (_, rate, slope, jerk), duration in zip(phases.jets, phases.duration, strict=True):
-        roots = np.roots(np.trim_zeros(np.array([0.5 * jerk, slope, rate]), "f"))
-        cuts = [
-            float(root.real)
-            for root in roots
-            if abs(root.imag) < SHORTEST < root.real < duration - SHORTEST
-        ]
+    for (_, rate, slope, jerk), duration in zip(
+        phases.jets.tolist(), phases.duration.tolist(), strict=True
+    ):
+        cuts = [t for t in _zeros(rate, slope, 0.5 * jerk) if SHORTEST < t < duration - SHORTEST]
         edges = [0.0, *sorted(cuts), duration]
-        seconds += np.diff(edges).tolist()
+        seconds += [last - first for first, last in pairwise(edges)]
         jerks += [jerk] * (len(edges) - 1)
-    return phases_of(jet, np.array(seconds), np.array(jerks))
+    if len(seconds) == len(phases):
+        return phases
+    return phases_of(phases.jets[0], np.array(seconds), np.array(jerks))
+
+
+def _zeros(c: float, b: float, a: float) -> tuple[float, ...]:
+    """Return the real zeros of ``a t² + b t + c``."""
+    inside = b * b - 4.0 * a * c
+    if inside < 0.0 or a == b == 0.0:
+        return ()
+    larger = -0.5 * (b + math.copysign(math.sqrt(inside), b))  # adds numbers of one sign
+    return tuple(top / below for top, below in ((larger, a), (c, larger)) if below != 0.0)
 
 
 NOTHING = phases_of(np.zeros(3), np.zeros(0), np.zeros(0))

@@ -95,6 +95,16 @@ class Player(OneLine):
         """Whether the clock stands still and is not about to move."""
         return self._now >= self._begins[-1] and abs(self._jet()[1]) <= STEADY
 
+    @property
+    def ahead(self) -> ClockPhases:
+        """What is left of the present change of the clock's rate."""
+        if self._now >= self._begins[-1] or self.time in (self._begin, self._end):
+            return NOTHING
+        here = _last(self._begins, self._now)
+        edges = [self._now, *self._begins[here + 1 :]]
+        jerks = [row[3] for row in self._rows[here:-1]]
+        return phases_of(np.array(self._jet()[:3]), np.diff(edges), np.array(jerks))
+
     def step(self, seconds: float) -> Setpoints:
         """Let time pass [s] and return the setpoints then.
 
@@ -203,26 +213,17 @@ class Player(OneLine):
     def _bases(self) -> Iterator[ClockPhases]:
         """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
         yield NOTHING
-        left = self._left()
+        left = self.ahead
         if len(left):
             yield left
         elif abs(self.clock_rate) > STEADY:
             for wait in WAITS:
                 yield phases_of(np.array(self._jet()[:3]), np.array([wait]), np.zeros(1))
 
-    def _left(self) -> ClockPhases:
-        """Return what is left of the present change."""
-        if self._now >= self._begins[-1] or self.time in (self._begin, self._end):
-            return NOTHING
-        here = _last(self._begins, self._now)
-        edges = [self._now, *self._begins[here + 1 :]]
-        jerks = [row[3] for row in self._rows[here:-1]]
-        return phases_of(np.array(self._jet()[:3]), np.diff(edges), np.array(jerks))
-
     def _sooner_stop(self, found: ClockPhases | None) -> ClockPhases | None:
         """Return the stop of the table, or the run to the end, if it comes to rest sooner."""
         time, rate, slope, _ = self._jet()
-        left = self._left()
+        left = self.ahead
         if abs(rate - 1.0) <= STEADY and abs(slope) <= STEADY:
             left = NOTHING  # a change that has only begun is given up
         elif len(left):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, certify, interlacing
+from hitchopt.checks.bounds.cable_states import phase_parts
 from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.checks.registry import RULES
 from hitchopt.errors import FileError
@@ -50,6 +51,19 @@ def claimed(motion: Motion, i: int, state: CableState) -> Motion:
     """Phase i in another state."""
     phases = motion.phases
     return replace(motion, phases=(*phases[:i], replace(phases[i], state=state), *phases[i + 1 :]))
+
+
+def test_phases_may_end_within_pieces() -> None:
+    """A piece counts to the phase of its middle, as phases of blended steps end where they do."""
+    motion = motion_of("tie_carry_untie")
+    phases = list(motion.phases)
+    i = next(i for i, p in enumerate(phases) if p.state is phases[i + 1].state)
+    joint = phases[i].end
+    phases[i] = replace(phases[i], end=joint + 1e-3)
+    phases[i + 1] = replace(phases[i + 1], start=joint + 1e-3)
+    parts = list(phase_parts(replace(motion, phases=tuple(phases))))
+    assert [part.phase for part in parts] == phases
+    assert parts[i].end == parts[i + 1].start == joint
 
 
 def merged(motion: Motion, first: int, last: int, state: CableState) -> Motion:

@@ -13,10 +13,11 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place, swings
+from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place
 from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, Reactions
 from hitchopt.losing.survivable import survivable
+from hitchopt.losing.swinging import swings, swung
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import CableState
 from hitchopt.motion.states import states_at
@@ -111,13 +112,38 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
     np.testing.assert_allclose(energy, energy[0])
 
 
-def test_swings_are_arcs_about_the_clasp() -> None:
-    clasp, start = np.array([0.1, 0.2, 2.0]), np.array([0.5, 0.2, 2.0])
-    arcs = swings(clasp, start, 0.9, 0.0)
-    radii = np.linalg.norm(arcs - clasp, axis=-1)
-    assert np.min(np.linalg.norm(arcs - start, axis=-1)) < 1e-12
-    assert (np.min(radii), np.max(radii)) == (pytest.approx(0.4), pytest.approx(0.9))
-    assert np.min(swings(clasp, start, 3.0, 0.0)[:, 2]) == 0.0
+def test_a_swing_on_a_cable_that_cannot_run_keeps_its_arc_and_its_energy() -> None:
+    reach, angle = swung((0.4, 0.2), 0.5, (0.1, 1e6), 0.5, 0.2)
+    assert np.max(np.abs(reach - 0.4)) < 1e-4
+    np.testing.assert_allclose(angle[-1], np.pi - 0.2, atol=0.02)  # as high as it began
+
+
+def test_friction_lets_less_cable_run() -> None:
+    """At equal pulls: the more friction, the shorter the reach, and the farther it swings."""
+    reach, angle = (
+        each[-1].reshape(2, -1) for each in swung((0.3, 0.0), 0.9, (0.1, 0.1), 0.5, 0.2)
+    )
+    assert np.all(np.diff(reach, axis=1) < 0.0)
+    assert np.all(np.diff(angle, axis=1) > 0.0)
+    assert np.all(reach[1] < reach[0])  # and so does a partner that pulls
+    assert np.max(reach) <= 1.2
+    short = swung((0.3, 0.0), 0.1, (0.1, 0.1), 0.5, 0.2)[0]
+    assert np.max(short) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("lost", [2, 5])
+def test_swings_begin_where_the_drone_is_lost_and_stay_in_their_plane(lost: int) -> None:
+    motion = plan_of(2.4).motion
+    states = states_at(motion, TIME)
+    places = swings(motion.team, states, lost, 0.9, 0.0)
+    start, clasp = states.positions[lost], states.vertices[motion.team.layout.pulled_to[lost]]
+    assert np.min(np.linalg.norm(places - start, axis=-1)) < 1e-12
+    radii = np.linalg.norm(places - clasp, axis=-1)
+    assert np.min(radii) >= np.linalg.norm(start - clasp) - 1e-12
+    across = np.cross(start - clasp, [0.0, 0.0, 1.0])
+    assert np.max(np.abs((places - clasp) @ across)) < 1e-12
+    high = swings(motion.team, states, lost, 0.9, 2.0)
+    assert np.min(high[:, 2]) == 2.0
 
 
 def test_the_command_line_tells_losses(tmp_path: Path) -> None:
@@ -172,21 +198,30 @@ def test_a_wrong_drone_and_a_wrong_time_are_named() -> None:
         reactions_of(1.0).found("q0", 1e3)
 
 
-def test_survivors_pull_at_once_where_a_partner_has_a_short_leg(tmp_path: Path) -> None:
+@cache
+def short_legs(altitude: float) -> ho.Plan:
     team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
-    start = ho.Hitch(team, regular_polygon(4, 1.0), 2.4, [0.85] * 4)  # legs of 0.35 m at r
-    plan = ho.transport(start, to=[0.7, 0.3, 2.4])
-    reactions = Reactions(plan.motion)
-    late, soon = (reactions.found(name, TIME).held for name in ("r1", "q1"))
-    assert late is not None
-    assert soon is not None
-    assert late.begins == TIME + 1.0
-    assert soon.begins == pytest.approx(TIME + DELAY)
-    flown = reacting(read_task(plan.save(tmp_path)), reactions.found("q1", TIME))
-    pulling = (flown.t > soon.full) & (flown.t < soon.ends)
-    assert np.any(pulling)
+    start = ho.Hitch(team, regular_polygon(4, 1.0), altitude, [0.85] * 4)  # legs of 0.35 m at r
+    return ho.transport(start, to=[0.7, 0.3, altitude])
+
+
+@pytest.mark.parametrize(
+    ("drone", "altitude", "waits"), [("q1", 2.4, DELAY), ("r1", 1.7, 1.0), ("r1", 2.4, DELAY)]
+)
+def test_survivors_pull_at_once_where_a_leg_is_short(
+    drone: str, altitude: float, waits: float, tmp_path: Path
+) -> None:
+    """A lost drone may fall if it reaches the ground before its cable has run."""
+    plan = short_legs(altitude)
+    found = Reactions(plan.motion).found(drone, TIME)
+    held = found.held
+    assert held is not None
+    assert held.begins == pytest.approx(TIME + waits)
+    flown = reacting(read_task(plan.save(tmp_path)), found)
+    pulling = (flown.t > held.full) & (flown.t < held.ends)
+    assert np.any(pulling) == (held.full < held.ends)
     forces = flown.setpoints.cable_forces[pulling]
-    np.testing.assert_allclose(forces - soon.pulls, np.zeros_like(forces), atol=1e-9)
+    np.testing.assert_allclose(forces - held.pulls, np.zeros_like(forces), atol=1e-9)
 
 
 def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> None:

@@ -10,12 +10,25 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.checks import certify
+from hitchopt.compiled.kernel_switch import kernels
+from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
+from hitchopt.motion.motion import Phase
+from hitchopt.requirements import Requirements
+from hitchopt.steering import replanner
+from hitchopt.steering.goal_distances import clearly_too_close
 from hitchopt.steering.retarget import certified_retarget
+from hitchopt.steering.retarget_path import MovingState, RetargetPath
+from hitchopt.steering.retarget_timing import BRAKES, _excesses
+from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
 HEXAGON = 1.3 * np.array([[np.cos(a), np.sin(a)] for a in -np.arange(6) * np.pi / 3.0])
+
+
+START = ho.Hitch.spread(ho.Team(6, 2.4), HEXAGON, 1.0)
 
 
 def steered(outline: Array = TRIANGLE, length: float = 2.4) -> ho.Replanner:
@@ -139,7 +152,7 @@ def test_a_path_that_no_slack_split_changes_is_certified_once(
         tried.append(given)
         return certified_retarget(*given, **options)
 
-    monkeypatch.setattr("hitchopt.steering.replanner.certified_retarget", counted)
+    monkeypatch.setattr("hitchopt.steering.retarget.certified_retarget", counted)
     answer = replanner.retarget(to=[9.0, 2.0, 1.0], at=0.5)
     assert "keep_out" in answer.reason
     assert len(tried) == 1
@@ -242,3 +255,47 @@ def test_cables_with_weight_are_not_steered() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4, cable_density=0.005), TRIANGLE)
     with pytest.raises(UnsupportedError, match="weight"):
         ho.Replanner(start.team, start)
+
+
+def test_goals_that_are_too_close_are_not_planned_to_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A goal at which the given split is too close gets the same answer with and without a look."""
+    random, asked = np.random.default_rng(5), []
+    for _ in range(400):
+        goal = HEXAGON * random.uniform(0.8, 1.15) + random.uniform(-0.15, 0.15, (6, 2))
+        try:
+            outline = fitting_polygon(START.team, goal)
+            slack = cable_slack(START.team, outline)
+            end = ho.Hitch(START.team, outline, 1.0, START.fractions * slack)
+        except HitchoptError:
+            continue
+        if clearly_too_close(end, Requirements().separation):
+            asked.append((goal, end))
+    assert len(asked) >= 3
+    accepted = 0
+    for goal, end in asked[:4]:
+        still = rest_of(end, Requirements(), 1.0, Phase("hold", 0, 0.0, 1.0))
+        found = {check.name for check in certify(still).violated}
+        assert found & {"separation", "cable_clearance"}
+        looked, planned = ho.Replanner(START.team, START), ho.Replanner(START.team, START)
+        answer = looked.retarget(goal, at=0.5)
+        with monkeypatch.context() as patched:
+            patched.setattr(replanner, "clearly_too_close", lambda *_: False)
+            other = planned.retarget(goal, at=0.5)
+        assert (answer.accepted, answer.reason) == (other.accepted, other.reason)
+        flown, again = answer.motion.drones, other.motion.drones
+        np.testing.assert_array_equal(flown.coefficients, again.coefficients)
+        accepted += answer.accepted
+    assert accepted
+
+
+def test_brakes_are_the_same_compiled_or_not() -> None:
+    steering = steered()
+    at = moving(steering)
+    state = MovingState.of(steering.motion, at)
+    path = RetargetPath.to(steering.motion.team, state, steering.goal, 0.0)
+    limits = Requirements().planned.limits
+    with kernels():
+        compiled = list(_excesses(path.braked, limits))
+    alone = list(_excesses(path.braked, limits))
+    assert len(alone) == len(BRAKES)
+    np.testing.assert_allclose(compiled, alone, rtol=1e-9)

@@ -18,7 +18,7 @@ from hitchopt.cli import main
 from hitchopt.cli.fly_command import _tables
 from hitchopt.motion.phases import CableState
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.stopping.abort import Abort, Aborts
+from hitchopt.stopping.abort import Abort, Aborts, until_stop
 from hitchopt.stopping.abort_table import abort_table, read_aborts, save_aborts
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -58,6 +58,20 @@ def test_a_hitch_is_held_lowered_and_untied() -> None:
         assert ended.phases[-1].formed == (how == "land")
     with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
         aborts.found(time, "back")
+
+
+def test_polynomials_follow_all_stops() -> None:
+    """Also those that begin near a break of the plan, at which the jerk jumps."""
+    aborts = aborts_of("form_square")
+    limits, stops = aborts.motion.requirements.limits, aborts.stops
+    chosen = np.isfinite(stops.durations) & (stops.starts > 1e-3)
+    assert 60 < np.sum(chosen) < np.sum(np.isfinite(aborts.player.stops.durations))
+    for start, duration in zip(stops.starts[chosen], stops.durations[chosen], strict=True):
+        drones = until_stop(aborts.motion, float(start), float(duration), 1.0)[0].drones
+        t = np.linspace(start + 1e-9, start + duration, 200)
+        assert np.max(np.linalg.norm(drones.at(t, 3), axis=-1)) <= limits.jerk
+        first, last = drones.ends(2)
+        assert np.max(np.abs(first[1:] - last[:-1])) <= 1e-7
 
 
 def test_going_back_unties_what_was_tied() -> None:

@@ -7,7 +7,7 @@ would be due, the polynomials contradict the one that is stated.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,13 +55,17 @@ class PhasePart:
 
 
 def phase_parts(motion: Motion) -> Iterator[PhasePart]:
-    """Yield the phases of a motion, each piece in the phase of its middle."""
-    index = motion.phase_of_piece
+    """Yield the phases of a motion, each piece in the phase of its middle.
+
+    Of blended steps, phases end within pieces.
+    """
+    index, breaks = motion.phase_of_piece, motion.drones.breaks
     for i, phase in enumerate(motion.phases):
         pieces = np.flatnonzero(index == i)
         if len(pieces):
             run = slice(int(pieces[0]), int(pieces[-1]) + 1)
-            yield PhasePart(phase, run, motion.taken(run, (phase,)))
+            own = replace(phase, start=float(breaks[run.start]), end=float(breaks[run.stop]))
+            yield PhasePart(phase, run, motion.taken(run, (own,)))
 
 
 @dataclass(frozen=True, eq=False)
