@@ -12,7 +12,6 @@ from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import enclosure
 from hitchopt.trajectory.enclosure import Enclosure
-from hitchopt.trajectory.extremum import BATCH
 from hitchopt.values import Array
 
 Shared = WeakKeyDictionary[Motion, dict[Callable[[Motion], Array], Enclosure]]
