@@ -59,6 +59,11 @@ ROUNDS = 4
 """Maximum rounds in which stops are put closer."""
 
 
+FEW = 60
+"""Pairs of a stop and a drone up to which all durations left are tried in one go, once the shortest
+of each stop have been."""
+
+
 def stop_phases(start: Array, duration: Array) -> ClockPhases:
     """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
     start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
@@ -255,12 +260,19 @@ def _first(
     may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
     first = np.full(len(starts), tried.shape[1])
     left = np.flatnonzero(np.any(may, axis=1))
+    drones, begun = len(bounds.limits.hover[0]), False
     while len(left):
-        which = np.argmax(may[left], axis=1)
-        kept = shown(bounds, starts[left], tried[left, which])
-        first[left[kept]] = which[kept]
-        may[left, which] = False
-        left = left[~kept & np.any(may[left], axis=1)]
+        now = may[left]
+        if not begun or np.sum(now) * drones > FEW:  # one of each stop
+            now &= np.cumsum(now, axis=1) == 1
+        begun = True
+        stop, which = np.nonzero(now)
+        kept = np.zeros_like(now)
+        kept[stop, which] = shown(bounds, starts[left[stop]], tried[left[stop], which])
+        found = np.any(kept, axis=1)
+        first[left[found]] = np.argmax(kept[found], axis=1)
+        may[left] &= ~now
+        left = left[~found & np.any(may[left], axis=1)]
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     row = np.arange(len(starts))
     return steps[row, first], steps[row, first + 1]
