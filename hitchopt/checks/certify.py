@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from hitchopt.checks.bounds.leg_directions import shared_directions
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Findings, Found, ReportRule
@@ -65,13 +66,14 @@ def certify(
         if progress is not None and name in names:
             progress(f"{name}, {names.index(name)} of {len(names)}")
 
-    for rule in RULES:
-        tell(rule.name)
-        found[rule.name] = (known or {}).get(rule.name) or rule.findings(motion)
-    checks = [most_pressing(each.check for each in spans) for spans in found.values()]
-    for report in reports:
-        tell(report.name)
-        checks.append(report.check(motion, found, gamma))
+    with shared_directions():
+        for rule in RULES:
+            tell(rule.name)
+            found[rule.name] = (known or {}).get(rule.name) or rule.findings(motion)
+        checks = [most_pressing(each.check for each in spans) for spans in found.values()]
+        for report in reports:
+            tell(report.name)
+            checks.append(report.check(motion, found, gamma))
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))
 
 

@@ -24,7 +24,9 @@ def _find(
     return Finding(float(longest[worst]), float(begins[worst]))
 
 
-RULE = ReportRule("stoppable", "s", "max", partial(_find, table=stop_table), whole=True)
+RULE = ReportRule(
+    "stoppable", "s", "max", partial(_find, table=partial(stop_table, decisive=True)), whole=True
+)
 
 QUICK = ReportRule("stoppable", "s", "max", partial(_find, table=quick_stop_table), whole=True)
 """The same in a small part of the time, longer by a few per cent."""

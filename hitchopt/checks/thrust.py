@@ -12,12 +12,14 @@ from hitchopt.checks.bounds.thrust_enclosure import (
     thrust_at,
     thrust_cells,
     thrust_enclosure,
+    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
 
@@ -30,15 +32,18 @@ def _find(motion: Motion, _: float) -> Finding:
     limits = motion.team.max_thrust
     cells, noise = thrust_cells(motion, limits), position_margin(motion)
     known = KnownBound("thrust", 4, noise, NO_DIRECTION)
-    found = largest(cells, partial(thrust_bound, noise=noise), known, within(1.0, "max", share=0.5))
+    bound, aim = partial(thrust_bound, noise=noise), within(1.0, "max", share=0.5)
+    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)
 
 
-def thrust_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+def thrust_bound(
+    blocks: tuple[Array, ...], noise: float, along: Enclosure | None = None
+) -> Estimate:
     """Bound the thrusts of cells from above."""
-    thrust = thrust_enclosure(blocks, noise)
+    thrust = thrust_enclosure(blocks, noise, along)
     norms = np.linalg.norm(thrust.coefficients, axis=-2)
     x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))
     there = thrust_at(blocks, x)

@@ -13,6 +13,7 @@ from hitchopt.checks.bounds.thrust_enclosure import (
     thrust_at,
     thrust_cells,
     thrust_enclosure,
+    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
@@ -20,6 +21,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.compiled_search import KnownBound, largest
+from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
 
@@ -33,14 +35,15 @@ def _find(motion: Motion, limit: float) -> Finding:
     aim = within(limit, "max", share=0.5)
     noise = position_margin(motion)
     known = KnownBound("tilt", 4, noise, NO_DIRECTION)
-    found = largest(cells, partial(tilt_bound, noise=noise), known, aim)
+    bound = partial(tilt_bound, noise=noise)
+    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 
 
-def tilt_bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
+def tilt_bound(blocks: tuple[Array, ...], noise: float, along: Enclosure | None = None) -> Estimate:
     """Bound the tilts of cells from above [deg]."""
-    thrust = thrust_enclosure(blocks, noise)
+    thrust = thrust_enclosure(blocks, noise, along)
     f, radius = thrust.coefficients, thrust.radius[:, None]
     angles = _angle(np.linalg.norm(f[:, :2], axis=1), f[:, 2])
     # A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball

@@ -37,12 +37,10 @@ def split_slack(task: LegTask) -> LegLengths:
     is linear in J·n.
     """
     slack, bodies = task.slack, LegBodies(task, *leg_bounds(task))
+    kept = reference_kept(task, bodies)
+    if kept is not None:
+        return kept
     start = np.clip(task.reference, *leg_bounds(task))
-    if task.roughness == 0.0 and np.array_equal(start, task.reference):
-        # To the last bit, where a solver would come within its tolerance.
-        margin = bodies.margin(task, start)
-        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
-            return LegLengths(start, margin, 0.0)
     best = _refined(task, bodies, start)
     single = len(task.reference) == 1
     if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
@@ -53,6 +51,19 @@ def split_slack(task: LegTask) -> LegLengths:
         if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
             best = found
     return best
+
+
+def reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
+    """Return the reference if it keeps the margin and all bounds, else None.
+
+    To the last bit, where a solver would come within its tolerance.
+    """
+    start = np.clip(task.reference, *leg_bounds(task))
+    if task.roughness == 0.0 and np.array_equal(start, task.reference):
+        margin = bodies.margin(task, start)
+        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
+            return LegLengths(start, margin, 0.0)
+    return None
 
 
 def quick_split(task: LegTask) -> LegLengths:

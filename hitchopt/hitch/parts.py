@@ -93,6 +93,8 @@ class Parts:
         listed = self._listed(lowest, highest, cutoff)
         if listed is not None:
             i, j, kind = (part[limits[listed[2]] > 0.0] for part in listed)
+            if len(lowest) == 1 and len(self.nodes) > FEW:  # listed as near
+                return np.zeros_like(i), i, j, kind
             pair, frame = _close(lowest, highest, i, j, cutoff)
             return frame, i[pair], j[pair], kind[pair]
         # A third coordinate keeps the frames apart, so that one tree serves them all.
@@ -113,6 +115,9 @@ class Parts:
         """Return bodies (i, j) and kinds of pairs that may come near, or None: too many."""
         if len(self.nodes) <= FEW:
             return self._all_pairs
+        if len(lowest) == 1:
+            single = close_pairs(Boxes(lowest[0], highest[0]), None, cutoff)
+            return self._not_free(single.first, single.second)
         swept = Boxes(np.min(lowest, axis=0), np.max(highest, axis=0))
         found = few_close_pairs(swept, None, cutoff, NEIGHBOURS * len(self.nodes))
         return None if found is None else self._not_free(found.first, found.second)

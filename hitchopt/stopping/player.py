@@ -75,7 +75,7 @@ class Player(OneLine):
 
     @property
     def stops(self) -> StopTable:
-        """The stops from full rate that the certificate's ``stoppable`` has found."""
+        """The stops from full rate; ``stoppable`` is the longest time until one of them rests."""
         if self._stops is None:
             self._stops = stop_table(self.motion, self.limits)
         return self._stops

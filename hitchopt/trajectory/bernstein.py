@@ -7,7 +7,6 @@ basis: a centennial retrospective", CAGD 29 (2012).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from math import comb
 
@@ -17,6 +16,10 @@ from hitchopt.values import Array
 
 MOST_PAIRS = 2**18
 """Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
+
+MOST_ALONE = 2**18
+"""Multiplications in one product of matrices: larger ones OpenBLAS shares among threads, which
+takes tens of times as long on a busy machine."""
 
 
 def degree(coefficients: Array) -> int:
@@ -77,15 +80,15 @@ def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
     if degree(a) == 0 or degree(b) == 0:
         return a * b
-    return _batched(lambda x, y: _collected(np.einsum("...i,...j->...ij", x, y)), a, b, 1)
+    return _batched(a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
-    return _batched(lambda x, y: _collected(np.matmul(np.swapaxes(x, -1, -2), y)), a, b, 2)
+    return _batched(a, b, 2)
 
 
-def _batched(product: Callable[[Array, Array], Array], a: Array, b: Array, axes: int) -> Array:
+def _batched(a: Array, b: Array, axes: int) -> Array:
     """Return the product of parts of the first axis in a row, as many as MOST_PAIRS allows.
 
     Both arrays have so many ``axes`` that do not broadcast, the last one that of the coefficients.
@@ -93,22 +96,47 @@ def _batched(product: Callable[[Array, Array], Array], a: Array, b: Array, axes:
     m, n = a.shape[-1], b.shape[-1]
     pairs = max(a.size * n, b.size * m)
     if pairs <= MOST_PAIRS:
-        return product(a, b)
+        return _product(a, b, axes)
     shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
     a, b = (np.broadcast_to(each, (*shape, *each.shape[-axes:])) for each in (a, b))
     step = max(1, (shape or (1,))[0] * MOST_PAIRS // pairs)
     if not shape or step >= shape[0]:
-        return product(a, b)
+        return _product(a, b, axes)
     parts = [slice(first, first + step) for first in range(0, shape[0], step)]
-    return np.concatenate([product(a[part], b[part]) for part in parts])
+    return np.concatenate([_product(a[part], b[part], axes) for part in parts])
 
 
-def _collected(pairs: Array) -> Array:
-    """Return a product of polynomials, given all products (…, m + 1, n + 1) of coefficients."""
-    rows, columns = pairs.shape[-2:]
-    weights = _collecting(rows - 1, columns - 1)
-    product = pairs.reshape(-1, rows * columns) @ weights
-    return product.reshape(*pairs.shape[:-2], rows + columns - 1)
+def _product(a: Array, b: Array, axes: int) -> Array:
+    """Return the product, or the scalar product of two ``axes``: few by one product of matrices."""
+    m, n = a.shape[-1], b.shape[-1]
+    pairs = max(a.size * n, b.size * m) // (1 if axes == 1 else a.shape[-2])
+    if pairs * (m + n - 1) > MOST_ALONE:
+        return _convolved(a, b, axes)
+    each = np.einsum("...i,...j->...ij", a, b) if axes == 1 else np.swapaxes(a, -1, -2) @ b
+    product = each.reshape(-1, m * n) @ _collecting(m - 1, n - 1)
+    return product.reshape(*each.shape[:-2], m + n - 1)
+
+
+def _convolved(a: Array, b: Array, axes: int) -> Array:
+    """Return the same of many: sums over all of them at a time, their axes being the last ones."""
+    dims = max(a.ndim, b.ndim)
+    x, y = (
+        np.multiply(c[(None,) * (dims - c.ndim)].T, _column(degree(c), dims), order="C")
+        for c in (a, b)
+    )
+    if len(x) < len(y):
+        x, y = y, x
+    m, n = len(x), len(y)
+    product = np.zeros((m + n - 1, *np.broadcast_shapes(x.shape[axes:], y.shape[axes:])))
+    for j in range(n):
+        product[j : j + m] += x * y[j] if axes == 1 else np.einsum("id...,d...->i...", x, y[j])
+    product /= _column(m + n - 2, dims - axes + 1)
+    return np.ascontiguousarray(product.T)
+
+
+def _column(order: int, dims: int) -> Array:
+    """Return the row ``order`` of Pascal's triangle along the first of ``dims`` axes."""
+    return binomials(order).reshape(-1, *(1,) * (dims - 1))
 
 
 def halve(coefficients: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.trajectory import bernstein, extremum
 from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
-from hitchopt.trajectory.extremum import Bound, Cells, Extremum
+from hitchopt.trajectory.extremum import Bound, Cells, Extremum, First
 from hitchopt.values import Array
 
 MOST = 24
@@ -52,10 +52,16 @@ def smallest(cells: Cells, bound: Bound, known: KnownBound, target: float = -np.
     return extremum.smallest(cells, bound, target) if found is None else found
 
 
-def largest(cells: Cells, bound: Bound, known: KnownBound, target: float = np.inf) -> Extremum:
+def largest(
+    cells: Cells,
+    bound: Bound,
+    known: KnownBound,
+    target: float = np.inf,
+    first: First | None = None,
+) -> Extremum:
     """Return what ``extremum.largest`` does."""
     found = _compiled(cells, known, -1.0, -target)
-    return extremum.largest(cells, bound, target) if found is None else found
+    return extremum.largest(cells, bound, target, first) if found is None else found
 
 
 def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Extremum | None:

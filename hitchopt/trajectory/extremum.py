@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -139,6 +140,10 @@ class Estimate:
 Bound = Callable[[tuple[Array, ...]], Estimate]
 """Function from the blocks of cells to their estimate."""
 
+First = Callable[[slice], Estimate]
+"""Function from a part of the given cells to their estimate, of which more is known than of others.
+"""
+
 
 @dataclass(frozen=True)
 class Extremum:
@@ -197,10 +202,11 @@ class Search:
         tight = float(self.value - max(self.absolute, self.relative * abs(self.value)))
         return max(tight, self.target) if self.value >= self.target else tight
 
-    def add(self, cells: Cells) -> None:
-        """Bound the cells once and keep those that may hold the smallest value."""
-        for batch in _batches(cells):
-            self._keep(batch, self._bounds(batch))
+    def add(self, cells: Cells, first: First | None = None) -> None:
+        """Bound the cells once, by ``first`` where given; keep those that may hold the smallest."""
+        for i, batch in enumerate(_batches(cells)):
+            known = None if first is None else partial(first, slice(i * BATCH, (i + 1) * BATCH))
+            self._keep(batch, self._bounds(batch, known))
 
     def finish(self) -> Extremum:
         """Halve what is open until nothing is, and return the answer."""
@@ -224,12 +230,12 @@ class Search:
                 pending.append((batch, np.maximum(given, self._bounds(batch)), depth + 1))
         return Extremum(min(self.floor, self.value), self.value, self.item, self.time)
 
-    def _bounds(self, batch: Cells) -> Array:
+    def _bounds(self, batch: Cells, known: Callable[[], Estimate] | None = None) -> Array:
         """Return the lower bounds (cells,), having noted the smallest value."""
         check_time()
         self.looked_at += len(batch)
         with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
-            estimate = self.bound(batch.blocks)
+            estimate = self.bound(batch.blocks) if known is None else known()
             values, bounds = estimate.value, estimate.bound
             # What is no number is as bad as can be: the search ends there, and the check fails.
             if math.isnan(values.sum() + bounds.sum()):  # or infinities of both signs
@@ -267,14 +273,19 @@ def _batches(cells: Cells) -> Iterator[Cells]:
         yield cells.take(slice(first, first + BATCH))
 
 
-def smallest(cells: Cells, bound: Bound, target: float = -np.inf) -> Extremum:
-    """Return the smallest value over all cells; ``bound`` gives lower bounds."""
+def smallest(
+    cells: Cells, bound: Bound, target: float = -np.inf, first: First | None = None
+) -> Extremum:
+    """Return the smallest value over all cells; ``bound`` and ``first`` give lower bounds."""
     search = Search(bound, target=target)
-    search.add(cells)
+    search.add(cells, first)
     return search.finish()
 
 
-def largest(cells: Cells, bound: Bound, target: float = np.inf) -> Extremum:
-    """Return the largest value over all cells; ``bound`` gives upper bounds."""
-    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target)
+def largest(
+    cells: Cells, bound: Bound, target: float = np.inf, first: First | None = None
+) -> Extremum:
+    """Return the largest value over all cells; ``bound`` and ``first`` give upper bounds."""
+    upper = None if first is None else lambda part: first(part).negated()
+    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target, upper)
     return Extremum(-found.worst, -found.value, found.item, found.time)

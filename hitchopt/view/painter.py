@@ -86,7 +86,8 @@ class Painter:
     camera: from where.
     width: half of a cable's drawn width [m]; None for the scene's.
     size: factor of the drones' drawn sizes.
-    coarse: whether rotors and cables have half as many corners, which is enough if they are small.
+    step: by which rotors and cables have fewer corners, 1, 2 or 4: few are enough if they are
+        small.
     """
 
     def __init__(
@@ -95,13 +96,13 @@ class Painter:
         camera: Camera,
         width: float | None = None,
         size: float = 1.0,
-        coarse: bool = False,
+        step: int = 1,
     ) -> None:
         team: Team = scene.motion.team
         self.camera, self.floor = camera, scene.motion.requirements.floor
         self.width = scene.radius if width is None else width
         self.cables = to_rgba_array(cable_colours(team.robots))
-        self.step = 2 if coarse else 1
+        self.step = step
         radius = size * scene.motion.requirements.separation.radius
         shape = drone_shape(radius, SEGMENTS // self.step)
         own = to_rgba_array(drone_colours(team))

@@ -31,7 +31,8 @@ MANY, BESIDE = 30, 1
 """Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
 
 FINE = 12
-"""Largest number of robots whose drones and cables are drawn finely: more are few pixels wide."""
+"""Largest number of robots whose drones and cables are drawn finely: more are few pixels wide, and
+beyond MANY fewer."""
 
 STILL = 1e-3
 """Distance [m] that some drone is off its place in the panel before; else there is none."""
@@ -149,8 +150,9 @@ def draw_storyboard(
     half = np.max(np.abs(seen[:, :drones] - middles[:, None]), axis=(0, 1))
     half = half * (1.0 + 2.0 * MARGIN) + scene.motion.requirements.separation.radius
     size = max(1.0, _smallest(scene) * 2.0 * half[1])
-    coarse = scene.motion.team.robots > FINE
-    painter = Painter(scene, camera, scene.radius, size, coarse)
+    robots = scene.motion.team.robots
+    step = 1 if robots <= FINE else 2 if robots <= MANY else 4
+    painter = Painter(scene, camera, scene.radius, size, step)
     closer = Painter(scene, camera, NEAR_WIDTH * scene.radius)
     paths = camera.seen(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from PIL import Image
 
 INK = "0.1"
 LIMIT_COLOUR = "#b3261e"
@@ -31,14 +32,13 @@ def new_figure(size: tuple[float, float]) -> Figure:
 
 
 UNDATED: dict[str, dict[str, str | None]] = {
-    "png": {"Software": None},
     "svg": {"Date": None},
     "pdf": {"CreationDate": None},
 }
-"""Kinds of pictures, and what would make their bytes depend on more than their content."""
+"""Kinds of drawings, and what would make their bytes depend on more than their content."""
 
-COMPRESSION = 3
-"""Level of zlib: PNG files are 8 % larger than with 6 and take half the time."""
+COMPRESSION = 1
+"""Level of zlib: PNG files are 5 to 12 % larger than with 6, in half to two thirds of the time."""
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
@@ -54,19 +54,29 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         # A title in a script that the font lacks is drawn with boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         kind = Path(path).suffix[1:].lower()
-        kind = kind if kind in UNDATED else "png"
-        packed = {"compress_level": COMPRESSION} if kind == "png" else {}
         layout = figure.get_layout_engine()
         if layout is not None:  # savefig would draw all of it once more for that
             layout.execute(figure)
             figure.set_layout_engine(None)
         try:
-            with rc_context({"svg.hashsalt": "hitchopt"}):
-                figure.savefig(
-                    path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind], pil_kwargs=packed
-                )
+            if kind in UNDATED:
+                with rc_context({"svg.hashsalt": "hitchopt"}):
+                    figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
+            else:
+                _save_png(figure, path)
         finally:
             figure.set_layout_engine(layout)
+
+
+def _save_png(figure: Figure, path: Path | str) -> None:
+    """Write a figure as PNG without a channel of opacity, which takes a quarter of the time."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    size = (round(figure.bbox.width), round(figure.bbox.height))
+    drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+    opaque = Image.frombuffer("RGBA", size, drawn).convert("RGB")
+    dots = (RESOLUTION, RESOLUTION)
+    opaque.save(path, format="png", compress_level=COMPRESSION, dpi=dots)
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:

@@ -26,6 +26,9 @@ WIDTHS = (1.25, 1.0)
 LEGEND_GAP = 0.17
 """Distance of the legend from such a plan, as a share of its height."""
 
+LABEL_AT = -0.1
+"""Where the panels' labels stand, as a share of their width: aligning them costs a tenth of all."""
+
 HEIGHTS = (1.0, 1.25)
 """Heights of few panels and of the plan from above, which is drawn as well then."""
 
@@ -48,11 +51,12 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     for each, panel in zip(axes, shown, strict=True):
         draw_panel(each, curves.t, panel, certificate)
     draw_phases(axes, motion.phases, motion.duration)
+    for each in axes:
+        each.yaxis.set_label_coords(LABEL_AT, 0.5)
     for each in axes[:-1]:
         each.tick_params(labelbottom=False)
     axes[-1].set_xlabel("t [s]")
     draw_legend(axes[-1])
-    figure.align_ylabels(axes)
     figure.suptitle(_headline(motion, certificate, title), fontsize="large", parse_math=False)
     return figure
 

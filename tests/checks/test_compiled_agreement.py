@@ -14,7 +14,7 @@ from certificate_cases import random_motion, still, with_drones
 from open_chain_cases import random_chain
 
 import hitchopt as ho
-from hitchopt.checks.bounds import stop_bounds
+from hitchopt.checks.bounds import stop_bounds, stop_rows
 from hitchopt.checks.bounds.quick_stops import quick_stop_table
 from hitchopt.checks.bounds.static_thrust import StaticThrust
 from hitchopt.checks.certify import certify
@@ -150,7 +150,7 @@ def test_constants_are_the_same() -> None:
     from hitchopt.compiled import polynomial_kernels, stop_kernel
 
     assert enclosure.ROUNDING == polynomial_kernels.ENCLOSED
-    assert stop_bounds.SWITCH == stop_kernel.SWITCH
+    assert stop_rows.SWITCH == stop_kernel.SWITCH
     assert stop_bounds.SLACK == stop_kernel.SLACK
 
 

@@ -17,6 +17,9 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, ReportRule
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.requirements import Arena
+from hitchopt.trajectory import enclosure
+from hitchopt.trajectory.enclosure import Enclosure
+from hitchopt.values import Array
 
 
 def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:
@@ -134,3 +137,22 @@ def test_rules_say_what_exports_carry_and_what_eases_them() -> None:
     }
     whole = {rule.name for rule in RULES if rule.whole}
     assert whole == {"tension", "continuity", "interlacing", "duration"}
+
+
+def test_directions_are_enclosed_once_for_a_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every check by itself says the same."""
+    counted: list[tuple[int, ...]] = []
+    enclosed = enclosure.direction
+
+    def counting(vectors: Array, noise: float = 0.0) -> Enclosure:
+        counted.append(vectors.shape[:2])
+        return enclosed(vectors, noise)
+
+    monkeypatch.setattr(enclosure, "direction", counting)
+    motion = random_motion(4, 5)
+    certificate = certify(motion)
+    pieces = motion.drones.pieces
+    assert [shape for shape in counted if shape[0] == pieces] == [(pieces, 8), (pieces, 4)]
+    for name in ("thrust", "tilt", "equilibrium"):
+        assert RULE_OF[name].check(motion) == certificate[name]
+    assert len(counted) >= 6

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from certificate_cases import random_motion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -170,6 +171,25 @@ def test_stops_of_the_table_keep_all_limits() -> None:
         assert clock.ends[-1, 1] == pytest.approx(0.0, abs=1e-12)
         assert clock.ends[-1, 0] == pytest.approx(start + 0.5 * duration)
         assert max(flown(motion_of(), clock).values()) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("kind", [1.0, 0.9, "moving", "tilt"])
+def test_the_longest_time_to_rest_needs_few_stops_found_closely(kind: float | str) -> None:
+    """Also with a reserve, where no end is at rest, and with a tilt that lengthens stops."""
+    if isinstance(kind, float):
+        motion = motion_of(kind)
+    else:
+        motion = random_motion(4, 7) if kind == "moving" else motion_of()
+    if kind == "tilt":
+        limits = replace(motion.requirements.limits, tilt=0.6 * motion.requirements.limits.tilt)
+        motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
+    whole, few = stop_table(motion), stop_table(motion, decisive=True)
+    assert np.array_equal(few.starts, whole.starts)
+    assert np.all(few.durations >= whole.durations)
+    longest, begins = whole.longest
+    found, _ = few.longest
+    assert np.max(found) == np.max(longest)
+    assert begins[np.argmax(found)] == begins[np.argmax(longest)]
 
 
 @pytest.mark.parametrize("reserve", [1.0, 0.3])

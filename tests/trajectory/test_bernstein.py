@@ -179,7 +179,8 @@ def test_products_made_in_batches_are_those_of_single_polynomials(
     ):
         at = x[..., None] if found.ndim == 4 else x
         np.testing.assert_allclose(bernstein.evaluate(found, at), there, atol=1e-12)
-    for most in (1, 600):
+    for most, alone in ((1, 2**18), (600, 2**18), (2**18, 0), (600, 0)):
         monkeypatch.setattr(bernstein, "MOST_PAIRS", most)
+        monkeypatch.setattr(bernstein, "MOST_ALONE", alone)
         np.testing.assert_allclose(bernstein.multiply(a, b), product, atol=1e-14)
         np.testing.assert_allclose(bernstein.dot(a, vectors), inner, atol=1e-14)

@@ -183,7 +183,8 @@ def test_the_png_is_written_whatever_the_title(certificate: Certificate, tmp_pat
     picture = imread(path)
     assert picture.shape[0] > 700
     assert picture.shape[1] > 1200
-    assert 0.02 < np.mean(picture[..., :3] < 0.5) < 0.3  # ink, and not too much of it
+    assert picture.shape[2] == 3  # a channel of opacity takes time and says nothing
+    assert 0.02 < np.mean(picture < 0.5) < 0.3  # ink, and not too much of it
     first = path.read_bytes()
     save_summary(path, make_motion(3), certificate, "三角 $x_ \\frac{ %s \n second line")
     assert path.read_bytes() == first

@@ -59,6 +59,11 @@ ROUNDS = 4
 """Maximum rounds in which stops are put closer."""
 
 
+FEW = 60
+"""Pairs of a stop and a drone up to which all durations left are tried in one go, once the shortest
+of each stop have been."""
+
+
 def stop_phases(start: Array, duration: Array) -> ClockPhases:
     """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
     start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
@@ -127,39 +132,46 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
+def stop_table(
+    motion: Motion, limits: ClockLimits | None = None, *, decisive: bool = False
+) -> StopTable:
     """Return stops that keep all limits of a motion, close to each other where these are longest.
 
     The end counts as rest only if the drones rest there.
+
+    Parameters
+    ----------
+    motion: the plan.
+    limits: of the motion, where they are known.
+    decisive: find only those durations closely on which the longest time to rest depends.
     """
     bounds = StopBounds(limits or ClockLimits(motion))
     end = float(motion.drones.breaks[-1])
-    starts, rest = spaced_starts(motion), rest_of(motion)
-    table = StopTable(rest, starts, _shortest(bounds, starts, rest))
-    for _ in range(ROUNDS):
+    rest = rest_of(motion)
+    starts = spaced_starts(motion)
+    low, high = _bracketed(bounds, starts, rest)
+    for last in (*(False,) * ROUNDS, True):
+        table = _narrowed(bounds, starts, low, high, rest, decisive=decisive)
         longest, begins = table.longest
         ends = np.append(table.starts, end)
         most = np.max(longest)
         if not np.isfinite(most):
             most = np.max(longest, initial=0.0, where=np.isfinite(longest))
-        decisive = longest >= DECISIVE * most
+        deciding = longest >= DECISIVE * most
         # Stops may become shorter near these commands, and near the stops that they lead to.
-        chosen = table.chosen[np.flatnonzero(decisive[:-1])]
-        near = decisive.copy()
+        chosen = table.chosen[np.flatnonzero(deciding[:-1])]
+        near = deciding.copy()
         near[chosen] = near[chosen + 1] = True
         wide = near & (ends - begins > FINEST * most)
-        if not np.any(wide):
-            break
         parts = np.minimum(np.ceil((ends - begins)[wide] / (FINEST * most)), PARTS).astype(int)
-        if np.sum(parts - 1) > MORE:
+        if last or not np.any(wide) or np.sum(parts - 1) > MORE:
             break
         share = np.concatenate([np.arange(1, count) / count for count in parts])
         more = np.repeat(begins[wide], parts - 1)
         more += share * np.repeat((ends - begins)[wide], parts - 1)
-        starts = np.concatenate([table.starts, more])
-        durations = np.concatenate([table.durations, _shortest(bounds, more, rest)])
-        order = np.argsort(starts)
-        table = StopTable(table.end, starts[order], durations[order])
+        columns = np.stack([starts, low, high]), np.stack([more, *_bracketed(bounds, more, rest)])
+        joined = np.concatenate(columns, axis=1)
+        starts, low, high = joined[:, np.argsort(joined[0])]
     return table
 
 
@@ -176,27 +188,64 @@ def rest_of(motion: Motion) -> float:
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
 
 
-def _shortest(bounds: StopBounds, starts: Array, rest: float) -> Array:
-    """Return the shortest durations (m,) [s] of stops; infinite where none is found.
+def _most(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, bool]:
+    """Return durations (m,) [s] from which on none is looked for, and whether long ones are tried.
 
     None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
     a reserve lets stops begin at any time.
     """
+    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
+    return np.full(len(starts), np.inf) if slow else LATEST * (rest - starts), slow
+
+
+def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, Array]:
+    """Return durations (m,) [s] of stops, infinite where none is found, and smaller ones [s].
+
+    The shortest durations are no shorter than the smaller ones; they are the same where it is known
+    or where there is none. The smaller ones come first.
+    """
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
-    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
-    most = np.full(len(starts), np.inf) if slow else LATEST * (rest - starts)
+    most, slow = _most(bounds, starts, rest)
     for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
         left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
         if len(left):
             tried = np.tile(group, (len(left), 1))
             low[left], high[left] = _first(bounds, starts[left], low[left], tried, most[left])
-    left = np.flatnonzero(np.isfinite(high) & (low < high))
-    tried = low[left, None] * (high / low)[left, None] ** (np.arange(1, CUTS + 1) / CUTS)
-    tried[:, -1] = high[left]
-    found = _first(bounds, starts[left], low[left], tried[:, :-1], most[left])[1]
-    high[left] = np.fmin(high[left], found)
-    return high
+    return np.where(np.isinf(high), high, low), high
+
+
+def _narrowed(
+    bounds: StopBounds, starts: Array, low: Array, high: Array, rest: float, *, decisive: bool
+) -> StopTable:
+    """Find durations between given ones (m,), and set both to these.
+
+    Parameters
+    ----------
+    decisive: only of the stops on which the longest times to rest may depend.
+    """
+    while len(left := _wanted(rest, starts, low, high, decisive=decisive)):
+        ratio = (high[left] / low[left])[:, None]
+        tried = low[left, None] * ratio ** (np.arange(1, CUTS + 1) / CUTS)
+        tried[:, -1] = high[left]
+        most, _ = _most(bounds, starts[left], rest)
+        found = _first(bounds, starts[left], low[left], tried[:, :-1], most)[1]
+        low[left] = high[left] = np.fmin(high[left], found)
+    return StopTable(rest, starts, high)
+
+
+def _wanted(rest: float, starts: Array, low: Array, high: Array, *, decisive: bool) -> Indices:
+    """Return the stops whose durations are to be found between ``low`` and ``high``."""
+    open_ = low < high
+    shortest, longest = (StopTable(rest, starts, each).longest[0] for each in (low, high))
+    if decisive and np.all(np.isfinite(longest)):
+        # A stretch whose longest time to rest may decide depends on the stops at rest before the
+        # first one that is known; times only become shorter, to no less than the shortest.
+        deciding = longest[:-1] >= DECISIVE * np.max(shortest)
+        first = np.minimum.accumulate((starts + high)[::-1])[::-1]
+        reach = np.maximum.accumulate(np.where(deciding, first, -np.inf))
+        open_ &= starts + low < reach
+    return np.flatnonzero(open_)
 
 
 def _first(
@@ -209,15 +258,23 @@ def _first(
     may = tried < most[:, None]
     stop, which = np.nonzero(may)
     may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
-    row = np.arange(len(starts))
-    likely = np.zeros_like(may)
-    likely[row, np.argmax(may, axis=1)] = True
-    kept = np.zeros_like(may)
-    for chosen in (may & likely, may & ~likely):  # the others only where these fail
-        stop, which = np.nonzero(chosen & ~np.any(kept, axis=1, keepdims=True))
-        kept[stop, which] = shown(bounds, starts[stop], tried[stop, which])
-    first = np.where(np.any(kept, axis=1), np.argmax(kept, axis=1), tried.shape[1])
+    first = np.full(len(starts), tried.shape[1])
+    left = np.flatnonzero(np.any(may, axis=1))
+    drones, begun = len(bounds.limits.hover[0]), False
+    while len(left):
+        now = may[left]
+        if not begun or np.sum(now) * drones > FEW:  # one of each stop
+            now &= np.cumsum(now, axis=1) == 1
+        begun = True
+        stop, which = np.nonzero(now)
+        kept = np.zeros_like(now)
+        kept[stop, which] = shown(bounds, starts[left[stop]], tried[left[stop], which])
+        found = np.any(kept, axis=1)
+        first[left[found]] = np.argmax(kept[found], axis=1)
+        may[left] &= ~now
+        left = left[~found & np.any(may[left], axis=1)]
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
+    row = np.arange(len(starts))
     return steps[row, first], steps[row, first + 1]
 
 

@@ -44,10 +44,6 @@ class Sizes:
         """The largest of all drones."""
         return Sizes(*(np.max(each, axis=1, keepdims=True) for each in vars(self).values()))
 
-    def taken(self, index: Indices) -> Sizes:
-        """Return those of the chosen cells."""
-        return Sizes(*(each[index] for each in vars(self).values()))
-
 
 class DerivativeGrid:
     """Nodes at all breaks of a plan and between them; cells lie between nodes of one piece.
@@ -128,36 +124,30 @@ class DerivativeGrid:
         return found
 
     @cached_property
-    def axes(self) -> list[Array]:
-        """``values`` by axis, (3, nodes, drones) each: sums over few axes are slow."""
-        return [np.ascontiguousarray(np.moveaxis(each, 2, 0)) for each in self.values]
+    def table(self) -> Array:
+        """``values`` (orders, 3, drones · nodes), drone by drone: sums over many are quick."""
+        each = np.stack(self.values).transpose(0, 3, 2, 1)
+        return np.ascontiguousarray(each).reshape(*each.shape[:2], -1)
 
-    def on_chord(
-        self, order: int, cell: Indices, tau: Array, drone: Indices | None = None
-    ) -> Array:
-        """Return ``values[order]`` on the chords between nodes, by axis.
+    def on_chord(self, orders: slice, drone: Indices, cell: Indices, tau: Array) -> Array:
+        """Return some of ``values`` on the chords between nodes, by axis.
 
         Parameters
         ----------
-        order: index in ``values``.
-        cell, tau: (rows,) cells, and places on them, also (…, rows) where drones are given.
-        drone: (rows,), the one of each.
+        orders: indices in ``values``.
+        drone, cell: broadcast to the places (…).
+        tau: (k, …), shares of cells.
 
         Returns
         -------
-        (3, rows, drones), or (3, …, rows) where drones are given.
+        (orders, 3, k, …)
         """
-        values, left = self.axes[order], self.left[cell]
-        if drone is None:
-            start, end = values.take(left, axis=1), values.take(left + 1, axis=1)
-            tau = tau[:, None]
-        else:
-            count = values.shape[2]
-            flat, left = values.reshape(3, -1), count * left + drone
-            start, end = flat.take(left, axis=1), flat.take(left + count, axis=1)
-            if tau.ndim > 1:
-                start, end = start[:, None], end[:, None]
-        found: Array = start + tau * (end - start)
+        table = self.table[orders]
+        left = drone * len(self.values[0]) + self.left[cell]
+        start = table.take(left, axis=2)
+        chord = table.take(left + 1, axis=2)
+        chord -= start
+        found: Array = start[:, :, None] + tau * chord[:, :, None]
         return found
 
 

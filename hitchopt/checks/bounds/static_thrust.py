@@ -7,8 +7,13 @@ from functools import partial
 
 import numpy as np
 
+from hitchopt.checks.bounds.leg_directions import taken
 from hitchopt.checks.bounds.rounding_margins import position_margin
-from hitchopt.checks.bounds.thrust_enclosure import thrust_cells, thrust_enclosure
+from hitchopt.checks.bounds.thrust_enclosure import (
+    known_directions,
+    thrust_cells,
+    thrust_enclosure,
+)
 from hitchopt.checks.bounds.thrust_turning import load_rate, rate_margin, turning_cells
 from hitchopt.checks.thrust import thrust_bound
 from hitchopt.checks.tilt import tilt_bound
@@ -50,7 +55,12 @@ class StaticThrust:
             return Enclosure(coefficients, low.radius.reshape(shape))
 
         cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
-        thrust = shaped(_compiled(cells, noise) or thrust_enclosure(cells.blocks, noise))
+        found = _compiled(cells, noise)
+        if found is None:
+            along = known_directions(motion)
+            along = None if along is None else taken(along, slice(None))
+            found = thrust_enclosure(cells.blocks, noise, along)
+        thrust = shaped(found)
         if motion.requirements.limits.body_rate is None:
             return cls(thrust)
         rate = load_rate(turning_cells(motion).blocks, noise, rate_margin(motion))

@@ -14,21 +14,25 @@ them, a vector F is no longer than at the longer end plus ``h²/8`` times a boun
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.derivative_grid import WIDTH, DerivativeGrid, Sizes, axis_lengths
+from hitchopt.checks.bounds.derivative_grid import WIDTH, DerivativeGrid, axis_lengths
 from hitchopt.checks.bounds.rounding_margins import ROUNDING
+from hitchopt.checks.bounds.stop_rows import (
+    LimitTables,
+    StopRows,
+    acceleration_bound,
+    cut_stops,
+    jerk_bound,
+)
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
-
-SWITCH = 5.0 / 12.0
-"""Plan time over duration at which the clock's jerk changes its sign."""
 
 ROWS = 20_000
 """Parts of stops that are looked at in one go."""
@@ -43,40 +47,6 @@ SLACK = 1e-9
 """Relative margin for the clock's rounding."""
 
 
-class _Rows(NamedTuple):
-    """Parts of stops within one cell of the grid; each array is (rows,), pairs are of both ends.
-
-    Attributes
-    ----------
-    stop: whose they are.
-    cell: of the grid.
-    late: whether in the second half.
-    chord: (width of its cell)² / 8 [s²]; 0 where a row covers its cell.
-    T: duration of the stop [s].
-    tau: (2, rows), plan time from the cell's begin over its width.
-    s, a: (2, rows), rate and its derivative.
-    j: second derivative of the rate.
-    v: 1 - w where each begins.
-    time: how long each takes [s].
-    """
-
-    stop: Indices
-    cell: Indices
-    late: Flags
-    chord: Array
-    T: Array
-    tau: Array
-    s: Array
-    a: Array
-    j: Array
-    v: Array
-    time: Array
-
-    def taken(self, index: Indices) -> _Rows:
-        """Return the chosen rows."""
-        return _Rows._make(each.take(index, axis=-1) for each in self)
-
-
 class StopBounds:
     """Limits of a motion, for stops from full rate.
 
@@ -89,7 +59,13 @@ class StopBounds:
     def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
         self.limits = limits
         self.grid = DerivativeGrid(limits, width)
-        self._vectors = max(1, VECTORS // max(1, len(limits.motion.team.mass)))
+        self._mass, self._max_thrust = limits.motion.team.mass, limits.motion.team.max_thrust
+        self._vectors = max(1, VECTORS // max(1, len(self._mass)))
+        self._drones = np.arange(len(self._mass))[:, None]
+
+    @cached_property
+    def _tables(self) -> LimitTables:
+        return LimitTables.of(self.limits, self.grid)
 
     def keep(self, start: Array, duration: Array) -> Flags:
         """Return (stops,) whether stops that begin at plan times [s] are shown to keep all limits.
@@ -122,7 +98,7 @@ class StopBounds:
         group = count // ROWS
         for first in range(int(group[-1]) + 1 if len(group) else 0):
             check_time()
-            self._look(self._rows(start, duration, np.flatnonzero(group == first)), kept)
+            self._look(cut_stops(self.grid, start, duration, np.flatnonzero(group == first)), kept)
         return kept
 
     def _samples(self, start: Array, duration: Array) -> Flags:
@@ -133,52 +109,22 @@ class StopBounds:
         time = np.minimum(time, self.grid.until[-1])
         cell = np.maximum(np.searchsorted(self.grid.begin, time, side="right") - 1, 0)
         share = (time - self.grid.begin[cell]) / self.grid.width[cell]
-        x1, x2, x3 = (self.grid.on_chord(order, cell, share) for order in range(3))
-        s, a, j = (each[:, None] for each in (1.0 - 2.0 * w * w, -4.0 * w / T, -4.0 / (T * T)))
+        x1, x2, x3 = self.grid.on_chord(slice(3), self._drones, cell, share[None])[:, :, 0]
+        s, a, j = 1.0 - 2.0 * w * w, -4.0 * w / T, -4.0 / (T * T)
         s2 = s * s
         fine = axis_lengths(s2 * s * x3 + (3.0 * s * a) * x2 + j * x1) <= limits.jerk
         fine &= axis_lengths(s2 * x2 + a * x1) <= limits.acceleration
-        kept: Flags = np.all(fine, axis=1).reshape(len(_W), -1).all(axis=0)
+        kept: Flags = np.all(fine, axis=0).reshape(len(_W), -1).all(axis=0)
         return kept
 
-    def _rows(self, start: Array, duration: Array, stops: Indices) -> _Rows:
-        """Return stops cut at the grid's nodes; a plan rests after its end."""
-        t, T = (np.repeat(each[stops], 2) for each in (start, duration))
-        late = np.arange(len(t)) % 2 == 1
-        low = t + np.where(late, SWITCH * T, 0.0)
-        high = t + np.where(late, 0.5, SWITCH) * T
-        first = np.searchsorted(self.grid.begin, low, side="right") - 1
-        last = np.searchsorted(self.grid.begin, high, side="left") - 1
-        count = np.where(low < self.grid.until[-1], last - first + 1, 0)
-        own = np.repeat(np.arange(len(t)), count)
-        cell = np.arange(len(own)) - np.repeat(np.cumsum(count) - count - first, count)
-        begin, until = self.grid.begin[cell], self.grid.until[cell]
-        tau = np.stack([np.maximum(begin, low[own]), np.minimum(until, high[own])])
-        whole = (tau[0] == begin) & (tau[1] == until)
-        chord = np.where(whole, 0.0, self.grid.width[cell] ** 2 / 8.0)
-        late, t, T = late[own], t[own], T[own]
-        p = (tau - t) / T
-        early = np.sqrt(2.0) * np.sin(np.arcsin(np.clip(3.0 / np.sqrt(2.0) * p, 0.0, 1.0)) / 3.0)
-        v = np.where(late, np.cbrt(np.maximum(0.75 - 1.5 * p, 0.0)), 1.0 - early)
-        w = 1.0 - v
-        s = np.where(late, 2.0 * v * v, 1.0 - 2.0 * w * w)
-        a = -4.0 / T * np.where(late, v, w)
-        j = np.where(late, 4.0, -4.0) / T**2
-        share = (tau - begin) / self.grid.width[cell]
-        return _Rows(
-            np.repeat(stops, 2)[own], cell, late, chord, T, share, s, a, j, v[0], (w[1] - w[0]) * T
-        )
-
-    def _look(self, rows: _Rows, kept: Flags) -> None:
+    def _look(self, rows: StopRows, kept: Flags) -> None:
         """Set ``kept`` to False for stops that are not shown to keep a limit in these rows."""
-        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
-        most = self.grid.largest.taken(rows.cell)
-        acceleration = _acceleration(most, rows)[:, 0] * (1.0 + SLACK)
-        jerk = _jerk(most, rows)[:, 0] * (1.0 + SLACK)
-        piece = self.grid.piece[rows.cell]
-        fine = (acceleration <= limits.acceleration) & (jerk <= limits.jerk)
-        fine &= acceleration <= np.min((team.max_thrust - self.limits.hover) / team.mass, 1)[piece]
-        fine &= acceleration <= np.min(-self.limits.beyond / team.mass, 1)[piece]
+        limits = self.limits.motion.requirements.limits
+        most = self._tables.largest.take(rows.cell, axis=1)
+        acceleration = acceleration_bound(most, rows) * (1.0 + SLACK)
+        fine = acceleration <= limits.acceleration
+        fine &= jerk_bound(most, rows) * (1.0 + SLACK) <= limits.jerk
+        fine &= acceleration <= self._tables.spare[self.grid.piece[rows.cell]]
         left = np.flatnonzero(~fine)
         size = self._vectors
         for first in range(0, len(left), size):
@@ -189,55 +135,57 @@ class StopBounds:
                 own = rows.taken(part)
                 kept[own.stop[~self._keeps(own)]] = False
 
-    def _keeps(self, rows: _Rows) -> Flags:
+    def _keeps(self, rows: StopRows) -> Flags:
         """Return (rows,) whether all drones are shown to keep all limits."""
-        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
-        piece, sizes = self.grid.piece[rows.cell], self.grid.sizes.taken(rows.cell)
-        acceleration, jerk = _acceleration(sizes, rows), _jerk(sizes, rows)
-        extra = team.mass * acceleration * (1.0 + SLACK)
+        limits, tables = self.limits.motion.requirements.limits, self._tables
+        sizes = tables.sizes.take(rows.cell, axis=2)
+        acceleration, jerk = acceleration_bound(sizes, rows), jerk_bound(sizes, rows)
         fine = acceleration * (1.0 + SLACK) <= limits.acceleration
         fine &= jerk * (1.0 + SLACK) <= limits.jerk
-        fine &= self.limits.hover[piece] + extra <= team.max_thrust
-        fine &= self.limits.beyond[piece] + extra <= 0.0
-        row, drone = np.nonzero(~fine)
-        kept = np.ones(len(piece), dtype=np.bool_)
-        held = self._pairs_keep(rows.taken(row), drone, acceleration[row, drone], jerk[row, drone])
-        kept[row[~held]] = False
+        hover, beyond = tables.loads.take(self.grid.piece[rows.cell], axis=2)
+        extra = self._mass[:, None] * acceleration * (1.0 + SLACK)
+        fine &= hover + extra <= self._max_thrust[:, None]
+        fine &= beyond + extra <= 0.0
+        drone, row = (np.flatnonzero(~np.all(fine, axis=axis)) for axis in (1, 0))
+        kept = np.ones(len(rows.cell), dtype=np.bool_)
+        if len(row):
+            known = np.stack([acceleration, jerk, sizes[1], sizes[2], hover, beyond])
+            known = known.take(drone, axis=1).take(row, axis=2)
+            kept[row] = self._vectors_keep(rows.taken(row), drone, known)
         return kept
 
-    def _pairs_keep(self, rows: _Rows, drone: Indices, acceleration: Array, jerk: Array) -> Flags:
-        """Return (pairs,) whether drones are shown to keep all limits in a row each.
+    def _vectors_keep(self, rows: StopRows, drone: Indices, known: Array) -> Flags:
+        """Return (rows,) whether some drones are shown to keep all limits, by their vectors.
 
         Parameters
         ----------
-        rows: one for each pair.
-        drone: (pairs,).
-        acceleration, jerk: (pairs,) bounds of these that are known.
+        rows: parts of stops.
+        drone: (drones,), those that are looked at.
+        known: (6, drones, rows), bounds of acceleration and jerk, those of the second and third
+            derivatives, and the ``loads`` of the tables.
         """
-        limits, team = self.limits.motion.requirements.limits, self.limits.motion.team
-        grid, count = self.grid, len(team.mass)
-        cell = rows.cell
-        at, on = grid.piece[cell] * count + drone, cell * count + drone
-        fourth, fifth = grid.fourth.take(at), grid.fifth.take(at)
-        first, second, third = (margin.take(at) for margin in self.limits.margins)
-        A, J = grid.sizes.second.take(on), grid.sizes.third.take(on)
+        limits, grid, cell = self.limits.motion.requirements.limits, self.grid, rows.cell
+        acceleration, jerk, A, J, hover, beyond = known
+        at = drone[:, None] * len(grid.fourth) + grid.piece[cell]
+        fourth, fifth, first, second, third = self._tables.margins.take(at, axis=1)
         chord, time = rows.chord, rows.time * rows.time / 8.0
         step = (grid.width[cell] * (rows.tau[1] - rows.tau[0])) ** 2 / 8.0
         T, v, s = rows.T, rows.v, rows.s[0]
         a, j = np.maximum(*np.abs(rows.a)), np.abs(rows.j)
         s2, a2, v3 = s * s, a * a, v * v * v
-        s3 = s2 * s
+        s3, sa = s2 * s, 3.0 * s * a
         # How far vectors may be from those at the ends of rows, these taken on chords of cells.
-        bent = time * (s2 * s2 * fourth + 6.0 * s2 * a * J + (3.0 * a2 + 4.0 * s * j) * A)
-        bent += chord * (s2 * fourth + a * J) + s2 * second + a * first
-        early = (s3 * s2 * fifth + 10.0 * s3 * a * fourth) + 10.0 * a * j * A
-        early += (15.0 * s * a2 + 10.0 * s2 * j) * J
-        late = 112.0 / T**2 * J + 72.0 / T * v3 * fourth + 8.0 * v3 * v3 * fifth
-        bend = np.where(rows.late, step * late, time * early)
-        bend += chord * (s3 * fifth + 3.0 * s * a * fourth + j * J)
-        bend += s3 * third + 3.0 * s * a * second + j * first
-        x1, x2, x3 = (grid.on_chord(order, cell, rows.tau, drone) for order in range(3))
-        s, a, j = rows.s, rows.a, rows.j
+        bent = (time * s2 * s2 + chord * s2) * fourth + s2 * second + a * first
+        bent += (6.0 * time * s2 + chord) * a * J + time * (3.0 * a2 + 4.0 * s * j) * A
+        late, none = rows.late, 0.0 * s
+        bend = np.where(late, step * 8.0 * v3 * v3, time * s3 * s2) + chord * s3
+        bend = bend * fifth + s3 * third + sa * second + j * first
+        bend += (np.where(late, step * 72.0 / T * v3, time * 10.0 * s3 * a) + chord * sa) * fourth
+        turned = time * (15.0 * s * a2 + 10.0 * s2 * j)
+        bend += (np.where(late, step * 112.0 / T**2, turned) + chord * j) * J
+        bend += np.where(late, none, time * 10.0 * a * j) * A
+        x1, x2, x3 = grid.on_chord(slice(3), drone[:, None], cell, rows.tau[:, None])
+        s, a, j = rows.s[:, None], rows.a[:, None], rows.j
         s2 = s * s
         ends = s2 * x2 + a * x1
         there = np.maximum(*axis_lengths(s2 * s * x3 + 3.0 * s * a * x2 + j * x1))
@@ -245,17 +193,19 @@ class StopBounds:
         acceleration *= 1.0 + SLACK
         jerk = np.minimum(there + bend, jerk) * (1.0 + SLACK)
         kept: Flags = (acceleration <= limits.acceleration) & (jerk <= limits.jerk)
-        extra = team.mass[drone] * acceleration
-        fine = self.limits.hover.take(at) + extra <= team.max_thrust[drone]
-        fine &= self.limits.beyond.take(at) + extra <= 0.0
-        left = np.flatnonzero(kept & ~fine)
-        if len(left):
-            kept[left] = self._force_keeps(
-                rows.taken(left), drone[left], ends[..., left], bent[left]
-            )
-        return kept
+        extra = self._mass[drone][:, None] * acceleration
+        fine = hover + extra <= self._max_thrust[drone][:, None]
+        fine &= beyond + extra <= 0.0
+        if not np.all(fine):
+            i, row = np.nonzero(kept & ~fine)
+            own = rows.taken(row)
+            kept[i, row] = self._force_keeps(own, drone[i], ends[:, :, i, row], bent[i, row])
+        every: Flags = np.all(kept, axis=0)
+        return every
 
-    def _force_keeps(self, rows: _Rows, drone: Indices, accelerations: Array, bent: Array) -> Flags:
+    def _force_keeps(
+        self, rows: StopRows, drone: Indices, accelerations: Array, bent: Array
+    ) -> Flags:
         """Return (pairs,) whether thrusts and tilts are shown to keep their limits.
 
         Parameters
@@ -272,27 +222,9 @@ class StopBounds:
         radius = self.limits.static.thrust.radius[piece, drone]
         radius = radius + ROUNDING * self.limits.hover[piece, drone]
         radius += team.mass[drone] * bent + chord * bend + time * (s**2 * bend + a * slope)
-        force = self.grid.on_chord(3, rows.cell, rows.tau, drone)
+        force = self.grid.on_chord(slice(3, 4), drone, rows.cell, rows.tau)[0]
         force += team.mass[drone] * accelerations
         thrust = axis_lengths(force) + radius
         beyond = np.hypot(force[0], force[1]) * cos - force[2] * sin + radius
         kept: Flags = np.all((thrust <= team.max_thrust[drone]) & (beyond <= 0.0), axis=0)
         return kept
-
-
-def _acceleration(sizes: Sizes, rows: _Rows) -> Array:
-    """Return a bound of the acceleration [m/s²]."""
-    s, a = rows.s[0], np.maximum(*np.abs(rows.a))
-    found: Array = (s * s)[:, None] * sizes.second + a[:, None] * sizes.first
-    return found
-
-
-def _jerk(sizes: Sizes, rows: _Rows) -> Array:
-    """Return a bound of the jerk [m/s³]."""
-    s, a, j = rows.s[0], np.maximum(*np.abs(rows.a)), np.abs(rows.j)
-    found: Array = (
-        (s * s * s)[:, None] * sizes.third
-        + (3.0 * s * a)[:, None] * sizes.second
-        + j[:, None] * sizes.first
-    )
-    return found

@@ -11,20 +11,21 @@ polynomial (see ``hitchopt.motion.tensions``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import pull_vectors
 from hitchopt.checks.bounds.hanging_links import steepness_range
+from hitchopt.checks.bounds.leg_directions import pull_directions, taken
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.extremum import Cells
+from hitchopt.trajectory.extremum import Cells, Estimate, First
 from hitchopt.values import Array
 
 NO_DIRECTION = 1e-5
@@ -82,16 +83,19 @@ def _weight_blocks(motion: Motion, unit: Array) -> list[Array]:
     return [*blocks, partner, weight[:, :, None], length[..., None, None]]
 
 
-def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclosure:
+def thrust_enclosure(
+    blocks: tuple[Array, ...], noise: float, along: enclosure.Enclosure | None = None
+) -> enclosure.Enclosure:
     """Return polynomials (cells, 3, degree + 1) and radii (cells,) around the thrusts.
 
     Parameters
     ----------
     blocks: of ``thrust_cells``.
     noise: of the positions [m].
+    along: directions of the legs, where they are known.
     """
     free, legs, tension, slop = blocks[:4]
-    along = enclosure.direction(legs, noise)
+    along = enclosure.direction(legs, noise) if along is None else along
     pull = bernstein.multiply(along.coefficients, tension)
     parts = [free, pull]
     radius = np.max(np.abs(tension), axis=(-2, -1)) * along.radius + slop[:, 0, 0]
@@ -101,6 +105,27 @@ def thrust_enclosure(blocks: tuple[Array, ...], noise: float) -> enclosure.Enclo
     order = max(bernstein.degree(part) for part in parts)
     thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
     return enclosure.Enclosure(thrust, radius)
+
+
+def known_directions(motion: Motion) -> enclosure.Enclosure | None:
+    """Return the directions of the legs of ``thrust_cells``; None without cables."""
+    return pull_directions(motion) if motion.team.has_cables else None
+
+
+def whole_pieces(motion: Motion, cells: Cells, bound: Callable[..., Estimate]) -> First:
+    """Return what bounds ``thrust_cells`` of a motion, by directions that other checks need too.
+
+    Parameters
+    ----------
+    bound: takes the cells' blocks, and ``along`` as ``thrust_enclosure``.
+    """
+
+    def first(part: slice) -> Estimate:
+        blocks = tuple(block[part] for block in cells.blocks)
+        along = known_directions(motion)
+        return bound(blocks, along=None if along is None else taken(along, part))
+
+    return first
 
 
 def _weights(blocks: tuple[Array, ...], noise: float) -> Iterator[enclosure.Enclosure]:
