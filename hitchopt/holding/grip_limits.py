@@ -20,7 +20,7 @@ LEAST_GAP = 0.02
 DECIMALS = 9
 """Decimals that are told of a value."""
 
-NO_GRIP = "use three cables, another length of cables or a larger section, or rest it on a rim"
+NO_GRIP = "use cables of another length, or a larger section, or rest it on a rim"
 """What to do where no grip was found."""
 
 

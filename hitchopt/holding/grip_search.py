@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -48,6 +48,9 @@ slopes jump where two are equal."""
 OFFSETS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Distances of every other starting vertex to the section, and of those between, over its mean
 radius; the first pair where they do not alternate."""
+
+FEWEST = 3
+"""Smallest number of cables."""
 
 TURNS = 3
 """Starting polygons, turned by equal parts of their symmetry, besides those that face sides."""
@@ -257,10 +260,12 @@ def _searched(task: GripTask, grip: Grip) -> list[Array]:
 def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
     """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
+    broken = Violation("grip", 0.0, 1.0, "min", "ratio", (), "", NO_GRIP)
     for grip in nearest[:1]:
         short = {key: float(np.min(each)) for key, each in task.margins(grip).items()}
         worst = min(short, key=lambda key: short[key])
         if short[worst] < 0.0:
             broken = broken_limit_of(worst, short[worst], task.requirements, task.kind)
-            return InfeasibleError([broken], note)
-    return InfeasibleError([Violation("grip", 0.0, 1.0, "min", "ratio", (), "", NO_GRIP)], note)
+    if task.robots > FEWEST:
+        broken = replace(broken, remedy=f"use three cables; or {broken.remedy}")
+    return InfeasibleError([broken], note)

@@ -277,3 +277,16 @@ def test_level_pulls_are_limited_by_tilt() -> None:
     assert binding == "tilt"
     assert 1.29 < most < 1.3
     assert largest_tension(STEEP, ho.Quadrotor())[0] > 1.5
+
+
+def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
+    for n, told in ((3, False), (5, True)):
+        task = GripTask(
+            ho.Section([[0.09, -0.16], [0.08, 0.16], [-0.15, -0.1]]), n, 2.29, 1.0, 0.0,
+            Requirements(ho.Limits(tilt=1.0)), ho.Quadrotor(),
+        )  # fmt: skip
+        with pytest.raises(ho.InfeasibleError) as refused:
+            best_grip(task)
+        remedy = refused.value.violations[0].remedy
+        assert ("three cables" in remedy) is told
+        assert "another length" in remedy
