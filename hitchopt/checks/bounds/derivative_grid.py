@@ -126,8 +126,11 @@ class DerivativeGrid:
     @cached_property
     def table(self) -> Array:
         """``values`` (orders, 3, drones · nodes), drone by drone: sums over many are quick."""
-        each = np.stack(self.values).transpose(0, 3, 2, 1)
-        return np.ascontiguousarray(each).reshape(*each.shape[:2], -1)
+        nodes, drones, axes = self.values[0].shape
+        table = np.empty((len(self.values), axes, drones, nodes))
+        for order, values in zip(table, self.values, strict=True):
+            order[...] = values.transpose(2, 1, 0)
+        return table.reshape(len(table), axes, -1)
 
     def on_chord(self, orders: slice, drone: Indices, cell: Indices, tau: Array) -> Array:
         """Return some of ``values`` on the chords between nodes, by axis.
