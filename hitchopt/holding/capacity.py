@@ -14,6 +14,9 @@ RESOLUTION = 1e-7
 ROUNDING = 1e-9
 """Margin below zero at which a limit is kept, as by the certificate: pulls may be at a limit."""
 
+EASED = 0.95
+"""Share of the largest mass at rest that is suggested: lifting and carrying pull at it too."""
+
 SUGGESTED = {
     "grip": "raise the tension, or use rougher cables",
     "tilt": "raise limits.tilt_deg",

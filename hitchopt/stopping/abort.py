@@ -12,6 +12,7 @@ import numpy as np
 
 from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.checks.bounds.stop_rows import SWITCH
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
@@ -77,10 +78,6 @@ class Abort:
     certified: Certified
 
 
-MIDDLE = 5.0 / 12.0
-"""Share of a stop's duration by which plan time advances until its jerk changes its sign."""
-
-
 class Aborts:
     """The aborts of one plan: what they have in common is computed once.
 
@@ -101,7 +98,7 @@ class Aborts:
         pieces so short suffer from rounding, and longer ones do not follow a jump of the jerk.
         """
         table, breaks = self.player.stops, self.motion.drones.breaks
-        jumps = np.stack([table.starts, table.starts + MIDDLE * table.durations])
+        jumps = np.stack([table.starts, table.starts + SWITCH * table.durations])
         later = np.clip(np.searchsorted(breaks, jumps), 1, len(breaks) - 1)
         away = np.minimum(np.abs(jumps - breaks[later - 1]), np.abs(jumps - breaks[later]))
         clear = np.all((away <= SAME_BREAK) | (away > SHORTEST), axis=0)

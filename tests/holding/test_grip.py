@@ -13,10 +13,12 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.holding import grip_search
+from hitchopt.holding.capacity import largest_mass
 from hitchopt.holding.grip_limits import broken_limit_of, grip_margins, largest_tension
-from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
+from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
@@ -290,3 +292,26 @@ def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
         remedy = refused.value.violations[0].remedy
         assert ("three cables" in remedy) is told
         assert "another length" in remedy
+
+
+def test_limits_that_are_reached_without_a_load_are_kept() -> None:
+    held = largest_mass(lambda mass: {"grip": 0.2 - mass, "tilt": -1e-12}, 1.0)
+    assert held.mass == pytest.approx(0.2, abs=1e-6)
+    assert largest_mass(lambda mass: {"grip": 0.2 - mass, "tilt": -1e-6}, 1.0).mass == 0.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_grips_that_cannot_be_balanced_are_left_out() -> None:
+    rng = np.random.default_rng(6)
+    corners, _ = int(rng.integers(4, 9)), rng.integers(3, 6)
+    points = rng.normal(size=(corners, 2)) * rng.uniform(0.1, 0.3) * [1.0, rng.uniform(0.5, 1.0)]
+    outline = points[ConvexHull(points).vertices]
+    body = ho.SolidObject(ho.Section(outline))
+    requirements = Requirements(ho.Limits(tilt=math.radians(60.0)))
+    team = ho.Team(4, 1.37, tension=1.3)
+    found = grip_polygons("part", body, team, requirements, 0.08)
+    assert np.all(np.isfinite([found.closed, found.around]))
+    most, _ = largest_tension(requirements, team.quadrotor[0])
+    task = grip_task(body, team, SEARCHED * most, requirements)
+    assert merit(task, task.grip(found.closed)) > 0.0
+    assert np.all(body.section.clearance(found.closed)[0] > 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -252,3 +253,9 @@ def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
         halfway = 0.5 * (change.new + body[key])
         half = {**data, "objects": {**data["objects"], name: {**body, key: halfway}}}
         assert not plans(half)
+    with pytest.raises(ho.InfeasibleError) as refused:
+        ho.solve(problem_from_dict(data))
+    told = re.search(r"lower objects\.\w+\.mass to ([\d.]+) kg", str(refused.value))
+    assert told is not None
+    lighter = {**body, "mass": float(told[1])}
+    assert plans({**data, "objects": {**data["objects"], name: lighter}})

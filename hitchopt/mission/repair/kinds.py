@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.holding.capacity import EASED
 from hitchopt.mission.problem import DronesStart, Problem
 from hitchopt.mission.repair.change import (
     TIMES,
@@ -55,9 +56,6 @@ HEAVY = frozenset({"load"})
 
 HELD = frozenset({"grip"})
 """What lighter objects, and rougher ones, repair."""
-
-EASED = 0.95
-"""Share of what is held at rest that is tried first: lifting and carrying pull at it too."""
 
 ROUGHEST = 1.0
 """Largest coefficient of friction suggested."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Team
-from hitchopt.holding.capacity import Capacity
+from hitchopt.holding.capacity import EASED, Capacity
 from hitchopt.holding.grip_limits import largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
@@ -31,9 +31,6 @@ before they meet other corners."""
 
 BALANCING = 30
 """Newton's steps with which they are balanced."""
-
-EASED = 0.95
-"""Share of the largest mass at rest that is suggested: lifting and carrying pull at it too."""
 
 TENSIONS = np.geomspace(0.2, 5.0, 60)
 """[N] Tensions that are tried for a suggestion."""
@@ -109,11 +106,10 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
         contacts = contacts_of(centre + grips, wraps, section.core)
         parts = straight_parts(centre + grips, contacts, np.zeros_like(pulls))
         with np.errstate(divide="ignore", invalid="ignore"):  # clasps that have come to the section
-            moved = balanced(grips, pulls, parts, contacts - centre, none)
-        grips = np.where(np.isfinite(moved).all(axis=(1, 2), keepdims=True), moved, grips)
+            grips = balanced(grips, pulls, parts, contacts - centre, none)
     turns = wraps_around(section, centre + grips).least_turns(section)
     merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
-    worth = np.minimum(turns, TURN) * np.maximum(np.nan_to_num(merits), 0.0)
+    worth = np.nan_to_num(np.minimum(turns, TURN) * np.maximum(merits, 0.0))
     found: Array = centre + grips[np.argmax(worth)]
     return found if np.max(worth) > 0.0 else closed
 
