@@ -84,7 +84,9 @@ class Morph(ShapeStep):
     def fitting(self, team: Team) -> Self:
         """Return the step fitting a team, whose tensions lie within the step's own range."""
         fitted = super().fitting(team)
-        least, most = self.tension or (0.0, np.inf)
+        if self.tension is None:
+            return fitted
+        least, most = self.tension
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
         if not least <= smallest <= largest <= most:
             bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"
