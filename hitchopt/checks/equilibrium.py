@@ -16,7 +16,7 @@ from hitchopt.checks.bounds.clasp_weights import (
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.gripped_balance import unbalanced
-from hitchopt.checks.bounds.leg_directions import edge_directions, pull_directions
+from hitchopt.checks.bounds.leg_directions import clasp_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
@@ -27,7 +27,7 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
 from hitchopt.trajectory import bernstein, compiled_search, enclosure
 from hitchopt.trajectory.compiled_search import KnownBound
-from hitchopt.trajectory.extremum import Cells, Estimate, First, largest
+from hitchopt.trajectory.extremum import Cells, Estimate, largest
 from hitchopt.values import Array
 
 LIMIT = 5e-3
@@ -75,9 +75,9 @@ def _find(motion: Motion, _: float) -> Finding:
     cells = Cells.over(motion.drones.breaks, blocks)
     count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
     known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING)
-    found = compiled_search.largest(
-        cells, partial(_bound, noise=noise), known, first=_whole_pieces(motion, cells, noise)
-    )
+    shared = partial(clasp_directions, motion) if motion.contacts is None else None  # of edges
+    bound = partial(_bound, noise=noise)
+    found = compiled_search.largest(cells, bound, known, directions=shared)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)
@@ -120,28 +120,6 @@ def _pulls(motion: Motion) -> Array:
         tension[:, layout.behind],
     ]
     return lowered(np.stack(each, axis=2))
-
-
-def _whole_pieces(motion: Motion, cells: Cells, noise: float) -> First | None:
-    """Return the bound of all cells, by directions that other checks need too; None of bent edges.
-
-    In place of the four directions at every clasp, it takes those of n edges and 2n legs.
-    """
-    if motion.contacts is not None:
-        return None
-    layout = motion.team.layout
-
-    def first(part: slice) -> Estimate:
-        legs, edges = pull_directions(motion), edge_directions(motion)
-        piece, clasp = np.divmod(np.arange(len(cells))[part], len(layout.clasps))
-        ahead, behind = layout.ahead[clasp], layout.behind[clasp]
-        each = ((legs, 2 * ahead), (edges, ahead), (legs, 2 * behind + 1), (edges, behind))
-        coefficients = np.stack([found.coefficients[piece, item] for found, item in each], axis=1)
-        radii = np.stack([found.radius[piece, item] for found, item in each], axis=1)
-        blocks = tuple(block[part] for block in cells.blocks)
-        return _bound(blocks, noise, enclosure.Enclosure(coefficients, radii))
-
-    return first
 
 
 def _bound(

@@ -9,10 +9,10 @@ import numpy as np
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
     NO_DIRECTION,
+    known_directions,
     thrust_at,
     thrust_cells,
     thrust_enclosure,
-    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
@@ -33,7 +33,7 @@ def _find(motion: Motion, _: float) -> Finding:
     cells, noise = thrust_cells(motion, limits), position_margin(motion)
     known = KnownBound("thrust", 4, noise, NO_DIRECTION)
     bound, aim = partial(thrust_bound, noise=noise), within(1.0, "max", share=0.5)
-    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
+    found = largest(cells, bound, known, aim, known_directions(motion))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)

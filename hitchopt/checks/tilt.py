@@ -10,10 +10,10 @@ import numpy as np
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
     NO_DIRECTION,
+    known_directions,
     thrust_at,
     thrust_cells,
     thrust_enclosure,
-    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
@@ -36,7 +36,7 @@ def _find(motion: Motion, limit: float) -> Finding:
     noise = position_margin(motion)
     known = KnownBound("tilt", 4, noise, NO_DIRECTION)
     bound = partial(tilt_bound, noise=noise)
-    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
+    found = largest(cells, bound, known, aim, known_directions(motion))
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 

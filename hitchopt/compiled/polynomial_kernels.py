@@ -7,7 +7,7 @@ from math import comb
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 ENCLOSED = 2.0**-46
 """Rounding in an enclosure's residual: ``ROUNDING`` of ``hitchopt.trajectory.enclosure``."""
@@ -17,6 +17,9 @@ Blocks = tuple[Array, Array, Array, Array]
 
 Found = tuple[float, float, float]
 """Bound, value and place of a cell."""
+
+Known = tuple[Array, Array, Indices]
+"""Directions (m, 3, degree + 1), their errors (m,), and the places (cells, k) of each cell's."""
 
 _BINOMIALS = np.array([[comb(n, k) for k in range(65)] for n in range(65)], dtype=np.float64)
 
@@ -227,6 +230,16 @@ def direction(y: Array, weights: Array, noise: float) -> tuple[Array, float]:
         for k in range(m + n + 1):
             unit[i, k] *= _INVERSES[m + n, k]
     return unit, error
+
+
+@kernel
+def directions(vectors: Array, weights: Array, noise: float) -> tuple[Array, Array]:
+    """Return the directions (m, 3, ·) and errors (m,) of vectors (m, 3, ·)."""
+    count = len(vectors)
+    out, errors = np.empty((count, 3, vectors.shape[2] + weights.shape[1] - 1)), np.empty(count)
+    for i in range(count):
+        out[i], errors[i] = direction(vectors[i], weights, noise)
+    return out, errors
 
 
 @kernel

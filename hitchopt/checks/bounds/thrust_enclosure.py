@@ -13,19 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import pull_vectors
 from hitchopt.checks.bounds.hanging_links import steepness_range
-from hitchopt.checks.bounds.leg_directions import pull_directions, taken
+from hitchopt.checks.bounds.leg_directions import drone_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.extremum import Cells, Estimate, First
+from hitchopt.trajectory.compiled_search import Directions
+from hitchopt.trajectory.extremum import Cells
 from hitchopt.values import Array
 
 NO_DIRECTION = 1e-5
@@ -107,25 +109,9 @@ def thrust_enclosure(
     return enclosure.Enclosure(thrust, radius)
 
 
-def known_directions(motion: Motion) -> enclosure.Enclosure | None:
-    """Return the directions of the legs of ``thrust_cells``; None without cables."""
-    return pull_directions(motion) if motion.team.has_cables else None
-
-
-def whole_pieces(motion: Motion, cells: Cells, bound: Callable[..., Estimate]) -> First:
-    """Return what bounds ``thrust_cells`` of a motion, by directions that other checks need too.
-
-    Parameters
-    ----------
-    bound: takes the cells' blocks, and ``along`` as ``thrust_enclosure``.
-    """
-
-    def first(part: slice) -> Estimate:
-        blocks = tuple(block[part] for block in cells.blocks)
-        along = known_directions(motion)
-        return bound(blocks, along=None if along is None else taken(along, part))
-
-    return first
+def known_directions(motion: Motion) -> Callable[[], Directions] | None:
+    """Return what gives the directions of the legs of ``thrust_cells``; None without cables."""
+    return partial(drone_directions, motion) if motion.team.has_cables else None
 
 
 def _weights(blocks: tuple[Array, ...], noise: float) -> Iterator[enclosure.Enclosure]:
