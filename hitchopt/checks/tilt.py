@@ -31,7 +31,7 @@ UPSIDE_DOWN = 180.0
 
 def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
-    cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
+    cells = thrust_cells(motion)
     aim = within(limit, "max", share=0.5)
     noise = position_margin(motion)
     known = KnownBound("tilt", 4, noise, NO_DIRECTION)

@@ -11,7 +11,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.bounds.leg_directions import shared_directions
+from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.checks.tracking_radius import GAMMA
@@ -150,7 +150,7 @@ def certified_retarget(
         short = [check for check in short if not check.holds]
         if short and not complete:
             return infeasible(Certificate(ahead.duration, tuple(short)), ahead)
-        with shared_directions():
+        with shared_values():
             certificate = certify(checked, reports=(), known=known)
             if certificate.certified:
                 stops = tuple(report.check(checked, {}, GAMMA) for report in IN_FLIGHT)

@@ -2,41 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from weakref import WeakKeyDictionary
-
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
+from hitchopt.checks.bounds.shared_values import once
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.compiled_search import Directions, enclosed_directions
 from hitchopt.values import Indices
 
-Shared = WeakKeyDictionary[Motion, Directions]
-
-_SHARED: ContextVar[Shared | None] = ContextVar("shared", default=None)
-
-
-@contextmanager
-def shared_directions() -> Iterator[None]:
-    """Keep directions within the outermost context: they take more room than the motion itself."""
-    if _SHARED.get() is not None:
-        yield
-        return
-    token = _SHARED.set(WeakKeyDictionary())
-    try:
-        yield
-    finally:
-        _SHARED.reset(token)
-
 
 def drone_directions(motion: Motion) -> Directions:
     """Enclose the directions of ``pull_vectors``, of every piece and drone in a row."""
-    pieces, drones = motion.drones.pieces, motion.team.drones
-    return _directions(motion).placed(_places(motion, np.arange(drones)).reshape(pieces * drones))
+    items = np.arange(motion.team.drones)
+    return once(motion, _directions).placed(_places(motion, items).ravel())
 
 
 def clasp_directions(motion: Motion) -> Directions:
@@ -47,7 +26,7 @@ def clasp_directions(motion: Motion) -> Directions:
     layout = motion.team.layout
     ahead, behind, edges = layout.ahead, layout.behind, motion.team.drones
     items = np.stack([2 * ahead, edges + ahead, 2 * behind + 1, edges + behind], axis=1)
-    return _directions(motion).placed(_places(motion, items).reshape(-1, 4))
+    return once(motion, _directions).placed(_places(motion, items).reshape(-1, 4))
 
 
 def _places(motion: Motion, items: Indices) -> Indices:
@@ -61,10 +40,6 @@ def _places(motion: Motion, items: Indices) -> Indices:
 
 def _directions(motion: Motion) -> Directions:
     """Return the directions of all legs, then all edges, piece by piece in a row."""
-    shared = _SHARED.get()
-    kept = {} if shared is None else shared
-    if motion not in kept:
-        vectors = np.concatenate([pull_vectors(motion), edge_vectors(motion)], axis=1)
-        vectors = vectors.reshape(-1, *vectors.shape[2:])
-        kept[motion] = enclosed_directions(vectors, position_margin(motion))
-    return kept[motion]
+    vectors = np.concatenate([pull_vectors(motion), edge_vectors(motion)], axis=1)
+    vectors = vectors.reshape(-1, *vectors.shape[2:])
+    return enclosed_directions(vectors, position_margin(motion))

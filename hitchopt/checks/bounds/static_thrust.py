@@ -58,7 +58,7 @@ class StaticThrust:
             coefficients = low.coefficients.reshape(*shape, *low.coefficients.shape[1:])
             return Enclosure(coefficients, low.radius.reshape(shape))
 
-        cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
+        cells = thrust_cells(motion, moving=False)
         directions = known_directions(motion)
         along = None if directions is None else directions()
         found = None if along is None else _compiled(cells, along)
@@ -113,5 +113,5 @@ def largest_static_thrust(motion: Motion) -> float:
 
 def largest_static_tilt(motion: Motion) -> float:
     """Return the largest tilt at rest [deg], for all t."""
-    cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
+    cells = thrust_cells(motion, moving=False)
     return largest(cells, partial(tilt_bound, noise=position_margin(motion))).worst
