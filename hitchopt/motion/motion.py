@@ -269,9 +269,9 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
             for p in motion.phases
         ]
         offset += motion.duration
-    parts: dict[str, Any] = {
-        name: joined([getattr(motion, name) for motion in motions]) for name in POLYNOMIALS
-    }
+    parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
+    for name in POLYNOMIALS[1:]:
+        parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
     if any(motion.leg_tensions is not None for motion in motions):
         pulls = joined([motion.pulls for motion in motions])
         each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)

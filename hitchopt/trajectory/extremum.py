@@ -75,13 +75,17 @@ class Cells:
         pieces: of the breaks, that the blocks are of; None for all of them.
         """
         count, items = blocks[0].shape[:2]
-        chosen = np.arange(count) if pieces is None else pieces
+        begin, end = breaks[:-1], breaks[1:]
+        if pieces is not None:
+            begin, end = begin[pieces], end[pieces]
+        margins = np.empty((count, items))
+        margins[...] = margin
         return cls(
             tuple(block.reshape(count * items, *block.shape[2:]) for block in blocks),
             np.arange(count * items) % max(1, items),
-            np.repeat(breaks[chosen], items),
-            np.repeat(breaks[chosen + 1], items),
-            (np.zeros((count, items)) + np.asarray(margin, dtype=np.float64)).ravel(),
+            begin.repeat(items),
+            end.repeat(items),
+            margins.ravel(),
         )
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:
