@@ -21,6 +21,7 @@ from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin,
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.carried import object_loads, strut_shares
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
@@ -141,7 +142,7 @@ def _bound(
     for load in pressed:
         order = max(bernstein.degree(residual), bernstein.degree(load))
         residual = bernstein.elevate(residual, order) + bernstein.elevate(load[:, :3], order)
-    norms = np.linalg.norm(residual, axis=1)
+    norms = column_lengths(residual)
     radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
     sizes = bernstein.elevate(np.abs(pulls), bernstein.degree(norms))
@@ -154,12 +155,13 @@ def _bound(
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
     pulling = np.max(least, axis=-1, keepdims=True) > 0.0
     reach = np.where(pulling & (norms == 0.0) & (least == 0.0), 0.0, _over(norms, least))
-    x = np.argmax(reach, axis=-1) / max(1, bernstein.degree(norms))
-    there = bernstein.evaluate(vectors, x[:, None, None])
-    length = np.linalg.norm(there, axis=-1, keepdims=True)
-    known = length > NO_DIRECTION
-    unit = np.divide(there, length, out=np.zeros_like(there), where=known)
-    P = np.repeat(bernstein.evaluate(pulls, x[:, None]), shared, axis=1)
+    index, order = np.argmax(reach, axis=-1), bernstein.degree(norms)
+    x = index / max(1, order)
+    there = bernstein.evaluate_at(vectors, index[:, None, None], order)
+    size = length(there)[..., None]
+    known = size > NO_DIRECTION
+    unit = np.divide(there, size, out=np.zeros_like(there), where=known)
+    P = np.repeat(bernstein.evaluate_at(pulls, index[:, None], order), shared, axis=1)
     forces = unit * SIGNS[:, None] * P[..., None]
     unknown = np.sum(np.where(known[..., 0], 0.0, np.abs(P)), axis=1)
     total = np.sum(forces, axis=1)
@@ -167,8 +169,8 @@ def _bound(
         total[:, 2] -= weight_at(weights[0], weights[1], x)
     for load in pressed:
         total += bernstein.evaluate(load[:, :3], x[:, None])
-    unbalanced = np.linalg.norm(total, axis=-1) + unknown
-    weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
+    unbalanced = length(total) + unknown
+    weakest = np.min(bernstein.evaluate_at(tension, index[:, None], order), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
     value = np.where(nothing, 0.0, _over(unbalanced, weakest))
     return Estimate(np.max(reach, axis=-1), value, x)

@@ -16,6 +16,7 @@ from hitchopt.checks.bounds.thrust_enclosure import (
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.compiled_search import KnownBound, largest
@@ -44,11 +45,11 @@ def thrust_bound(
 ) -> Estimate:
     """Bound the thrusts of cells from above."""
     thrust = thrust_enclosure(blocks, noise, along)
-    norms = np.linalg.norm(thrust.coefficients, axis=-2)
-    x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))
-    there = thrust_at(blocks, x)
-    value = np.linalg.norm(there.vectors, axis=-1) + there.pull
-    return Estimate(np.max(norms, axis=-1) + thrust.radius, value, x)
+    norms, order = column_lengths(thrust.coefficients), bernstein.degree(thrust.coefficients)
+    index = np.argmax(norms, axis=-1)
+    there = thrust_at(blocks, index, order)
+    value = length(there.vectors) + there.pull
+    return Estimate(np.max(norms, axis=-1) + thrust.radius, value, index / max(1, order))
 
 
 RULE = CheckRule(

@@ -221,7 +221,7 @@ def _near(
         )
         i, j = pairs.first, pairs.second
         apart = np.maximum(a_lower[:, i] - b_upper[:, j], b_lower[:, j] - a_upper[:, i])
-        gaps = np.linalg.norm(np.maximum(apart, 0.0), axis=-1)
+        gaps = length(np.maximum(apart, 0.0))
         count = min(NEIGHBOURS, gaps.shape[1])
         closest = np.argpartition(gaps, count - 1, axis=1)[:, :count]
         half = bernstein.basis(np.array(0.5), a.shape[-1] - 1)

@@ -22,6 +22,7 @@ from hitchopt.checks.bounds.hanging_links import steepness_range
 from hitchopt.checks.bounds.leg_directions import drone_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.checks.bounds.shared_values import once
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
@@ -29,7 +30,7 @@ from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.compiled_search import Directions
 from hitchopt.trajectory.extremum import Cells
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
@@ -193,19 +194,19 @@ class Thrust:
     pull: Array
 
 
-def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
-    """Return the thrusts at x (cells,)."""
-    return thrust_from([bernstein.evaluate(block, x[:, None]) for block in blocks])
+def thrust_at(blocks: tuple[Array, ...], index: Indices, order: int) -> Thrust:
+    """Return the thrusts at ``index / order`` (cells,)."""
+    return thrust_from([bernstein.evaluate_at(each, index[:, None], order) for each in blocks])
 
 
 def thrust_from(there: Sequence[Array]) -> Thrust:
     """Return the thrusts, given the blocks' values (cells, rows)."""
     free, legs, tension = there[:3]
-    length = np.linalg.norm(legs, axis=-1, keepdims=True)
-    known = length > NO_DIRECTION
-    pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
+    size = length(legs)[..., None]
+    known = size > NO_DIRECTION
+    pull = np.where(known, tension * legs / np.where(known, size, 1.0), 0.0)
     if len(there) > 4:
-        free = free + there[4] * length * _UPWARD
+        free = free + there[4] * size * _UPWARD
     if len(there) > 5:
         partner, weight, whole = (each[..., None] for each in there[5:])
         free = free + _hanging_weight(partner, weight, whole).coefficients[..., 0]
