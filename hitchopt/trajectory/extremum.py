@@ -201,9 +201,9 @@ class Search:
     @property
     def threshold(self) -> float:
         """Cells bounded by this or more need no closer look."""
-        if not np.isfinite(self.value):
+        if not math.isfinite(self.value):
             return self.value
-        tight = float(self.value - max(self.absolute, self.relative * abs(self.value)))
+        tight = self.value - max(self.absolute, self.relative * abs(self.value))
         return max(tight, self.target) if self.value >= self.target else tight
 
     def add(self, cells: Cells, first: First | None = None) -> None:
@@ -256,12 +256,13 @@ class Search:
     def _keep(self, cells: Cells, bounds: Array) -> None:
         """Put aside the cells whose bounds need a closer look, and settle all others."""
         done = bounds >= self.threshold
-        left = np.flatnonzero(~done)
-        if len(left) == len(bounds):
+        if done.all():
+            self._settle(bounds - cells.margin)
+        elif not done.any():
             self._open.append((cells, bounds))
-            return
-        self._settle((bounds - cells.margin)[done])
-        if len(left):
+        else:
+            self._settle((bounds - cells.margin)[done])
+            left = (~done).nonzero()[0]
             self._open.append((cells.take(left), bounds[left]))
 
     def _settle(self, bounds: Array) -> None:

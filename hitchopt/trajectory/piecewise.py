@@ -286,10 +286,7 @@ def joined(
 ) -> PiecewisePolynomial:
     """Return the parts one after the other, from the first one's start, in their largest degree.
 
-    Parameters
-    ----------
-    parts: at least one.
-    like: other parts with the same breaks, joined before.
+    ``like`` are other parts with the same breaks, joined before.
     """
     order = max(part.degree for part in parts)
     coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
