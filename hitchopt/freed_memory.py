@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 LARGEST = 2**25 - 2**16
-"""[B] Just below 32 MiB, beyond which the C library of Linux (glibc) takes no heed of what is
-freed."""
+"""[B] Just below 32 MiB: glibc, the C library of Linux, learns nothing from larger arrays."""
 
 
 def keep_freed_memory() -> None:

@@ -80,7 +80,8 @@ def enclosed_directions(vectors: Array, noise: float) -> Directions:
 
         weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
         return Directions(*directions(np.array(vectors, order="C"), weights, noise), place)
-    found = enclosure.direction(vectors, noise)
+    with np.errstate(all="ignore"):  # coefficients may be anything
+        found = enclosure.direction(vectors, noise)
     return Directions(found.coefficients, found.radius, place)
 
 

@@ -36,7 +36,7 @@ NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
 
 
-LENGTHS = (1, 5, 7)
+UNSCALED = (1, 5, 7)
 """Indices of the blocks that are lengths, not forces."""
 
 _UPWARD = np.array([0.0, 0.0, 1.0])
@@ -59,7 +59,7 @@ def thrust_cells(motion: Motion, unit: Array | None = None, *, moving: bool = Tr
         blocks[0], blocks[3] = hover, slop[:, :, None, None]
     if unit is not None:
         share = (1.0 / unit)[:, None, None]
-        blocks = [block if i in LENGTHS else share * block for i, block in enumerate(blocks)]
+        blocks = [block if i in UNSCALED else share * block for i, block in enumerate(blocks)]
     return Cells.over(motion.drones.breaks, blocks)
 
 
