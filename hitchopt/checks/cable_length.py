@@ -113,10 +113,11 @@ def _bound(blocks: tuple[Array, ...], wrapped: int = 0, saved: int = 0) -> Estim
     for arc in arcs:
         reach[:, 0] += arc.radius[:, None]
     reach[:, 1:] += lengths.radius[:, : reach.shape[1] - 1, None]
-    x = np.argmax(np.max(reach, axis=1), axis=-1) / max(1, order)
-    spans = bernstein.evaluate(vectors, x[:, None, None])
+    index = np.argmax(np.max(reach, axis=1), axis=-1)
+    x = index / max(1, order)
+    spans = bernstein.evaluate_at(vectors, index[:, None, None], order)
     there = length(spans)
-    given = tuple(bernstein.evaluate(legs, x[:, None])[..., None] for legs in stored)
+    given = tuple(bernstein.evaluate_at(legs, index[:, None], order)[..., None] for legs in stored)
     longer = [arc_at(bend, x)[:, None, None] for bend in bends]
     longer += [-bernstein.evaluate(each, x[:, None])[..., None] for each in less]
     for sag in sags:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from hitchopt.checks.bounds.leg_directions import shared_directions
+from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Findings, Found, ReportRule
@@ -66,7 +66,7 @@ def certify(
         if progress is not None and name in names:
             progress(f"{name}, {names.index(name)} of {len(names)}")
 
-    with shared_directions():
+    with shared_values():
         for rule in RULES:
             tell(rule.name)
             found[rule.name] = (known or {}).get(rule.name) or rule.findings(motion)

@@ -10,7 +10,6 @@ from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
-from hitchopt.trajectory import PiecewisePolynomial
 
 LIMIT = 1e-6
 """[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
@@ -25,13 +24,11 @@ def _find(motion: Motion, _: float) -> Finding:
     """
     parts = [(motion.drones, motion.team.drone_names)]
     for span in motion.spans(HITCHED_STATE):
-        legs = span.legs
-        each = legs.coefficients.reshape(legs.pieces, -1, 1, legs.degree + 1)
         cables = range(span.team.robots)
         parts += [
             (span.vertices, span.team.point_names),
             (
-                PiecewisePolynomial(legs.breaks, each),
+                span.legs.reshaped(-1, 1),
                 tuple(f"{name} {k}" for k in cables for name in PART_NAMES[0::2]),
             ),
         ]
@@ -40,18 +37,16 @@ def _find(motion: Motion, _: float) -> Finding:
     for part, names in parts:
         if part.pieces == 1:
             continue
-        for derivative in range(3):
-            left, right = part.ends(derivative)
-            jump = length(left[1:] - right[:-1])
-            if derivative == 0:
-                jump += position_margin(motion)
-            else:
-                margin = derivative_margin(part, derivative)
-                jump += margin[1:] + margin[:-1]
-            joint, item = np.unravel_index(int(np.argmax(jump)), jump.shape)
-            if jump[joint, item] > worst:
-                worst, time = float(jump[joint, item]), float(part.breaks[joint + 1])
-                where = (names[item],)
+        ends = [part.ends(derivative) for derivative in range(3)]
+        jump = length(np.stack([left[1:] - right[:-1] for left, right in ends]))
+        jump[0] += position_margin(motion)
+        for derivative in (1, 2):
+            margin = derivative_margin(part, derivative)
+            jump[derivative] += margin[1:] + margin[:-1]
+        place = np.unravel_index(int(np.argmax(jump)), jump.shape)
+        if jump[place] > worst:
+            worst, time = float(jump[place]), float(part.breaks[place[1] + 1])
+            where = (names[place[2]],)
     return Finding(worst, time, where)
 
 

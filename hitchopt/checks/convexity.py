@@ -69,8 +69,7 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     rows, added = blocks[0], blocks[1][:, 0, 0]
     along, right = _products(rows)
     degree = bernstein.degree(along)
-    middle = np.full(len(rows), 0.5)
-    x0, y0 = bernstein.evaluate(along, middle), bernstein.evaluate(right, middle)
+    x0, y0 = bernstein.evaluate(along, 0.5), bernstein.evaluate(right, 0.5)
     ahead = x0[:, None] * along + y0[:, None] * right
     aside = x0[:, None] * right - y0[:, None] * along
     relative = np.degrees(np.arctan2(aside, ahead))
@@ -83,10 +82,12 @@ def _bound(blocks: tuple[Array, ...], noise: float) -> Estimate:
     highest = start + np.max(relative, axis=-1) + spread
     wedge = (least > 0.0) & (spread < 1.0) & (highest < -BACKWARD)
     angles = np.where(wedge[:, None], relative, np.arctan2(right, along))
-    x = np.argmin(angles, axis=-1) / max(1, degree)
-    value = added + _angles_at(bernstein.evaluate(rows, x[:, None]))
+    index = np.argmin(angles, axis=-1)
+    value = added + _angles_at(bernstein.evaluate_at(rows, index[:, None], degree))
     # Where the middle is a point without direction nothing above is a number; nor is it needed.
-    return Estimate(np.where(wedge & (bound > BACKWARD), added + bound, BACKWARD), value, x)
+    return Estimate(
+        np.where(wedge & (bound > BACKWARD), added + bound, BACKWARD), value, index / max(1, degree)
+    )
 
 
 def _products(rows: Array) -> tuple[Array, Array]:

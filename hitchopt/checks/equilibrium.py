@@ -16,18 +16,19 @@ from hitchopt.checks.bounds.clasp_weights import (
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.gripped_balance import unbalanced
-from hitchopt.checks.bounds.leg_directions import edge_directions, pull_directions
+from hitchopt.checks.bounds.leg_directions import clasp_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.carried import object_loads, strut_shares
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
 from hitchopt.trajectory import bernstein, compiled_search, enclosure
 from hitchopt.trajectory.compiled_search import KnownBound
-from hitchopt.trajectory.extremum import Cells, Estimate, First, largest
+from hitchopt.trajectory.extremum import Cells, Estimate, largest
 from hitchopt.values import Array
 
 LIMIT = 5e-3
@@ -75,9 +76,9 @@ def _find(motion: Motion, _: float) -> Finding:
     cells = Cells.over(motion.drones.breaks, blocks)
     count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
     known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING)
-    found = compiled_search.largest(
-        cells, partial(_bound, noise=noise), known, first=_whole_pieces(motion, cells, noise)
-    )
+    shared = partial(clasp_directions, motion) if motion.contacts is None else None  # of edges
+    bound = partial(_bound, noise=noise)
+    found = compiled_search.largest(cells, bound, known, directions=shared)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)
@@ -122,28 +123,6 @@ def _pulls(motion: Motion) -> Array:
     return lowered(np.stack(each, axis=2))
 
 
-def _whole_pieces(motion: Motion, cells: Cells, noise: float) -> First | None:
-    """Return the bound of all cells, by directions that other checks need too; None of bent edges.
-
-    In place of the four directions at every clasp, it takes those of n edges and 2n legs.
-    """
-    if motion.contacts is not None:
-        return None
-    layout = motion.team.layout
-
-    def first(part: slice) -> Estimate:
-        legs, edges = pull_directions(motion), edge_directions(motion)
-        piece, clasp = np.divmod(np.arange(len(cells))[part], len(layout.clasps))
-        ahead, behind = layout.ahead[clasp], layout.behind[clasp]
-        each = ((legs, 2 * ahead), (edges, ahead), (legs, 2 * behind + 1), (edges, behind))
-        coefficients = np.stack([found.coefficients[piece, item] for found, item in each], axis=1)
-        radii = np.stack([found.radius[piece, item] for found, item in each], axis=1)
-        blocks = tuple(block[part] for block in cells.blocks)
-        return _bound(blocks, noise, enclosure.Enclosure(coefficients, radii))
-
-    return first
-
-
 def _bound(
     blocks: tuple[Array, ...], noise: float, along: enclosure.Enclosure | None = None
 ) -> Estimate:
@@ -163,7 +142,7 @@ def _bound(
     for load in pressed:
         order = max(bernstein.degree(residual), bernstein.degree(load))
         residual = bernstein.elevate(residual, order) + bernstein.elevate(load[:, :3], order)
-    norms = np.linalg.norm(residual, axis=1)
+    norms = column_lengths(residual)
     radius = np.sum(along.radius.reshape(len(rows), -1, shared), axis=-1) + ROUNDING
     # An error of the directions weighs as much as the tension does there, so coefficientwise.
     sizes = bernstein.elevate(np.abs(pulls), bernstein.degree(norms))
@@ -176,12 +155,13 @@ def _bound(
     least = np.min(bernstein.elevate(tension, bernstein.degree(norms)), axis=1)
     pulling = np.max(least, axis=-1, keepdims=True) > 0.0
     reach = np.where(pulling & (norms == 0.0) & (least == 0.0), 0.0, _over(norms, least))
-    x = np.argmax(reach, axis=-1) / max(1, bernstein.degree(norms))
-    there = bernstein.evaluate(vectors, x[:, None, None])
-    length = np.linalg.norm(there, axis=-1, keepdims=True)
-    known = length > NO_DIRECTION
-    unit = np.divide(there, length, out=np.zeros_like(there), where=known)
-    P = np.repeat(bernstein.evaluate(pulls, x[:, None]), shared, axis=1)
+    index, order = np.argmax(reach, axis=-1), bernstein.degree(norms)
+    x = index / max(1, order)
+    there = bernstein.evaluate_at(vectors, index[:, None, None], order)
+    size = length(there)[..., None]
+    known = size > NO_DIRECTION
+    unit = np.divide(there, size, out=np.zeros_like(there), where=known)
+    P = np.repeat(bernstein.evaluate_at(pulls, index[:, None], order), shared, axis=1)
     forces = unit * SIGNS[:, None] * P[..., None]
     unknown = np.sum(np.where(known[..., 0], 0.0, np.abs(P)), axis=1)
     total = np.sum(forces, axis=1)
@@ -189,8 +169,8 @@ def _bound(
         total[:, 2] -= weight_at(weights[0], weights[1], x)
     for load in pressed:
         total += bernstein.evaluate(load[:, :3], x[:, None])
-    unbalanced = np.linalg.norm(total, axis=-1) + unknown
-    weakest = np.min(bernstein.evaluate(tension, x[:, None]), axis=-1)
+    unbalanced = length(total) + unknown
+    weakest = np.min(bernstein.evaluate_at(tension, index[:, None], order), axis=-1)
     nothing = pulling[:, 0] & (unbalanced == 0.0) & (weakest == 0.0)
     value = np.where(nothing, 0.0, _over(unbalanced, weakest))
     return Estimate(np.max(reach, axis=-1), value, x)

@@ -80,7 +80,7 @@ def _jump_of_thrusts(motion: Motion) -> Finding:
     if motion.drones.pieces == 1:
         return _largest_jump(motion, np.zeros((0, 1)), 0)
     drones = 2 * motion.team.robots
-    blocks = thrust_cells(motion, np.ones(drones)).blocks
+    blocks = thrust_cells(motion).blocks
     noise = position_margin(motion)
     ends, slop = [], []
     for end in (0, -1):
@@ -157,6 +157,8 @@ def _off_at_ends(motion: Motion) -> Finding:
     that of a grasp, which its steps share.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
+    if np.all(index < 0):
+        return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
     held = [phase.hold is not None for phase in motion.phases] or [False]
     holding = np.array(held)[motion.phase_of_piece]
     holding = np.concatenate([holding[:1], holding, holding[-1:]])

@@ -9,13 +9,14 @@ import numpy as np
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
     NO_DIRECTION,
+    known_directions,
     thrust_at,
     thrust_cells,
     thrust_enclosure,
-    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.compiled_search import KnownBound, largest
@@ -33,7 +34,7 @@ def _find(motion: Motion, _: float) -> Finding:
     cells, noise = thrust_cells(motion, limits), position_margin(motion)
     known = KnownBound("thrust", 4, noise, NO_DIRECTION)
     bound, aim = partial(thrust_bound, noise=noise), within(1.0, "max", share=0.5)
-    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
+    found = largest(cells, bound, known, aim, known_directions(motion))
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)
@@ -44,11 +45,11 @@ def thrust_bound(
 ) -> Estimate:
     """Bound the thrusts of cells from above."""
     thrust = thrust_enclosure(blocks, noise, along)
-    norms = np.linalg.norm(thrust.coefficients, axis=-2)
-    x = np.argmax(norms, axis=-1) / max(1, bernstein.degree(norms))
-    there = thrust_at(blocks, x)
-    value = np.linalg.norm(there.vectors, axis=-1) + there.pull
-    return Estimate(np.max(norms, axis=-1) + thrust.radius, value, x)
+    norms, order = column_lengths(thrust.coefficients), bernstein.degree(thrust.coefficients)
+    index = np.argmax(norms, axis=-1)
+    there = thrust_at(blocks, index, order)
+    value = length(there.vectors) + there.pull
+    return Estimate(np.max(norms, axis=-1) + thrust.radius, value, index / max(1, order))
 
 
 RULE = CheckRule(

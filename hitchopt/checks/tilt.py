@@ -10,14 +10,14 @@ import numpy as np
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
     NO_DIRECTION,
+    known_directions,
     thrust_at,
     thrust_cells,
     thrust_enclosure,
-    whole_pieces,
 )
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import column_lengths, length, unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.compiled_search import KnownBound, largest
@@ -31,12 +31,12 @@ UPSIDE_DOWN = 180.0
 
 def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest angle of any drone's thrust from vertical, in degrees."""
-    cells = thrust_cells(motion, np.ones(len(motion.team.mass)))
+    cells = thrust_cells(motion)
     aim = within(limit, "max", share=0.5)
     noise = position_margin(motion)
     known = KnownBound("tilt", 4, noise, NO_DIRECTION)
     bound = partial(tilt_bound, noise=noise)
-    found = largest(cells, bound, known, aim, whole_pieces(motion, cells, bound))
+    found = largest(cells, bound, known, aim, known_directions(motion))
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 
@@ -45,20 +45,21 @@ def tilt_bound(blocks: tuple[Array, ...], noise: float, along: Enclosure | None 
     """Bound the tilts of cells from above [deg]."""
     thrust = thrust_enclosure(blocks, noise, along)
     f, radius = thrust.coefficients, thrust.radius[:, None]
-    angles = _angle(np.linalg.norm(f[:, :2], axis=1), f[:, 2])
+    angles = _angle(column_lengths(f[:, :2]), f[:, 2])
     # A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball
     # of the radius about every coefficient.
-    reach = angles + _spread(radius, np.linalg.norm(f, axis=1))
+    reach = angles + _spread(radius, column_lengths(f))
     bound = np.max(reach, axis=-1)
     low = ~(bound < 90.0)
     if np.any(low):
         bound[low] = _sideways(f[low], radius[low])
-    x = np.argmax(angles, axis=-1) / max(1, bernstein.degree(f))
-    there = thrust_at(blocks, x)
-    length = np.linalg.norm(there.vectors, axis=-1)
-    value = _angle(np.linalg.norm(there.vectors[:, :2], axis=-1), there.vectors[:, 2])
-    value = np.minimum(value + _spread(there.pull, length), UPSIDE_DOWN)
-    return Estimate(bound, np.where(there.pull >= length, UPSIDE_DOWN, value), x)
+    index, order = np.argmax(angles, axis=-1), bernstein.degree(f)
+    there = thrust_at(blocks, index, order)
+    size = length(there.vectors)
+    value = _angle(length(there.vectors[:, :2]), there.vectors[:, 2])
+    value = np.minimum(value + _spread(there.pull, size), UPSIDE_DOWN)
+    value = np.where(there.pull >= size, UPSIDE_DOWN, value)
+    return Estimate(bound, value, index / max(1, order))
 
 
 def _sideways(f: Array, radius: Array) -> Array:
@@ -71,7 +72,7 @@ def _sideways(f: Array, radius: Array) -> Array:
     f: (cells, 3, degree + 1), coefficients of thrusts.
     radius: (cells, 1), of their errors.
     """
-    azimuth = unit(bernstein.evaluate(f[:, :2], np.full((len(f), 1), 0.5)))
+    azimuth = unit(bernstein.evaluate(f[:, :2], 0.5))
     across = np.einsum("ci,cin->cn", azimuth, f[:, :2])
     level = _angle(across, f[:, 2]) + _spread(radius, np.hypot(across, f[:, 2]))
     downward = np.maximum(np.max(level, axis=-1), 90.0)
@@ -83,9 +84,9 @@ def _angle(across: Array, upward: Array) -> Array:
     return np.degrees(np.arctan2(across, upward))
 
 
-def _spread(radius: Array, length: Array) -> Array:
-    """Return by how much a ball of ``radius`` at ``length`` can turn a direction [deg]."""
-    ratio = np.divide(radius, length, out=np.ones_like(length), where=length > radius)
+def _spread(radius: Array, size: Array) -> Array:
+    """Return by how much a ball of ``radius`` at ``size`` can turn a direction [deg]."""
+    ratio = np.divide(radius, size, out=np.ones_like(size), where=size > radius)
     return np.where(ratio < 1.0, np.degrees(np.arcsin(ratio)), UPSIDE_DOWN)
 
 

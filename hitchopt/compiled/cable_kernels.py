@@ -9,7 +9,6 @@ from hitchopt.compiled.polynomial_kernels import (
     Found,
     add_product,
     column_norms,
-    direction,
     elevated,
     inner,
     length,
@@ -19,22 +18,31 @@ from hitchopt.compiled.polynomial_kernels import (
     values_at,
 )
 from hitchopt.compiled.thrust_kernels import angle_of
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 _SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
 
 
 @kernel
-def balance(rows: Array, pulls: Array, weights: Array, numbers: Array) -> Found:
-    """Return bound, value and place as the bound of ``equilibrium``, of clasps without loads."""
-    noise, short, rounding = numbers[0], numbers[1], numbers[2]
-    order = rows.shape[1] + weights.shape[1] + pulls.shape[1] - 3
+def balance(
+    rows: Array, pulls: Array, along: Array, wrong: Array, place: Indices, numbers: Array
+) -> Found:
+    """Return bound, value and place as the bound of ``equilibrium``, of clasps without loads.
+
+    Parameters
+    ----------
+    rows, pulls: blocks of the cell.
+    along, wrong: directions (m, 3, ·) and their errors (m,).
+    place: (4,), the indices of this cell's.
+    numbers: as of a search.
+    """
+    short, rounding = numbers[1], numbers[2]
+    order = along.shape[2] + pulls.shape[1] - 2
     residual, errors = np.zeros((3, order + 1)), np.full(2, rounding)
     for i in range(4):
-        along, error = direction(rows[3 * i : 3 * i + 3], weights, noise)
-        errors[i // 2] += error
+        errors[i // 2] += wrong[place[i]]
         for j in range(3):
-            add_product(residual[j], _SIGNS[i], along[j], pulls[i // 2])
+            add_product(residual[j], _SIGNS[i], along[place[i], j], pulls[i // 2])
     tension, norms = rows_elevated(pulls, order), column_norms(residual)
     sizes = rows_elevated(np.abs(pulls), order)
     norms += sizes[0] * errors[0] + sizes[1] * errors[1]

@@ -7,7 +7,7 @@ from math import comb
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 ENCLOSED = 2.0**-46
 """Rounding in an enclosure's residual: ``ROUNDING`` of ``hitchopt.trajectory.enclosure``."""
@@ -17,6 +17,9 @@ Blocks = tuple[Array, Array, Array, Array]
 
 Found = tuple[float, float, float]
 """Bound, value and place of a cell."""
+
+Known = tuple[Array, Array, Indices]
+"""Directions (m, 3, degree + 1), their errors (m,), and the places (cells, k) of each cell's."""
 
 _BINOMIALS = np.array([[comb(n, k) for k in range(65)] for n in range(65)], dtype=np.float64)
 
@@ -39,13 +42,11 @@ def product(a: Array, b: Array) -> Array:
     if n == 0:
         constant: Array = a * b[0]
         return constant
-    scaled, out = np.empty(n + 1), np.zeros(m + n + 1)
-    for j in range(n + 1):
-        scaled[j] = b[j] * _BINOMIALS[n, j]
+    out = np.zeros(m + n + 1)
     for i in range(m + 1):
         c, onward = a[i] * _BINOMIALS[m, i], out[i : i + n + 1]
         for j in range(n + 1):
-            onward[j] += c * scaled[j]
+            onward[j] += c * (b[j] * _BINOMIALS[n, j])
     for k in range(m + n + 1):
         out[k] *= _INVERSES[m + n, k]
     return out
@@ -54,15 +55,39 @@ def product(a: Array, b: Array) -> Array:
 @kernel
 def add_product(out: Array, factor: float, a: Array, b: Array) -> None:
     """Add a product of two polynomials, times a factor, to one of its degree."""
+    if len(b) == 1:
+        for k in range(len(out)):
+            out[k] += factor * (a[k] * b[0])
+        return
     found = product(a, b)
     for k in range(len(out)):
         out[k] += factor * found[k]
 
 
 @kernel
+def _elevate(out: Array, a: Array) -> None:
+    """Fill in a polynomial written in the degree of the other array."""
+    m, order = len(a) - 1, len(out) - 1
+    if order == m:
+        out[:] = a
+        return
+    out[:] = 0.0
+    for i in range(m + 1):
+        c = a[i] * _BINOMIALS[m, i]
+        for j in range(order - m + 1):
+            out[i + j] += c * _BINOMIALS[order - m, j]
+    for k in range(order + 1):
+        out[k] *= _INVERSES[order, k]
+
+
+@kernel
 def elevated(a: Array, order: int) -> Array:
     """Return a polynomial in a higher degree."""
-    return product(a, np.ones(order + 2 - len(a))) if order + 1 > len(a) else a
+    if order + 1 == len(a):
+        return a
+    out = np.empty(order + 1)
+    _elevate(out, a)
+    return out
 
 
 @kernel
@@ -70,7 +95,7 @@ def rows_elevated(a: Array, order: int) -> Array:
     """Return polynomials (rows, degree + 1) in a higher degree."""
     out = np.empty((len(a), order + 1))
     for i in range(len(a)):
-        out[i] = elevated(a[i], order)
+        _elevate(out[i], a[i])
     return out
 
 
@@ -148,24 +173,6 @@ def _scaled(y: Array) -> tuple[Array, float]:
 
 
 @kernel
-def _squared(y: Array) -> Array:
-    """Return the square of a vector."""
-    out = np.zeros(2 * y.shape[1] - 1)
-    for i in range(len(y)):
-        add_product(out, 1.0, y[i], y[i])
-    return out
-
-
-@kernel
-def _farthest(values: Array, middle: float) -> float:
-    """Return the largest distance of values from one."""
-    out = 0.0
-    for k in range(len(values)):
-        out = max(out, abs(values[k] - middle))
-    return out
-
-
-@kernel
 def _inverse(y: Array, weights: Array) -> Array:
     """Return the inverse length of a vector as a polynomial; zero where that is not known.
 
@@ -230,17 +237,57 @@ def direction(y: Array, weights: Array, noise: float) -> tuple[Array, float]:
 
 
 @kernel
+def directions(vectors: Array, weights: Array, noise: float) -> tuple[Array, Array]:
+    """Return the directions (m, 3, ·) and errors (m,) of vectors (m, 3, ·)."""
+    count = len(vectors)
+    out, errors = np.empty((count, 3, vectors.shape[2] + weights.shape[1] - 1)), np.empty(count)
+    for i in range(count):
+        out[i], errors[i] = direction(vectors[i], weights, noise)
+    return out, errors
+
+
+@kernel
+def _lost(y: Array, v: Array) -> float:
+    """Return a bound of ``|y|² - v²`` for a vector and a polynomial."""
+    m, n = y.shape[1] - 1, len(v) - 1
+    order = 2 * max(m, n)
+    left, squared, own = np.zeros(order + 1), np.zeros(2 * n + 1), np.empty(max(m, n) + 1)
+    both, found = np.zeros(2 * m + 1), 0.0
+    for i in range(3):
+        for k in range(m + 1):
+            own[k] = y[i, k] * _BINOMIALS[m, k]
+        _convolve(both, own[: m + 1], own[: m + 1])
+    for k in range(n + 1):
+        own[k] = v[k] * _BINOMIALS[n, k]
+    _convolve(squared, own[: n + 1], own[: n + 1])
+    _convolve(left, both, _BINOMIALS[order - 2 * m, : order - 2 * m + 1])
+    for k in range(2 * n + 1):
+        squared[k] = -squared[k]
+    _convolve(left, squared, _BINOMIALS[order - 2 * n, : order - 2 * n + 1])
+    for k in range(order + 1):
+        found = max(found, abs(left[k] * _INVERSES[order, k]))
+    return found
+
+
+@kernel
 def length(y: Array, weights: Array) -> tuple[Array, float]:
     """Return the length of a vector and its error, as ``enclosure.norm``."""
     y, scale = _scaled(y)
-    count = y.shape[1]
-    lengths = column_norms(combined(y, weights[:count]))
-    v = combined(lengths.reshape(1, -1), weights[count:])[0]
-    squared = _squared(y)
-    order = max(len(squared), 2 * len(v) - 1) - 1
-    residual = elevated(squared, order) - elevated(product(v, v), order)
-    least = np.min(v)
+    count, nodes = y.shape[1], weights.shape[1]
+    lengths, v, least = np.zeros(nodes), np.zeros(nodes), np.inf
+    for i in range(3):
+        for node in range(nodes):
+            value = 0.0
+            for k in range(count):
+                value += y[i, k] * weights[k, node]
+            lengths[node] += value * value
+    for node in range(nodes):
+        value = np.sqrt(lengths[node])
+        for k in range(nodes):
+            v[k] += value * weights[count + node, k]
+    for k in range(nodes):
+        least = min(least, v[k])
     if least > 0.0:
-        return v * scale, (_farthest(residual, 0.0) + ENCLOSED) / least * scale
+        return v * scale, (_lost(y, v) + ENCLOSED) / least * scale
     largest = 0.5 * np.max(column_norms(y)) * (1.0 + ENCLOSED)
     return np.full(len(v), largest * scale), largest * scale

@@ -11,7 +11,14 @@ import numpy as np
 from hitchopt.compiled.cable_kernels import balance, band, lengths, turns
 from hitchopt.compiled.distance_kernel import distance
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import Blocks, Found, column_norms, values_at
+from hitchopt.compiled.polynomial_kernels import (
+    Blocks,
+    Found,
+    Known,
+    column_norms,
+    directions,
+    values_at,
+)
 from hitchopt.compiled.thrust_kernels import thrust, tilt
 from hitchopt.values import Array, Indices
 
@@ -41,19 +48,21 @@ def _norm(v: Array) -> Found:
 
 
 @kernel
-def _bounded(kind: int, blocks: Blocks, weights: Array, numbers: Array) -> Found:
-    """Return bound, value and place of one cell."""
+def _bounded(
+    kind: int, blocks: Blocks, weights: Array, along: Known, place: Indices, numbers: Array
+) -> Found:
+    """Return bound, value and place of one cell, given the directions that its kind takes."""
     rows = blocks[0]
     if kind == NORM:
         found = _norm(rows)
     elif kind == DISTANCE:
         found = distance(rows)
     elif kind == THRUST:
-        found = thrust(blocks, weights, numbers)
+        found = thrust(blocks, along[0][place[0]], along[1][place[0]], numbers)
     elif kind == TILT:
-        found = tilt(blocks, weights, numbers)
+        found = tilt(blocks, along[0][place[0]], along[1][place[0]], numbers)
     elif kind == BALANCE:
-        found = balance(rows, blocks[1], weights, numbers)
+        found = balance(rows, blocks[1], along[0], along[1], place, numbers)
     elif kind == LENGTHS:
         found = lengths(rows, blocks[1], weights)
     elif kind == TURNS:
@@ -61,6 +70,22 @@ def _bounded(kind: int, blocks: Blocks, weights: Array, numbers: Array) -> Found
     else:
         found = band(rows[0], blocks[1][0, 0], blocks[1][1, 0])
     return found
+
+
+@kernel
+def _directed(kind: int, blocks: Blocks, weights: Array, noise: float) -> Known:
+    """Return the directions that cells of a kind take, cell by cell; of no length where none."""
+    count = len(blocks[0])
+    if kind == BALANCE:
+        each = 4
+        vectors = blocks[0].copy().reshape(4 * count, 3, blocks[0].shape[2])
+    elif kind in (THRUST, TILT):
+        each = 1
+        vectors = blocks[1]
+    else:
+        return np.empty((0, 3, 0)), np.empty(0), np.zeros((count, 1), dtype=np.intp)
+    along, errors = directions(vectors, weights, noise)
+    return along, errors, np.arange(each * count).reshape(count, each)
 
 
 @kernel
@@ -99,6 +124,7 @@ def search(
     sign: float,
     blocks: Blocks,
     weights: Array,
+    along: Known,
     numbers: Array,
     item: Indices,
     spans: Array,
@@ -113,6 +139,8 @@ def search(
     sign: 1 of a smallest value, -1 of a largest.
     blocks: four, (cells, rows, degree + 1) each; (cells, 0, 1) in place of missing ones.
     weights: of polynomials at nodes, then of those through them.
+    along: directions (m, 3, ·) of the given cells, their errors (m,) and each cell's (cells, k);
+        none where the kind takes none, or none are known.
     numbers: noise [m], length [m] without a direction, and relative rounding.
     item: (cells,)
     spans: (3, cells), start [s], end [s] and margin.
@@ -130,9 +158,11 @@ def search(
         return -np.inf, -np.inf, -1, 0.0
     bounds, enough = np.full(len(item), -np.inf), most[1]
     while True:
+        if len(along[2]) < len(item):
+            along = _directed(kind, blocks, weights, numbers[0])
         for c in range(len(item)):
             cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
-            low, here, x = _bounded(kind, cell, weights, numbers)
+            low, here, x = _bounded(kind, cell, weights, along, along[2][c], numbers)
             low, here = sign * low, sign * here
             if np.isnan(low + here):
                 low, here = -np.inf, -np.inf
@@ -169,3 +199,4 @@ def search(
         )
         item = np.concatenate((item[left], item[left]))
         bounds, spans, depth = _twice(bounds, left), both, depth + 1
+        along = along[0][:0], along[1][:0], along[2][:0]

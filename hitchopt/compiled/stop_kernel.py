@@ -180,8 +180,12 @@ def _kept(tables: StopTables, start: float, duration: float, samples: Array) -> 
     first, second, third = tables.values[0], tables.values[1], tables.values[2]
     for i in range(samples.shape[1]):
         time = start + samples[0, i] * duration
-        node = tables.left[max(np.searchsorted(tables.begin, time, side="right") - 1, 0)]
+        cell = max(np.searchsorted(tables.begin, time, side="right") - 1, 0)
+        node, most = tables.left[cell], tables.largest[cell]
         s, a, j = samples[1, i], samples[2, i] / duration, samples[3, i] / duration**2
+        whole = s**3 * most[2] + 3.0 * s * abs(a) * most[1] + abs(j) * most[0]
+        if s**2 * most[1] + abs(a) * most[0] <= tables.limits[0] and whole <= tables.limits[1]:
+            continue  # no drone can break a limit anywhere in the cell
         for drone in range(first.shape[1]):
             x1, x2, x3 = first[node, drone], second[node, drone], third[node, drone]
             acceleration = jerk = 0.0

@@ -11,20 +11,18 @@ from hitchopt.compiled.polynomial_kernels import (
     add_product,
     column_norms,
     combined,
-    direction,
     inner,
     rows_elevated,
     value_at,
     values_at,
 )
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 
 @kernel
-def _enclosed(blocks: Blocks, weights: Array, noise: float) -> tuple[Array, float]:
-    """Return a thrust and its error, as ``thrust_enclosure``."""
-    free, legs, pull, slop = blocks
-    along, error = direction(legs, weights, noise)
+def _enclosed(blocks: Blocks, along: Array, error: float) -> tuple[Array, float]:
+    """Return a thrust and its error, as ``thrust_enclosure``, given the leg's direction."""
+    free, _, pull, slop = blocks
     out = rows_elevated(free, along.shape[1] + pull.shape[1] - 2)
     for i in range(3):
         add_product(out[i], 1.0, along[i], pull[0])
@@ -85,9 +83,9 @@ def _leaning(f: Array, radius: float) -> tuple[float, float]:
 
 
 @kernel
-def tilt(blocks: Blocks, weights: Array, numbers: Array) -> Found:
-    """Return bound, value and place as ``tilt_bound``."""
-    f, radius = _enclosed(blocks, weights, numbers[0])
+def tilt(blocks: Blocks, along: Array, error: float, numbers: Array) -> Found:
+    """Return bound, value and place as ``tilt_bound``, given the leg's direction."""
+    f, radius = _enclosed(blocks, along, error)
     bound, x = _leaning(f, radius)
     there, off = _thrust_at(blocks, x, numbers[1])
     size = np.sqrt(inner(there, there))
@@ -98,9 +96,9 @@ def tilt(blocks: Blocks, weights: Array, numbers: Array) -> Found:
 
 
 @kernel
-def thrust(blocks: Blocks, weights: Array, numbers: Array) -> Found:
-    """Return bound, value and place as ``thrust_bound``."""
-    f, radius = _enclosed(blocks, weights, numbers[0])
+def thrust(blocks: Blocks, along: Array, error: float, numbers: Array) -> Found:
+    """Return bound, value and place as ``thrust_bound``, given the leg's direction."""
+    f, radius = _enclosed(blocks, along, error)
     sizes = column_norms(f)
     k = np.argmax(sizes)
     x = k / max(1, len(sizes) - 1)
@@ -110,22 +108,22 @@ def thrust(blocks: Blocks, weights: Array, numbers: Array) -> Found:
 
 @kernel
 def static_thrusts(
-    blocks: Blocks, weights: Array, noise: float, lower: Array
+    blocks: Blocks, along: Array, errors: Array, place: Indices, lower: Array
 ) -> tuple[Array, Array]:
     """Return thrusts (cells, 3, ·) and errors (cells,) as ``thrust_enclosure`` and ``reduced``.
 
     Parameters
     ----------
     blocks: (cells, rows, ·) each, of ``thrust_cells``.
-    weights: as of a search.
-    noise: of positions [m].
-    lower: the same for polynomials of thrusts, in the degree to which they are reduced.
+    along, errors: directions (m, 3, ·) and their errors (m,).
+    place: (cells,), the index of each leg's.
+    lower: as a search's weights, for polynomials of thrusts in the degree that they are reduced to.
     """
     count, order = len(blocks[0]), lower.shape[1] - 1
     thrusts, radii = np.empty((count, 3, order + 1)), np.empty(count)
     for c in range(count):
         cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
-        found, radius = _enclosed(cell, weights, noise)
+        found, radius = _enclosed(cell, along[place[c]], errors[place[c]])
         degree = found.shape[1] - 1
         thrusts[c] = combined(combined(found, lower[: degree + 1]), lower[degree + 1 :])
         lost = column_norms(rows_elevated(thrusts[c], degree) - found)

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -52,11 +53,15 @@ class Outline(OneLine, ABC):
     def __iter__(self) -> Iterator[Array]:
         return iter(self.vertices)
 
-    @property
+    @cached_property
     def edge_vectors(self) -> Array:
-        """(edges, 2) [m]: ``p_{k+1} - p_k``."""
-        onward = np.roll(self.vertices, -1, axis=0) - self.vertices
-        return onward if self.closed else onward[:-1]
+        """(edges, 2) [m], read-only: ``p_{k+1} - p_k``."""
+        following = self.vertices[1:]
+        if self.closed:
+            following = np.concatenate([following, self.vertices[:1]])
+        edges: Array = following - self.vertices[: len(following)]
+        edges.setflags(write=False)
+        return edges
 
     @property
     @abstractmethod
@@ -68,11 +73,12 @@ class Outline(OneLine, ABC):
         """(corners,): the points at which one edge follows another."""
         return np.arange(len(self)) if self.closed else np.arange(1, len(self) - 1)
 
-    @property
+    @cached_property
     def edge_lengths(self) -> Array:
-        """(edges,) [m]: ``l_k``."""
+        """(edges,) [m], read-only: ``l_k``."""
         edges = self.edge_vectors
         lengths: Array = np.hypot(edges[:, 0], edges[:, 1])
+        lengths.setflags(write=False)
         return lengths
 
     @property

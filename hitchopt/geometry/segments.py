@@ -31,7 +31,7 @@ def shortest_offset(differences: Array) -> Array:
         return differences[..., 0, :]
     if count == 2:
         return _nearest(differences[..., 0, :], differences[..., 1, :])
-    return _of_segments(*(differences[..., i, :] for i in range(4)))
+    return _of_segments(differences)
 
 
 def differences(a: Array, b: Array) -> Array:
@@ -41,25 +41,19 @@ def differences(a: Array, b: Array) -> Array:
     return each.reshape(*each.shape[:-3], count, each.shape[-1])
 
 
-def _of_segments(d00: Array, d01: Array, d10: Array, d11: Array) -> Array:
+def _of_segments(differences: Array) -> Array:
     """Return the shortest vector between segments.
 
     Their closest points are either both inside, or one is an end: of the five candidates the
     nearest is taken, which needs no case for parallel or zero-length segments. After C. Ericson,
     Real-Time Collision Detection (2005), section 5.1.9.
     """
-    offsets = np.stack(
-        [
-            _nearest(d00, d01),
-            _nearest(d10, d11),
-            _nearest(d00, d10),
-            _nearest(d01, d11),
-            _inner(d00, d10 - d00, d00 - d01),
-        ]
-    )
-    squared = dot(offsets, offsets)
-    best = np.argmin(squared, axis=0)
-    chosen: Array = np.take_along_axis(offsets, best[None, ..., None], axis=0)[0]
+    first, last = differences.take([0, 2, 0, 1], axis=-2), differences.take([1, 3, 2, 3], axis=-2)
+    start = differences[..., 0, :]
+    inner = _inner(start, differences[..., 2, :] - start, start - differences[..., 1, :])
+    offsets = np.concatenate([_nearest(first, last), inner[..., None, :]], axis=-2)
+    best = np.argmin(dot(offsets, offsets), axis=-1)
+    chosen: Array = np.take_along_axis(offsets, best[..., None, None], axis=-2)[..., 0, :]
     return chosen
 
 

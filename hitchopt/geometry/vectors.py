@@ -30,6 +30,12 @@ def length(a: Array) -> Array:
     return lengths
 
 
+def column_lengths(a: Array) -> Array:
+    """Return the lengths (…, k) of vectors in columns (…, d, k)."""
+    lengths: Array = np.sqrt(np.einsum("...dk,...dk->...k", a, a))
+    return lengths
+
+
 def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
     """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -182,7 +183,7 @@ class Motion(OneLine):
         middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
         return PiecewisePolynomial(self.vertices.breaks, np.stack([middles, middles], axis=2))
 
-    @property
+    @cached_property
     def cable_states(self) -> frozenset[CableState]:
         """States of the cables in the phases; of no phases, hitched or without cables."""
         if not self.phases:
@@ -215,8 +216,13 @@ class Motion(OneLine):
 
         Each at its own times, as a motion of the phases that it overlaps.
         """
+        here = self.cable_states
+        if here <= states:
+            return (self,)
+        if here.isdisjoint(states):
+            return ()
         wanted = self._in_states(states)
-        if np.all(wanted):
+        if np.all(wanted):  # phases may be shorter than any piece
             return (self,)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
         breaks = self.drones.breaks
@@ -263,9 +269,9 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
             for p in motion.phases
         ]
         offset += motion.duration
-    parts: dict[str, Any] = {
-        name: joined([getattr(motion, name) for motion in motions]) for name in POLYNOMIALS
-    }
+    parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
+    for name in POLYNOMIALS[1:]:
+        parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
     if any(motion.leg_tensions is not None for motion in motions):
         pulls = joined([motion.pulls for motion in motions])
         each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)

@@ -11,6 +11,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.checks.tracking_radius import GAMMA
@@ -149,10 +150,12 @@ def certified_retarget(
         short = [check for check in short if not check.holds]
         if short and not complete:
             return infeasible(Certificate(ahead.duration, tuple(short)), ahead)
-        certificate = certify(checked, reports=(), known=known)
+        with shared_values():
+            certificate = certify(checked, reports=(), known=known)
+            if certificate.certified:
+                stops = tuple(report.check(checked, {}, GAMMA) for report in IN_FLIGHT)
+                certificate = replace(certificate, checks=(*certificate.checks, *stops))
         if certificate.certified:
-            stops = tuple(report.check(ahead, {}, GAMMA) for report in IN_FLIGHT)
-            certificate = replace(certificate, checks=(*certificate.checks, *stops))
             motion = followed(past, fresh)
             return Retarget(True, past.duration, motion, ahead, certificate)
         broken = {check.name: check for check in certificate.violated}

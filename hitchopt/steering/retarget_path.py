@@ -207,20 +207,17 @@ class RetargetPath:
         sides = np.concatenate([breaks[:-1] + SIDE * h, breaks[1:] - SIDE * h])
         found = self.jets(sides, brake, shift)
         legs = found.legs * self.team.layout.has_leg[..., None]
+        each = (found.drones, found.vertices, legs)
         starts = (self.state.drones, self.state.vertices, self.state.legs)
-
-        def part(values: Array, start: Array) -> PiecewisePolynomial:
-            orders = np.moveaxis(values, -1, 0).copy()
-            left, right = orders[:, :count], orders[:, count:]
-            left[:3, 1:] = right[:3, :-1]
-            left[:3, 0] = np.moveaxis(start, -1, 0)[:3]
-            right[1:3, -1] = 0.0
-            return PiecewisePolynomial.hermite(breaks, left, right)
-
-        drones, vertices, leg_curves = (
-            part(values, start)
-            for values, start in zip((found.drones, found.vertices, legs), starts, strict=True)
-        )
+        values = np.concatenate([part.reshape(2 * count, -1, JET) for part in each], axis=1)
+        start = np.concatenate([part.reshape(-1, JET) for part in starts])
+        orders = np.moveaxis(values, -1, 0).copy()
+        left, right = orders[:, :count], orders[:, count:]
+        left[:3, 1:] = right[:3, :-1]
+        left[:3, 0] = start.T[:3]
+        right[1:3, -1] = 0.0
+        both = PiecewisePolynomial.hermite(breaks, left, right)
+        drones, vertices, leg_curves = both.split([part.shape[:-1] for part in starts])
         tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
         return Flight(drones, vertices, leg_curves, tensions)
 

@@ -12,7 +12,7 @@ from math import comb
 
 import numpy as np
 
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 MOST_PAIRS = 2**18
 """Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
@@ -57,6 +57,16 @@ def jet_basis(x: Array, order: int, count: int) -> Array:
 def evaluate(coefficients: Array, x: Array | float) -> Array:
     """Return the values at x, which broadcasts against the coefficients' leading axes."""
     weights = basis(np.asarray(x, dtype=np.float64), degree(coefficients))
+    values: Array = np.einsum("...i,...i->...", coefficients, weights)
+    return values
+
+
+def evaluate_at(coefficients: Array, index: Indices, order: int) -> Array:
+    """Return the values at ``index / order``, where coefficients of degree ``order`` belong.
+
+    As of ``evaluate``, in a part of the time.
+    """
+    weights = _basis_at(order, degree(coefficients))[index]
     values: Array = np.einsum("...i,...i->...", coefficients, weights)
     return values
 
@@ -197,6 +207,12 @@ def elevation(order: int, target: int) -> Array:
         for i in range(max(0, j - target + order), min(order, j) + 1):
             matrix[j, i] = comb(order, i) * comb(target - order, j - i) / comb(target, j)
     return _frozen(matrix)
+
+
+@lru_cache
+def _basis_at(parts: int, order: int) -> Array:
+    """(parts + 1, order + 1): the basis at equal distances."""
+    return _frozen(basis(np.arange(parts + 1) / max(1, parts), order))
 
 
 @lru_cache

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernels_on
-from hitchopt.trajectory import bernstein, extremum
-from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
-from hitchopt.trajectory.extremum import Bound, Cells, Extremum, First
-from hitchopt.values import Array
+from hitchopt.trajectory import bernstein, enclosure, extremum
+from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER, Enclosure
+from hitchopt.trajectory.extremum import Bound, Cells, Estimate, Extremum, First
+from hitchopt.values import Array, Indices
 
 MOST = 24
 """Largest degree of a block that is compiled."""
@@ -46,6 +47,48 @@ class KnownBound:
     rounding: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Enclosed directions, of which given cells take one or some.
+
+    Attributes
+    ----------
+    coefficients: (m, 3, degree + 1)
+    radius: (m,)
+    place: (cells,) or (cells, k), the indices of each cell's.
+    """
+
+    coefficients: Array
+    radius: Array
+    place: Indices
+
+    def placed(self, place: Indices) -> Directions:
+        """Return the same directions for other cells."""
+        return replace(self, place=place)
+
+    def taken(self, part: slice = slice(None)) -> Enclosure:
+        """Return those of some cells."""
+        place = self.place[part]
+        return Enclosure(self.coefficients[place], self.radius[place])
+
+
+def enclosed_directions(vectors: Array, noise: float) -> Directions:
+    """Enclose the directions of vectors (m, 3, degree + 1), as ``enclosure.direction`` does."""
+    place = np.arange(len(vectors))
+    if kernels_on() and vectors.shape[-1] <= MOST + 1 and np.max(np.abs(vectors)) < HUGE:
+        from hitchopt.compiled.polynomial_kernels import directions
+
+        weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
+        return Directions(*directions(np.array(vectors, order="C"), weights, noise), place)
+    with np.errstate(all="ignore"):  # coefficients may be anything
+        found = enclosure.direction(vectors, noise)
+    return Directions(found.coefficients, found.radius, place)
+
+
+NOTHING = Directions(np.empty((0, 3, 1)), np.empty(0), np.empty((0, 1), dtype=np.intp))
+"""No directions."""
+
+
 def smallest(cells: Cells, bound: Bound, known: KnownBound, target: float = -np.inf) -> Extremum:
     """Return what ``extremum.smallest`` does."""
     found = _compiled(cells, known, 1.0, target)
@@ -54,17 +97,40 @@ def smallest(cells: Cells, bound: Bound, known: KnownBound, target: float = -np.
 
 def largest(
     cells: Cells,
-    bound: Bound,
+    bound: Callable[..., Estimate],
     known: KnownBound,
     target: float = np.inf,
-    first: First | None = None,
+    directions: Callable[[], Directions] | None = None,
 ) -> Extremum:
-    """Return what ``extremum.largest`` does."""
-    found = _compiled(cells, known, -1.0, -target)
-    return extremum.largest(cells, bound, target, first) if found is None else found
+    """Return what ``extremum.largest`` does.
+
+    Parameters
+    ----------
+    cells, target: as there.
+    bound: takes the blocks of cells, and where directions are known, these as ``along``.
+    known: the same for compiled code.
+    directions: returns those that the given cells need, where other checks need them as well.
+    """
+    found = _compiled(cells, known, -1.0, -target, directions)
+    if found is not None:
+        return found
+    first: First | None = None
+    if directions is not None:
+        along = directions()
+
+        def first(part: slice) -> Estimate:
+            return bound(tuple(block[part] for block in cells.blocks), along=along.taken(part))
+
+    return extremum.largest(cells, bound, target, first)
 
 
-def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Extremum | None:
+def _compiled(
+    cells: Cells,
+    known: KnownBound,
+    sign: float,
+    target: float,
+    directions: Callable[[], Directions] | None = None,
+) -> Extremum | None:
     """Return the extremum, the sign and the target being those of a smallest value."""
     if not kernels_on() or not 0 < len(cells) <= extremum.BATCH:
         return None
@@ -78,11 +144,14 @@ def _compiled(cells: Cells, known: KnownBound, sign: float, target: float) -> Ex
     blocks += [np.empty((len(cells), 0, 1))] * (BLOCKS - len(blocks))
     order = NORM_ORDER if known.kind == LENGTHS else DIRECTION_ORDER
     row = 1 if known.kind in ("thrust", "tilt") else 0
+    along = NOTHING if directions is None else directions()
+    each = 1 if along.place.ndim == 1 else along.place.shape[1]
     worst, value, item, time = search_kernel.search(
         search_kernel.KINDS[known.kind],
         sign,
         (blocks[0], blocks[1], blocks[2], blocks[3]),
         interpolation_weights(bernstein.degree(blocks[row]), order),
+        (along.coefficients, along.radius, along.place.reshape(len(along.place), each)),
         np.array([known.noise, known.short, known.rounding]),
         cells.item,
         np.array([cells.start, cells.end, cells.margin]),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.vectors import length
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
 
@@ -25,13 +26,12 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     (rows,) = blocks
     degree = rows.shape[-1] - 1
     differences = rows.reshape(len(rows), rows.shape[1] // 3, 3, degree + 1)
-    first = shortest_offset(differences[..., 0])
-    last = shortest_offset(differences[..., -1])
-    lengths = np.stack([np.linalg.norm(first, axis=-1), np.linalg.norm(last, axis=-1)])
+    offsets = shortest_offset(differences[..., [0, -1]].transpose(3, 0, 1, 2))  # at both ends
+    lengths = length(offsets)
     # A vector that turns with time, from one end's shortest connection to the other end's:
     # the product with a polynomial is one degree higher. Where bodies touch it is zero.
-    towards_first = _product(differences, _unit(first, lengths[0]))
-    towards_last = _product(differences, _unit(last, lengths[1]))
+    units = offsets / np.where(lengths > 0.0, lengths, np.inf)[..., None]
+    towards_first, towards_last = np.matmul(units[:, :, None, None], differences)[..., 0, :]
     weight = np.arange(degree + 2) / (degree + 1)
     coefficients = np.zeros((*towards_first.shape[:-1], degree + 2))
     coefficients[..., :-1] = (1.0 - weight[:-1]) * towards_first
@@ -39,15 +39,3 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     bound = np.maximum(np.min(coefficients, axis=(-2, -1)), 0.0)
     x = np.argmin(lengths, axis=0)
     return Estimate(bound, np.min(lengths, axis=0), x.astype(np.float64))
-
-
-def _product(differences: Array, directions: Array) -> Array:
-    """Return products (cells, d, degree + 1) of (cells, d, 3, degree + 1) and (cells, 3)."""
-    product: Array = np.matmul(directions[:, None, None, :], differences)[..., 0, :]
-    return product
-
-
-def _unit(vectors: Array, lengths: Array) -> Array:
-    safe = np.where(lengths > 0.0, lengths, np.inf)
-    unit: Array = vectors / safe[..., None]
-    return unit

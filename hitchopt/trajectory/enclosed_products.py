@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.values import Array
@@ -60,7 +61,7 @@ def reduced(part: Enclosure, order: int) -> Enclosure:
 
 def largest_norm(coefficients: Array) -> Array:
     """Return a bound (…) of the norm of polynomials (…, d, degree + 1)."""
-    largest: Array = np.max(np.linalg.norm(coefficients, axis=-2), axis=-1)
+    largest: Array = np.max(column_lengths(coefficients), axis=-1)
     return largest
 
 

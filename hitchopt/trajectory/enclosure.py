@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
@@ -124,7 +125,7 @@ def norm(vectors: Array) -> Enclosure:
     least = np.min(v, axis=-1)
     known = least > 0.0
     error = (np.max(np.abs(residual), axis=-1) + ROUNDING) / np.where(known, least, 1.0)
-    largest = np.max(np.linalg.norm(y, axis=-2), axis=-1) * (1.0 + ROUNDING)
+    largest = np.max(column_lengths(y), axis=-1) * (1.0 + ROUNDING)
     v = np.where(known[..., None], v, 0.5 * largest[..., None])
     error = np.where(known, error, 0.5 * largest)
     return Enclosure(v * scale[..., None], error * scale)
@@ -141,5 +142,4 @@ def _lengths(y: Array, order: int) -> Array:
     """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
     weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(y))
     values = y.reshape(-1, y.shape[-1]) @ weights.T
-    lengths: Array = np.linalg.norm(values.reshape(*y.shape[:-1], order + 1), axis=-2)
-    return lengths
+    return column_lengths(values.reshape(*y.shape[:-1], order + 1))

@@ -75,13 +75,17 @@ class Cells:
         pieces: of the breaks, that the blocks are of; None for all of them.
         """
         count, items = blocks[0].shape[:2]
-        chosen = np.arange(count) if pieces is None else pieces
+        begin, end = breaks[:-1], breaks[1:]
+        if pieces is not None:
+            begin, end = begin[pieces], end[pieces]
+        margins = np.empty((count, items))
+        margins[...] = margin
         return cls(
             tuple(block.reshape(count * items, *block.shape[2:]) for block in blocks),
             np.arange(count * items) % max(1, items),
-            np.repeat(breaks[chosen], items),
-            np.repeat(breaks[chosen + 1], items),
-            (np.zeros((count, items)) + np.asarray(margin, dtype=np.float64)).ravel(),
+            begin.repeat(items),
+            end.repeat(items),
+            margins.ravel(),
         )
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Cells:
@@ -197,9 +201,9 @@ class Search:
     @property
     def threshold(self) -> float:
         """Cells bounded by this or more need no closer look."""
-        if not np.isfinite(self.value):
+        if not math.isfinite(self.value):
             return self.value
-        tight = float(self.value - max(self.absolute, self.relative * abs(self.value)))
+        tight = self.value - max(self.absolute, self.relative * abs(self.value))
         return max(tight, self.target) if self.value >= self.target else tight
 
     def add(self, cells: Cells, first: First | None = None) -> None:
@@ -252,12 +256,13 @@ class Search:
     def _keep(self, cells: Cells, bounds: Array) -> None:
         """Put aside the cells whose bounds need a closer look, and settle all others."""
         done = bounds >= self.threshold
-        left = np.flatnonzero(~done)
-        if len(left) == len(bounds):
+        if done.all():
+            self._settle(bounds - cells.margin)
+        elif not done.any():
             self._open.append((cells, bounds))
-            return
-        self._settle((bounds - cells.margin)[done])
-        if len(left):
+        else:
+            self._settle((bounds - cells.margin)[done])
+            left = (~done).nonzero()[0]
             self._open.append((cells.take(left), bounds[left]))
 
     def _settle(self, bounds: Array) -> None:

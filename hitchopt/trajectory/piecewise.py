@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import factorial
+from math import factorial, isfinite, prod
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -53,7 +53,7 @@ class PiecewisePolynomial(OneLine):
             bound = f"({len(breaks) - 1}, …, degree + 1)"
             remedy = "give one row of coefficients per piece"
             raise InputError("coefficients", coefficients.shape, bound, remedy)
-        if not ((breaks[1:] > breaks[:-1]).all() and np.isfinite(breaks[[0, -1]]).all()):
+        if not ((breaks[1:] > breaks[:-1]).all() and isfinite(breaks[0]) and isfinite(breaks[-1])):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
         if not np.isfinite(coefficients).all():
             raise InputError("coefficients", "nan or inf", "finite", "check how they were made")
@@ -198,6 +198,19 @@ class PiecewisePolynomial(OneLine):
             kept[order] = found
         return found
 
+    def reshaped(self, *shape: int) -> PiecewisePolynomial:
+        """Return the same functions, their values arranged in another shape."""
+        return self._with(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
+
+    def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
+        """Return functions of values (m,) as several in a row, with values of given shapes."""
+        edges = np.cumsum([prod(shape) for shape in shapes])[:-1]
+        parts = np.split(self.coefficients, edges, axis=1)
+        return [
+            self._with(part.reshape(self.pieces, *shape, -1).copy())
+            for part, shape in zip(parts, shapes, strict=True)
+        ]
+
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
         if order == self.degree:
@@ -268,11 +281,18 @@ _DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomi
 """Derivatives by their order, of small polynomials in use: several checks ask for the same."""
 
 
-def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
-    """Return the parts one after the other, from the first one's start, in their largest degree."""
+def joined(
+    parts: Sequence[PiecewisePolynomial], like: PiecewisePolynomial | None = None
+) -> PiecewisePolynomial:
+    """Return the parts one after the other, from the first one's start, in their largest degree.
+
+    ``like`` are other parts with the same breaks, joined before.
+    """
     order = max(part.degree for part in parts)
+    coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
+    if like is not None:
+        return like._with(coefficients)
     breaks = [parts[0].breaks[:1]]
     for part in parts:
         breaks.append(breaks[-1][-1] + (part.breaks[1:] - part.breaks[0]))
-    coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
     return PiecewisePolynomial(np.concatenate(breaks), coefficients)

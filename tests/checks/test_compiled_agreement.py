@@ -58,6 +58,14 @@ MOTIONS: dict[str, Callable[[], ho.Motion]] = {
 }
 
 
+def agree(plain: ho.Certificate, compiled: ho.Certificate) -> None:
+    """Assert that two certificates are the same to rounding."""
+    assert [each.name for each in compiled.checks] == [each.name for each in plain.checks]
+    for mine, other in zip(compiled.checks, plain.checks, strict=True):
+        assert mine.holds == other.holds, mine.name
+        assert mine.bound == pytest.approx(other.bound, rel=1e-8, abs=1e-12), mine.name
+
+
 @pytest.mark.parametrize("name", MOTIONS)
 def test_certificates_agree(name: str) -> None:
     motion = MOTIONS[name]()
@@ -66,10 +74,7 @@ def test_certificates_agree(name: str) -> None:
         assert used
         compiled = certify(motion, reports=(QUICK,))
     assert not kernels_on()
-    assert [each.name for each in compiled.checks] == [each.name for each in plain.checks]
-    for mine, other in zip(compiled.checks, plain.checks, strict=True):
-        assert mine.holds == other.holds, mine.name
-        assert mine.bound == pytest.approx(other.bound, rel=1e-8, abs=1e-12), mine.name
+    agree(plain, compiled)
 
 
 @pytest.mark.parametrize("limit", [2.0, 0.2])
@@ -221,3 +226,21 @@ def test_plans_do_not_load_numba() -> None:
         [sys.executable, "-c", probe], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_anybody_may_plan_with_compiled_code() -> None:
+    """Motions are the same to the bit, and certificates to rounding."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, altitude=1.0)
+
+    def planned() -> ho.Plan:
+        return ho.morph(start, start.polygon.vertices + [0.2, 0.1])
+
+    plain = planned()
+    with ho.kernels() as used:
+        assert used
+        compiled = planned()
+    assert not kernels_on()
+    for name in ("drones", "vertices", "legs", "tensions"):
+        here, there = (getattr(plan.motion, name).coefficients for plan in (plain, compiled))
+        np.testing.assert_array_equal(here, there)
+    agree(plain.certificate, compiled.certificate)

@@ -101,6 +101,23 @@ def test_joined_parts_follow_one_another_whatever_their_own_start() -> None:
     np.testing.assert_allclose(both.at(t + 1.8), second.at(t), atol=1e-10)
 
 
+def test_parts_are_joined_like_others_with_the_same_breaks() -> None:
+    first, second, other = some(2), some(5, seed=1), some(3, seed=2)
+    like, both = joined([first, second]), joined([second, other])
+    found = joined([second, other], like)
+    assert found.breaks is like.breaks
+    np.testing.assert_array_equal(found.breaks, both.breaks)
+    np.testing.assert_array_equal(found.coefficients, both.coefficients)
+
+
+def test_values_are_split_and_reshaped() -> None:
+    c = np.random.default_rng(3).normal(size=(3, 10, 6))
+    rows, column = PiecewisePolynomial(BREAKS, c).split([(2, 4), (2,)])
+    np.testing.assert_array_equal(rows.coefficients, c[:, :8].reshape(3, 2, 4, 6))
+    np.testing.assert_array_equal(column.coefficients, c[:, 8:])
+    np.testing.assert_array_equal(rows.reshaped(-1, 1).coefficients[:, :, 0], c[:, :8])
+
+
 def test_what_is_stored_cannot_be_changed_from_outside() -> None:
     breaks, c = BREAKS.copy(), np.zeros((3, 2))
     part = PiecewisePolynomial(breaks, c)

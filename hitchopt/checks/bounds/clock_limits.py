@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.checks.bounds.static_thrust import ORDER, StaticThrust
 from hitchopt.checks.bounds.thrust_turning import turning
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.motion.motion import Motion
 from hitchopt.time_limit import check_time
 from hitchopt.trajectory import bernstein
@@ -41,8 +42,7 @@ BATCH = 3000
 
 
 def _length(vectors: Array) -> Array:
-    length: Array = np.linalg.norm(vectors, axis=-2)
-    return length
+    return column_lengths(vectors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class ClockLimits:
         self.derivatives = [drones.differentiated(k).coefficients for k in (1, 2, 3)]
         self.margins = [derivative_margin(drones, k) for k in (1, 2, 3)]
         self.sizes = [
-            np.max(np.linalg.norm(c, axis=2), axis=-1) + margin
+            np.max(column_lengths(c), axis=-1) + margin
             for c, margin in zip(self.derivatives, self.margins, strict=True)
         ]
         self.static = StaticThrust.of(motion)

@@ -2,52 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from weakref import WeakKeyDictionary
+import numpy as np
 
 from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
+from hitchopt.checks.bounds.shared_values import once
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import enclosure
-from hitchopt.trajectory.enclosure import Enclosure
-from hitchopt.values import Array
-
-Shared = WeakKeyDictionary[Motion, dict[Callable[[Motion], Array], Enclosure]]
-
-_SHARED: ContextVar[Shared | None] = ContextVar("shared", default=None)
+from hitchopt.trajectory.compiled_search import Directions, enclosed_directions
+from hitchopt.values import Indices
 
 
-@contextmanager
-def shared_directions() -> Iterator[None]:
-    """Keep directions within the context: they take more room than the motion itself."""
-    token = _SHARED.set(WeakKeyDictionary())
-    try:
-        yield
-    finally:
-        _SHARED.reset(token)
+def drone_directions(motion: Motion) -> Directions:
+    """Enclose the directions of ``pull_vectors``, of every piece and drone in a row."""
+    items = np.arange(motion.team.drones)
+    return once(motion, _directions).placed(_places(motion, items).ravel())
 
 
-def pull_directions(motion: Motion) -> Enclosure:
-    """Enclose the directions of ``pull_vectors``, (pieces, 2n, 3)."""
-    return _directions(motion, pull_vectors)
+def clasp_directions(motion: Motion) -> Directions:
+    """Enclose the four directions that meet at a clasp, of every piece and clasp in a row.
+
+    They are those of its own leg and edge, and of the leg and the edge before.
+    """
+    layout = motion.team.layout
+    ahead, behind, edges = layout.ahead, layout.behind, motion.team.drones
+    items = np.stack([2 * ahead, edges + ahead, 2 * behind + 1, edges + behind], axis=1)
+    return once(motion, _directions).placed(_places(motion, items).reshape(-1, 4))
 
 
-def edge_directions(motion: Motion) -> Enclosure:
-    """Enclose the directions of ``edge_vectors``, (pieces, n, 3)."""
-    return _directions(motion, edge_vectors)
+def _places(motion: Motion, items: Indices) -> Indices:
+    """Return the places (pieces, …) of items of every piece in what ``_directions`` returns."""
+    team = motion.team
+    count = team.drones + team.robots
+    pieces = count * np.arange(motion.drones.pieces).reshape(-1, *(1,) * items.ndim)
+    found: Indices = pieces + items
+    return found
 
 
-def taken(directions: Enclosure, part: slice) -> Enclosure:
-    """Return those of some cells, which are one per piece and item, in a row."""
-    c, radius = directions.coefficients, directions.radius
-    return Enclosure(c.reshape(-1, *c.shape[2:])[part], radius.ravel()[part])
-
-
-def _directions(motion: Motion, vectors: Callable[[Motion], Array]) -> Enclosure:
-    shared = _SHARED.get()
-    kept = {} if shared is None else shared.setdefault(motion, {})
-    if vectors not in kept:
-        kept[vectors] = enclosure.direction(vectors(motion), position_margin(motion))
-    return kept[vectors]
+def _directions(motion: Motion) -> Directions:
+    """Return the directions of all legs, then all edges, piece by piece in a row."""
+    vectors = np.concatenate([pull_vectors(motion), edge_vectors(motion)], axis=1)
+    vectors = vectors.reshape(-1, *vectors.shape[2:])
+    return enclosed_directions(vectors, position_margin(motion))

@@ -216,12 +216,14 @@ def _near(
         return piece, pair
     with np.errstate(all="ignore"):  # what is no number rules nothing out
         drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
-        (a_lower, a_upper), (b_lower, b_upper) = (
-            (np.min(c, axis=(2, 4)), np.max(c, axis=(2, 4))) for c in (a - drift, b - drift)
-        )
+        own = _boxes(a - drift)
+        others = own if b is a else _boxes(b - drift)
         i, j = pairs.first, pairs.second
-        apart = np.maximum(a_lower[:, i] - b_upper[:, j], b_lower[:, j] - a_upper[:, i])
-        gaps = np.linalg.norm(np.maximum(apart, 0.0), axis=-1)
+        (a_lower, a_upper), (b_lower, b_upper) = own.take(i, axis=3), others.take(j, axis=3)
+        apart = np.maximum(a_lower - b_upper, b_lower - a_upper)
+        np.maximum(apart, 0.0, out=apart)
+        apart *= apart
+        gaps = np.sqrt(apart.sum(axis=0))
         count = min(NEIGHBOURS, gaps.shape[1])
         closest = np.argpartition(gaps, count - 1, axis=1)[:, :count]
         half = bernstein.basis(np.array(0.5), a.shape[-1] - 1)
@@ -232,6 +234,12 @@ def _near(
         cutoff = metric.reach(np.min(metric.measured(offsets)) + margin) * (1.0 + SLACK)
         piece, pair = np.nonzero(~(gaps > cutoff))
     return piece, pair
+
+
+def _boxes(corners: Array) -> Array:
+    """Return the boxes (2, 3, pieces, bodies), lower and upper, of bodies (pieces, bodies, …)."""
+    each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
+    return np.stack([each.min(axis=0), each.max(axis=0)])
 
 
 def _cells(

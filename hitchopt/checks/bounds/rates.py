@@ -7,6 +7,7 @@ import numpy as np
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -65,8 +66,8 @@ def largest_rate(part: PiecewisePolynomial, order: int, limit: float = np.inf) -
 def norm_bound(blocks: tuple[Array, ...]) -> Estimate:
     """Bound the norm of vectors from above: one block (cells, d, degree + 1)."""
     (vectors,) = blocks
-    norms = np.linalg.norm(vectors, axis=1)
-    largest_of = np.argmax(norms, axis=-1)
-    x = largest_of / max(1, bernstein.degree(vectors))
-    value = np.linalg.norm(bernstein.evaluate(vectors, x[:, None]), axis=-1)
-    return Estimate(np.max(norms, axis=-1), value, x)
+    order = bernstein.degree(vectors)
+    norms = column_lengths(vectors)
+    index = np.argmax(norms, axis=-1)
+    value = length(bernstein.evaluate_at(vectors, index[:, None], order))
+    return Estimate(np.max(norms, axis=-1), value, index / max(1, order))

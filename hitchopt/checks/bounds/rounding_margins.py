@@ -71,10 +71,16 @@ def _derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     if part.degree == 0:
         return np.zeros(c.shape[:2])
     if 0 not in _KNOWN[part]:  # the same for all orders
-        steps = c[..., 1:] - c[..., :-1]
-        _KNOWN[part][0] = np.abs(steps).max(axis=(-2, -1))
+        _KNOWN[part][0] = _largest(c[..., 1:] - c[..., :-1])
     differences = _KNOWN[part][0]
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
-    size = np.abs(part.differentiated(order).coefficients).max(axis=(-2, -1))
-    margin: Array = LAST_PLACE * gain[:, None] * differences + ROUNDING * size
+    size = _largest(part.differentiated(order).coefficients)
+    margin: Array = (LAST_PLACE * gain)[:, None] * differences + ROUNDING * size
     return margin
+
+
+def _largest(coefficients: Array) -> Array:
+    """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
+    sizes = np.abs(coefficients)
+    largest: Array = sizes.reshape(*sizes.shape[:2], -1).max(axis=-1)
+    return largest

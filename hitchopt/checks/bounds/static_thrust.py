@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.bounds.leg_directions import taken
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
     known_directions,
@@ -20,9 +19,14 @@ from hitchopt.checks.tilt import tilt_bound
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import HUGE, compiled_blocks, interpolation_weights
+from hitchopt.trajectory.compiled_search import (
+    HUGE,
+    Directions,
+    compiled_blocks,
+    interpolation_weights,
+)
 from hitchopt.trajectory.enclosed_products import largest_norm, reduced
-from hitchopt.trajectory.enclosure import DIRECTION_ORDER, Enclosure
+from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.trajectory.extremum import Cells, largest
 from hitchopt.values import Array
 
@@ -54,12 +58,12 @@ class StaticThrust:
             coefficients = low.coefficients.reshape(*shape, *low.coefficients.shape[1:])
             return Enclosure(coefficients, low.radius.reshape(shape))
 
-        cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
-        found = _compiled(cells, noise)
+        cells = thrust_cells(motion, moving=False)
+        directions = known_directions(motion)
+        along = None if directions is None else directions()
+        found = None if along is None else _compiled(cells, along)
         if found is None:
-            along = known_directions(motion)
-            along = None if along is None else taken(along, slice(None))
-            found = thrust_enclosure(cells.blocks, noise, along)
+            found = thrust_enclosure(cells.blocks, noise, None if along is None else along.taken())
         thrust = shaped(found)
         if motion.requirements.limits.body_rate is None:
             return cls(thrust)
@@ -84,19 +88,21 @@ class StaticThrust:
         return most
 
 
-def _compiled(cells: Cells, noise: float) -> Enclosure | None:
+def _compiled(cells: Cells, along: Directions) -> Enclosure | None:
     """Return the thrusts in degree ORDER by compiled code, or None where that is not on."""
     blocks = compiled_blocks(cells) if kernels_on() and len(cells.blocks) == 4 else None
     if blocks is None or not all(np.max(np.abs(block)) < HUGE for block in blocks):
         return None
     from hitchopt.compiled.thrust_kernels import static_thrusts
 
-    degree = bernstein.degree(blocks[1])
-    order = degree + DIRECTION_ORDER + bernstein.degree(blocks[2])
-    weights = interpolation_weights(degree, DIRECTION_ORDER)
+    order = bernstein.degree(along.coefficients) + bernstein.degree(blocks[2])
     lower = interpolation_weights(order, min(order, ORDER))
     free, legs, pull, slop = blocks
-    return Enclosure(*static_thrusts((free, legs, pull, slop), weights, noise, lower))
+    return Enclosure(
+        *static_thrusts(
+            (free, legs, pull, slop), along.coefficients, along.radius, along.place, lower
+        )
+    )
 
 
 def largest_static_thrust(motion: Motion) -> float:
@@ -107,5 +113,5 @@ def largest_static_thrust(motion: Motion) -> float:
 
 def largest_static_tilt(motion: Motion) -> float:
     """Return the largest tilt at rest [deg], for all t."""
-    cells = thrust_cells(motion, np.ones(len(motion.team.mass)), moving=False)
+    cells = thrust_cells(motion, moving=False)
     return largest(cells, partial(tilt_bound, noise=position_margin(motion))).worst

@@ -13,57 +13,76 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import pull_vectors
 from hitchopt.checks.bounds.hanging_links import steepness_range
-from hitchopt.checks.bounds.leg_directions import pull_directions, taken
+from hitchopt.checks.bounds.leg_directions import drone_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
+from hitchopt.checks.bounds.shared_values import once
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.extremum import Cells, Estimate, First
-from hitchopt.values import Array
+from hitchopt.trajectory.compiled_search import Directions
+from hitchopt.trajectory.extremum import Cells
+from hitchopt.values import Array, Indices
 
 NO_DIRECTION = 1e-5
 """[m] A leg or an edge this short points anywhere: below it, rounding would say where."""
 
 
+UNSCALED = (1, 5, 7)
+"""Indices of the blocks that are lengths, not forces."""
+
 _UPWARD = np.array([0.0, 0.0, 1.0])
 
 
-def thrust_cells(motion: Motion, unit: Array, *, moving: bool = True) -> Cells:
+def thrust_cells(motion: Motion, unit: Array | None = None, *, moving: bool = True) -> Cells:
     """Return one cell per piece and drone, with the blocks that ``thrust_enclosure`` takes.
 
     Parameters
     ----------
-    unit: (drones,) [N], what each drone's forces are divided by.
+    unit: (drones,) [N], what each drone's forces are divided by; None for newtons.
     moving: with the drones' accelerations; without, the thrusts of hovering at every place.
     """
-    mass = (motion.team.mass / unit)[:, None]
-    free = motion.drones.differentiated(2).coefficients * mass[..., None]
+    blocks = list(once(motion, _blocks))
     if not moving:
-        free = np.zeros((*free.shape[:3], 1))
-    free[:, :, 2] += mass * GRAVITY
-    if motion.team.has_cables:
-        legs = pull_vectors(motion)
-        tension = lowered(chord_pulls(motion) / unit[:, None])
-    else:  # no cable, no pull, whichever way it points
-        legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
-        tension = np.zeros((*free.shape[:2], 1))
-    pull = np.max(np.abs(tension), axis=-1)
-    slop = derivative_margin(motion.drones, 2) * mass[:, 0]
-    slop = slop + ROUNDING * (np.max(np.abs(free), axis=(-2, -1)) + pull)
-    blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
-    if motion.team.has_cables and motion.team.cable_density > 0.0:
-        blocks += _weight_blocks(motion, unit)
+        hover = np.zeros((*blocks[0].shape[:3], 1))
+        hover[:, :, 2] = motion.team.mass[:, None] * GRAVITY
+        slop = derivative_margin(motion.drones, 2) * motion.team.mass
+        slop = slop + ROUNDING * (hover[:, :, 2, 0] + np.max(np.abs(blocks[2]), axis=(2, 3)))
+        blocks[0], blocks[3] = hover, slop[:, :, None, None]
+    if unit is not None:
+        share = (1.0 / unit)[:, None, None]
+        blocks = [block if i in UNSCALED else share * block for i, block in enumerate(blocks)]
     return Cells.over(motion.drones.breaks, blocks)
 
 
-def _weight_blocks(motion: Motion, unit: Array) -> list[Array]:
+def _blocks(motion: Motion) -> list[Array]:
+    """Return the blocks of moving drones, in newtons."""
+    mass = motion.team.mass[:, None]
+    free = motion.drones.differentiated(2).coefficients * mass[..., None]
+    free[:, :, 2] += mass * GRAVITY
+    if motion.team.has_cables:
+        legs = pull_vectors(motion)
+        tension = lowered(chord_pulls(motion))
+    else:  # no cable, no pull, whichever way it points
+        legs = np.broadcast_to(np.eye(3)[2, :, None], (*free.shape[:3], 1))
+        tension = np.zeros((*free.shape[:2], 1))
+    slop = derivative_margin(motion.drones, 2) * mass[:, 0]
+    slop += ROUNDING * (np.abs(free).max(axis=(-2, -1)) + np.abs(tension).max(axis=-1))
+    blocks = [free, legs, tension[:, :, None], slop[:, :, None, None]]
+    if motion.team.has_cables and motion.team.cable_density > 0.0:
+        blocks += _weight_blocks(motion)
+    return blocks
+
+
+def _weight_blocks(motion: Motion) -> list[Array]:
     """Return, per piece and drone, the weight per length of taut cable that it carries, halved.
 
     Then what hangs free: its partner's offset, its cable's weight per length, and length. The
@@ -72,7 +91,7 @@ def _weight_blocks(motion: Motion, unit: Array) -> list[Array]:
     """
     c, team = motion.drones.coefficients, motion.team
     taut = np.repeat(lowered(tautness(motion)), 2, axis=1)
-    whole = (GRAVITY * team.cable_density / unit)[:, None]
+    whole = GRAVITY * team.cable_density
     blocks = [(0.5 * taut * whole)[:, :, None]]
     if np.all(taut == 1.0):
         return blocks
@@ -107,25 +126,9 @@ def thrust_enclosure(
     return enclosure.Enclosure(thrust, radius)
 
 
-def known_directions(motion: Motion) -> enclosure.Enclosure | None:
-    """Return the directions of the legs of ``thrust_cells``; None without cables."""
-    return pull_directions(motion) if motion.team.has_cables else None
-
-
-def whole_pieces(motion: Motion, cells: Cells, bound: Callable[..., Estimate]) -> First:
-    """Return what bounds ``thrust_cells`` of a motion, by directions that other checks need too.
-
-    Parameters
-    ----------
-    bound: takes the cells' blocks, and ``along`` as ``thrust_enclosure``.
-    """
-
-    def first(part: slice) -> Estimate:
-        blocks = tuple(block[part] for block in cells.blocks)
-        along = known_directions(motion)
-        return bound(blocks, along=None if along is None else taken(along, part))
-
-    return first
+def known_directions(motion: Motion) -> Callable[[], Directions] | None:
+    """Return what gives the directions of the legs of ``thrust_cells``; None without cables."""
+    return partial(drone_directions, motion) if motion.team.has_cables else None
 
 
 def _weights(blocks: tuple[Array, ...], noise: float) -> Iterator[enclosure.Enclosure]:
@@ -191,19 +194,19 @@ class Thrust:
     pull: Array
 
 
-def thrust_at(blocks: tuple[Array, ...], x: Array) -> Thrust:
-    """Return the thrusts at x (cells,)."""
-    return thrust_from([bernstein.evaluate(block, x[:, None]) for block in blocks])
+def thrust_at(blocks: tuple[Array, ...], index: Indices, order: int) -> Thrust:
+    """Return the thrusts at ``index / order`` (cells,)."""
+    return thrust_from([bernstein.evaluate_at(each, index[:, None], order) for each in blocks])
 
 
 def thrust_from(there: Sequence[Array]) -> Thrust:
     """Return the thrusts, given the blocks' values (cells, rows)."""
     free, legs, tension = there[:3]
-    length = np.linalg.norm(legs, axis=-1, keepdims=True)
-    known = length > NO_DIRECTION
-    pull = np.where(known, tension * legs / np.where(known, length, 1.0), 0.0)
+    size = length(legs)[..., None]
+    known = size > NO_DIRECTION
+    pull = np.where(known, tension * legs / np.where(known, size, 1.0), 0.0)
     if len(there) > 4:
-        free = free + there[4] * length * _UPWARD
+        free = free + there[4] * size * _UPWARD
     if len(there) > 5:
         partner, weight, whole = (each[..., None] for each in there[5:])
         free = free + _hanging_weight(partner, weight, whole).coefficients[..., 0]

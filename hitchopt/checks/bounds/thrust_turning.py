@@ -52,7 +52,7 @@ def turning_cells(motion: Motion) -> Cells:
     They are those of thrust cells, the derivatives by time of those that vary, and how far the
     drone's own part of the thrust's derivative may be off [N/s].
     """
-    force = thrust_cells(motion, np.ones(len(motion.team.mass)))
+    force = thrust_cells(motion)
     seconds = (force.end - force.start)[:, None, None]
     slopes = [
         bernstein.differentiate(block) / seconds
