@@ -451,6 +451,14 @@ def test_osqp_agrees_with_another_solver_also_after_an_update(seed: int) -> None
         assert program.residual(found) == pytest.approx(broken, abs=1e-12)
 
 
+def test_the_solver_ends_after_its_iterations() -> None:
+    rng = np.random.default_rng(3)
+    A, lower = sp.csc_array(rng.normal(size=(40, 20))), -rng.uniform(0.01, 2.0, 40)
+    program = QuadraticProgram(sp.csc_array(np.eye(20)), rng.normal(size=20), A, lower, -lower)
+    few, many = (Solver(count).solve(program, np.zeros(20), 0) for count in (2, 500))
+    assert program.residual(many) < 1e-3 < program.residual(few)
+
+
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
     P, A = sp.csc_array(np.eye(2)), sp.csc_array(np.ones((1, 2)))
     one, two = np.ones(1), np.ones(2)
