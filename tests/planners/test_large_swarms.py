@@ -75,20 +75,24 @@ def test_what_is_among_all_is_the_whole() -> None:
 def test_programs_of_large_crowds_have_fewer_planes_and_smaller_moves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Only as long as drones are too close; pairs within a plane's reach have one all the same."""
+    """Only as long as drones are too close, and not of those that are far too close."""
     here = setting(40)
-    guess = evaluate(here, here.nominal)
-    assert not guess.clear
+    guess = evaluate(here, pushed_apart(here, PriorityRule(0.5)))
+    guess = replace(guess, broken=evaluate(here, here.nominal).broken)
     whole = search._around(here, guess, None)
+    np.testing.assert_array_equal(whole.moves, 1.0)
     monkeypatch.setattr(search, "LARGE", 40)
+    gaps, between = np.min(whole.planes.gaps, axis=1), whole.planes.between
+    monkeypatch.setattr(search, "DEEP", np.sort(gaps)[1])  # one plane is
     part = search._around(here, guess, None)
-    assert part.trust == pytest.approx(search.CAREFUL / search.TRUST * whole.trust)
-    gaps = np.min(whole.planes.gaps, axis=1)
-    reach = 1.0 + search.MARGIN + search.NARROW
-    assert 0 < len(part.planes.between) < len(whole.planes.between)
-    assert len(part.planes.between) >= np.sum(gaps < reach)
+    deep = {int(ends[np.argmin(gaps)]) for ends in (between.first, between.second)}
+    assert set(np.flatnonzero(part.moves == 1.0)) == deep
+    assert set(part.moves) == {search.CAREFUL, 1.0}
+    kept = gaps < 1.0 + search.MARGIN + search.NARROW
+    kept |= np.isin(between.first, list(deep)) | np.isin(between.second, list(deep))
+    assert 0 < len(part.planes.between) == np.sum(kept) < len(kept)
     clear = replace(guess, broken=())
-    assert search._around(here, clear, None).trust == whole.trust
+    np.testing.assert_array_equal(search._around(here, clear, None).moves, 1.0)
 
 
 def test_programs_around_a_roundabout_take_few_iterations(

@@ -72,9 +72,12 @@ LARGE = 256
 """Number of drones from which on only those that are too close are moved, until curves are clear,
 which ends the search."""
 
-NARROW, CAREFUL = 0.5, 1.0
-"""REACH and TRUST of those programs. With fewer planes their factors fill a tenth as much, and with
-smaller moves drones meet no others that have none."""
+NARROW, CAREFUL = 0.5, 0.4
+"""REACH, and largest move in trust radii, of drones in those programs that are not DEEP. With fewer
+planes factors fill a tenth as much, and with smaller moves drones meet no others that have none."""
+
+DEEP = 0.5
+"""Separation below which drones must move farther than that."""
 
 CLOSE = 0.1
 """Excess of the separation [1] below which drones are too close in this sense."""
@@ -169,14 +172,21 @@ def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Ar
     floor = BARELY * setting.alone if task.duration is None else task.duration
     pieces = setting.grid.pieces_of(here.coefficients)
     scaled = pieces * setting.scale[:, None]
-    reach, moves = (REACH, TRUST) if here.clear or not _large(setting) else (NARROW, CAREFUL)
-    close = close_pieces(scaled, 1.0 + MARGIN + reach)
+    close = close_pieces(scaled, 1.0 + MARGIN + REACH)
+    moves = np.ones(task.drones)
+    if _large(setting) and not here.clear:
+        gaps = np.min(planes_between(scaled, close).gaps, axis=1)
+        moves[:] = CAREFUL
+        for ends in (close.first, close.second):
+            moves[ends[gaps < DEEP]] = 1.0
+        far = np.maximum(moves[close.first], moves[close.second]) == 1.0
+        close = close.taken((gaps < 1.0 + MARGIN + NARROW) | far)
     if known is not None:
         close = close.united(known, task.drones)
-    trust = moves * radius
+    trust = TRUST * radius
     walls = walls_before(pieces, task.requirements.keep_out, radius, radius + 2.0 * trust)
     planes = planes_between(scaled, close)
-    return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
+    return Around(here.coefficients, max(aimed, floor), trust, planes, walls, moves)
 
 
 def _moving(setting: Setting, here: Evaluation, around: Around) -> NDArray[np.bool_]:
