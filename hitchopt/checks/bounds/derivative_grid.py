@@ -28,7 +28,7 @@ STORED = 500_000
 """Pairs of a node and a drone up to which vectors of all are stored, not only used ones."""
 
 BLOCK = 60_000
-"""Pairs of a node and a drone that are bounded in one go, so that they stay within the caches."""
+"""Pairs of a node and a drone that are looked at in one go, so that they stay within the caches."""
 
 
 class DerivativeGrid:
@@ -83,7 +83,9 @@ class DerivativeGrid:
         )
         self.sizes = self._bounded(limits.margins)
         self.largest = np.max(self.sizes, axis=1)
-        self.leading = np.unique(np.argmax(self.sizes, axis=1))
+        count = max(1, BLOCK // len(self.fourth[0]))
+        some = [self.sizes[..., cell : cell + count] for cell in range(0, len(x), count)]
+        self.leading = np.unique(np.concatenate([np.argmax(each, axis=1) for each in some], axis=1))
 
     @property
     def _stored(self) -> bool:
