@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.checks import certify
+from hitchopt.checks.bounds import derivative_grid
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases, stop_table
 from hitchopt.checks.bounds.derivative_grid import DerivativeGrid
@@ -156,10 +157,42 @@ def test_sizes_between_nodes_hold_samples() -> None:
     motion = motion_of()
     grid = DerivativeGrid(ClockLimits(motion))
     times = grid.begin + np.linspace(0.03, 0.97, 7)[:, None] * grid.width
-    for order, size in enumerate(vars(grid.sizes).values(), start=1):
+    for order, size in enumerate(grid.sizes.transpose(0, 2, 1), start=1):
         values = np.linalg.norm(motion.drones.at(times, order), axis=-1)
         assert np.all(values <= size)
         assert np.max(size) <= 1.06 * np.max(values)
+
+
+def test_vectors_of_many_drones_are_not_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bounds by blocks of drones and vectors where they are used are those of small teams."""
+    motion = random_motion(4, 7)
+    grid, table = DerivativeGrid(ClockLimits(motion)), stop_table(motion)
+    monkeypatch.setattr(derivative_grid, "STORED", 0)
+    monkeypatch.setattr(derivative_grid, "BLOCK", 2 * len(grid.left))
+    blocks = DerivativeGrid(ClockLimits(motion))
+    np.testing.assert_allclose(blocks.sizes, grid.sizes, rtol=1e-13)
+    rng = np.random.default_rng(3)
+    drone, cell = rng.integers(8, size=(5, 1)), rng.integers(len(grid.piece), size=30)
+    tau = rng.uniform(size=(2, 1, 30))
+    places = slice(1, 4), drone, cell, tau
+    np.testing.assert_allclose(blocks.on_chord(*places), grid.on_chord(*places), atol=1e-10)
+    assert not {"values", "_everywhere"} & set(vars(blocks))
+    np.testing.assert_allclose(stop_table(motion).durations, table.durations, rtol=1e-12)
+
+
+def test_drones_that_do_not_lead_need_no_samples() -> None:
+    """The stops that samples of leading drones refuse are those that samples of any drone do."""
+    motion, rng = motion_of(), np.random.default_rng(6)
+    bounds = StopBounds(ClockLimits(motion))
+    starts, durations = rng.uniform(0.0, motion.duration, 300), rng.uniform(0.1, 1.5, 300)
+    found, shown = bounds.may_keep(starts, durations), bounds.show(starts, durations)
+    assert len(bounds.grid.leading) < motion.team.drones
+    bounds.grid.leading = np.arange(motion.team.drones)
+    every = bounds.may_keep(starts, durations)
+    assert 20 < np.sum(shown) < 280
+    assert np.all(every >= shown)
+    assert np.all(found >= every)
+    assert np.mean(found & ~every) < 0.05
 
 
 def test_stops_of_the_table_keep_all_limits() -> None:

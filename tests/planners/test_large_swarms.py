@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -12,6 +13,7 @@ from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.planners.separation.curve_evaluation import evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
+from hitchopt.planners.separation.qp import MOST_ITERATIONS, Solver
 from hitchopt.planners.separation.separation_program import build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import SeparationTask
@@ -23,6 +25,12 @@ search = import_module("hitchopt.planners.separation.separate")
 
 def crowd(drones: int, seed: int = 3) -> SwarmProblem:
     problem = any_problem_from_dict(random_crowd(drones, seed))
+    assert isinstance(problem, SwarmProblem)
+    return problem
+
+
+def circle(drones: int) -> SwarmProblem:
+    problem = any_problem_from_dict(antipodal_circle(drones))
     assert isinstance(problem, SwarmProblem)
     return problem
 
@@ -62,6 +70,45 @@ def test_what_is_among_all_is_the_whole() -> None:
     np.testing.assert_array_equal(part.kept, np.arange(len(built.program.q)))
     used = np.flatnonzero(np.diff(built.program.A.tocsr().indptr))
     np.testing.assert_array_equal(part.program.A.toarray(), built.program.A.toarray()[used])
+
+
+def test_programs_of_large_crowds_have_fewer_planes_and_smaller_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Only as long as drones are too close, and not of those that are far too close."""
+    here = setting(40)
+    guess = evaluate(here, pushed_apart(here, PriorityRule(0.5)))
+    guess = replace(guess, broken=evaluate(here, here.nominal).broken)
+    whole = search._around(here, guess, None)
+    np.testing.assert_array_equal(whole.moves, 1.0)
+    monkeypatch.setattr(search, "LARGE", 40)
+    gaps, between = np.min(whole.planes.gaps, axis=1), whole.planes.between
+    monkeypatch.setattr(search, "DEEP", np.sort(gaps)[1])  # one plane is
+    part = search._around(here, guess, None)
+    deep = {int(ends[np.argmin(gaps)]) for ends in (between.first, between.second)}
+    assert set(np.flatnonzero(part.moves == 1.0)) == deep
+    assert set(part.moves) == {search.CAREFUL, 1.0}
+    kept = gaps < 1.0 + search.MARGIN + search.NARROW
+    kept |= np.isin(between.first, list(deep)) | np.isin(between.second, list(deep))
+    assert 0 < len(part.planes.between) == np.sum(kept) < len(kept)
+    clear = replace(guess, broken=())
+    np.testing.assert_array_equal(search._around(here, clear, None).moves, 1.0)
+
+
+def test_programs_around_a_roundabout_take_few_iterations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[int] = []
+
+    class Counting(Solver):
+        def __init__(self, iterations: int) -> None:
+            given.append(iterations)
+            super().__init__(iterations)
+
+    monkeypatch.setattr(search, "Solver", Counting)
+    for drones in (6, 32):  # the second one is a crowd
+        separate(circle(drones)).certificate.raise_if_violated()
+    assert given == [MOST_ITERATIONS, search.AROUND_CROWDS]
 
 
 def test_drones_that_nobody_meets_stay(

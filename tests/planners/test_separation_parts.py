@@ -219,7 +219,7 @@ def around_of(task: SeparationTask, seed: int) -> Around:
     walls = walls_before(
         pieces, task.requirements.keep_out, task.requirements.separation.radius, 0.8
     )
-    return Around(coefficients, 4.2, 0.3, planes, walls)
+    return Around(coefficients, 4.2, 0.3, planes, walls, np.ones(len(coefficients)))
 
 
 @pytest.mark.parametrize("longest", [0.1, 9.0])
@@ -449,6 +449,27 @@ def test_osqp_agrees_with_another_solver_also_after_an_update(seed: int) -> None
         values = A.toarray() @ found
         broken = max(0.0, float(np.max(lower - values)), float(np.max(values + lower)))
         assert program.residual(found) == pytest.approx(broken, abs=1e-12)
+
+
+def test_no_coefficient_moves_farther_than_its_drone_may() -> None:
+    """Neither in the program's rows nor in what a solution beyond them is taken for."""
+    task, moves = crossing_task(), np.array([0.2, 0.5, 1.0])
+    setting, around = setting_of(task), replace(around_of(task, 1), moves=moves)
+    built = build_program(setting, around)
+    most = np.repeat(moves, 3 * (setting.grid.count - 6))
+    np.testing.assert_array_equal(built.program.upper[: len(most)], most)
+    np.testing.assert_array_equal(built.program.lower[: len(most)], -most)
+    moved = built.moved(np.full(len(built.program.q), 7.0)) - around.coefficients
+    largest = np.max(np.abs(moved), axis=(1, 2))
+    np.testing.assert_allclose(largest, moves * around.trust, rtol=1e-12)
+
+
+def test_the_solver_ends_after_its_iterations() -> None:
+    rng = np.random.default_rng(3)
+    A, lower = sp.csc_array(rng.normal(size=(40, 20))), -rng.uniform(0.01, 2.0, 40)
+    program = QuadraticProgram(sp.csc_array(np.eye(20)), rng.normal(size=20), A, lower, -lower)
+    few, many = (Solver(count).solve(program, np.zeros(20), 0) for count in (2, 500))
+    assert program.residual(many) < 1e-3 < program.residual(few)
 
 
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:

@@ -17,6 +17,7 @@ def stop_tables(bounds: StopBounds) -> StopTables:
     margins = [grid.fourth, grid.fifth, *limits.margins, limits.hover, limits.beyond, radius]
     spare = np.minimum(team.max_thrust - limits.hover, -limits.beyond) / team.mass
     most = limits.motion.requirements.limits
+    sizes = np.ascontiguousarray(grid.sizes.transpose(0, 2, 1))
     return StopTables(
         grid.begin,
         grid.until,
@@ -24,8 +25,8 @@ def stop_tables(bounds: StopBounds) -> StopTables:
         grid.piece,
         grid.left,
         (grid.values[0], grid.values[1], grid.values[2], grid.values[3]),
-        (grid.sizes.first, grid.sizes.second, grid.sizes.third),
-        np.concatenate([grid.largest.first, grid.largest.second, grid.largest.third], axis=1),
+        (sizes[0], sizes[1], sizes[2]),
+        np.ascontiguousarray(grid.largest.T),
         np.min(spare, axis=1),
         np.stack([*margins, grid.slope, grid.bend]),
         np.stack([team.mass, team.max_thrust]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,24 +24,11 @@ CURVED = 0.02
 DENSER = 8.0
 """How many times closer nodes may be where the jerk bends more."""
 
+STORED = 500_000
+"""Pairs of a node and a drone up to which vectors of all are stored, not only used ones."""
 
-@dataclass(frozen=True, eq=False)
-class Sizes:
-    """Bounds on cells of a grid, for each drone (cells, drones) or the largest of all (cells, 1).
-
-    Attributes
-    ----------
-    first, second, third: norms of the derivatives by plan time.
-    """
-
-    first: Array
-    second: Array
-    third: Array
-
-    @property
-    def largest(self) -> Sizes:
-        """The largest of all drones."""
-        return Sizes(*(np.max(each, axis=1, keepdims=True) for each in vars(self).values()))
+BLOCK = 60_000
+"""Pairs of a node and a drone that are looked at in one go, so that they stay within the caches."""
 
 
 class DerivativeGrid:
@@ -58,10 +44,11 @@ class DerivativeGrid:
     piece: (cells,) in which each lies.
     begin, until, width: (cells,) [s].
     left: (cells,), the node at which each begins.
-    values: (nodes, drones, 3), derivatives of orders 1 to 3 by plan time, and static thrusts.
     fourth, fifth: (pieces, drones), bounds of the norms of these derivatives.
     slope, bend: (pieces, drones), bounds of the norms of the static thrusts' derivatives.
-    sizes, largest: bounds on all cells, for each drone and for all.
+    sizes: (3, drones, cells), bounds of the norms of the derivatives of orders 1 to 3 by plan time.
+    largest: (3, cells), the largest of all drones.
+    leading: the drones (k,) that have one of these somewhere.
     """
 
     def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
@@ -83,39 +70,66 @@ class DerivativeGrid:
         self.until = np.append(self.begin[1:], drones.breaks[-1])
         # Nodes are those where cells begin, and the end of each piece once more.
         self.left = np.arange(len(self.piece)) + self.piece
-        nodes = np.repeat(np.arange(drones.pieces), parts + 1)
-        place = np.zeros(len(nodes))
-        place[self.left] = x
-        place[np.cumsum(parts + 1) - 1] = 1.0
+        self._pieces = np.repeat(np.arange(drones.pieces), parts + 1)
+        self._places = np.zeros(len(self._pieces))
+        self._places[self.left] = x
+        self._places[np.cumsum(parts + 1) - 1] = 1.0
         force = limits.static.thrust.coefficients
-        self.values = [_at(c, nodes, place) for c in (*limits.derivatives, force)]
+        self._functions = (*limits.derivatives, force)
         slope = _slope(force, drones.durations)
         self.slope, self.bend = (
             np.max(np.linalg.norm(c, axis=2), axis=-1)
             for c in (slope, _slope(slope, drones.durations))
         )
         self.sizes = self._bounded(limits.margins)
-        self.largest = self.sizes.largest
+        self.largest = np.max(self.sizes, axis=1)
+        count = max(1, BLOCK // len(self.fourth[0]))
+        some = [self.sizes[..., cell : cell + count] for cell in range(0, len(x), count)]
+        self.leading = np.unique(np.concatenate([np.argmax(each, axis=1) for each in some], axis=1))
 
-    def _bounded(self, margins: list[Array]) -> Sizes:
-        """Return bounds on all cells, for each drone."""
-        bend = (self.width**2 / 8.0)[:, None]
-        first, second, third = (margin[self.piece] for margin in margins)
+    @property
+    def _stored(self) -> bool:
+        return len(self._places) * len(self.fourth[0]) <= STORED
 
-        def ends(values: Array) -> Array:
-            sizes = lengths(values)
-            most: Array = np.maximum(sizes[self.left], sizes[self.left + 1])
-            return most
+    @cached_property
+    def values(self) -> list[Array]:
+        """(nodes, drones, 3) each: derivatives of orders 1 to 3 by plan time, static thrusts."""
+        return [_at(c, self._pieces, self._places) for c in self._functions]
 
+    def _bounded(self, margins: list[Array]) -> Array:
+        """Return the bounds on all cells, for each drone."""
         if kernels_on():
             from hitchopt.compiled.grid_kernel import grid_sizes
 
             values = (self.values[0], self.values[1], self.values[2])
             both = np.stack([*margins, self.fourth, self.fifth])
-            return Sizes(*grid_sizes(values, self.left, self.piece, self.width, both))
-        J = ends(self.values[2]) + bend * self.fifth[self.piece] + third
-        A = ends(self.values[1]) + bend * self.fourth[self.piece] + second
-        return Sizes(ends(self.values[0]) + bend * J + first, A, J)
+            found = grid_sizes(values, self.left, self.piece, self.width, both)
+            return found.transpose(0, 2, 1)
+        fourth, fifth, first, second, third = (
+            each.T for each in (self.fourth, self.fifth, *margins)
+        )
+        bend, piece = self.width**2 / 8.0, self.piece
+        sizes = np.empty((3, len(fourth), len(piece)))
+        count = max(1, BLOCK // len(self._places))
+        for begin in range(0, len(fourth), count):
+            part = slice(begin, begin + count)
+            for order, most in enumerate(sizes[:, part]):
+                size = lengths(self._at_nodes(order, part))
+                most[:] = np.maximum(size[self.left], size[self.left + 1]).T
+            V, A, J = sizes[:, part]
+            J += bend * fifth[part].take(piece, axis=1) + third[part].take(piece, axis=1)
+            A += bend * fourth[part].take(piece, axis=1) + second[part].take(piece, axis=1)
+            V += bend * J + first[part].take(piece, axis=1)
+        return sizes
+
+    def _at_nodes(
+        self, order: int, drones: Indices | slice, nodes: Indices | slice = slice(None)
+    ) -> Array:
+        """Return one of ``values`` at some nodes, in order, of some drones."""
+        if self._stored:
+            return self.values[order][nodes, drones]
+        pieces, places = self._pieces[nodes], self._places[nodes]
+        return _at(self._functions[order], pieces, places, drones)
 
     def node_before(self, times: Array) -> Indices:
         """Return the last node (…) up to each time [s]; the first or last one beyond the plan."""
@@ -124,13 +138,19 @@ class DerivativeGrid:
         return found
 
     @cached_property
-    def table(self) -> Array:
-        """``values`` (orders, 3, drones · nodes), drone by drone: sums over many are quick."""
-        nodes, drones, axes = self.values[0].shape
-        table = np.empty((len(self.values), axes, drones, nodes))
-        for order, values in zip(table, self.values, strict=True):
+    def _everywhere(self) -> Array:
+        return self._table(slice(None), slice(None), slice(None))
+
+    def _table(self, orders: slice, drones: Indices | slice, nodes: Indices | slice) -> Array:
+        """Return some of ``values`` (orders, 3, drones · nodes): sums over many nodes are quick."""
+        found = [
+            self._at_nodes(order, drones, nodes)
+            for order in range(*orders.indices(len(self._functions)))
+        ]
+        table = np.empty((len(found), 3, *found[0].shape[1::-1]))
+        for order, values in zip(table, found, strict=True):
             order[...] = values.transpose(2, 1, 0)
-        return table.reshape(len(table), axes, -1)
+        return table.reshape(len(found), 3, -1)
 
     def on_chord(self, orders: slice, drone: Indices, cell: Indices, tau: Array) -> Array:
         """Return some of ``values`` on the chords between nodes, by axis.
@@ -145,8 +165,14 @@ class DerivativeGrid:
         -------
         (orders, 3, k, …)
         """
-        table = self.table[orders]
-        left = drone * len(self.values[0]) + self.left[cell]
+        left, count = self.left[cell], len(self._places)
+        if self._stored:
+            table = self._everywhere[orders]
+        else:
+            drones, nodes = np.unique(drone), np.unique([left, left + 1])
+            table, count = self._table(orders, drones, nodes), len(nodes)
+            drone, left = np.searchsorted(drones, drone), np.searchsorted(nodes, left)
+        left = drone * count + left
         start = table.take(left, axis=2)
         chord = table.take(left + 1, axis=2)
         chord -= start
@@ -154,22 +180,24 @@ class DerivativeGrid:
         return found
 
 
-def _at(coefficients: Array, pieces: Indices, x: Array) -> Array:
+def _at(
+    coefficients: Array, pieces: Indices, x: Array, drones: Indices | slice = slice(None)
+) -> Array:
     """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces.
 
-    Pieces are in order.
+    Pieces are in order; of some drones only, if these are given.
     """
     if kernels_on():
         from hitchopt.compiled.grid_kernel import grid_values
 
-        return grid_values(coefficients.copy(), pieces, x)
+        return grid_values(coefficients[:, drones].copy(), pieces, x)
     weights = bernstein.basis(x, bernstein.degree(coefficients))
-    _, drones, axes, order = coefficients.shape
-    found = np.empty((len(x), drones, axes))
+    axes, order = coefficients.shape[2:]
+    found = np.empty((len(x), len(coefficients[0, drones]), axes))
     starts = np.flatnonzero(np.diff(pieces, prepend=-1))
     for first, last in zip(starts, [*starts[1:], len(x)], strict=True):  # one product a piece
-        c = coefficients[pieces[first]].reshape(-1, order)
-        found[first:last] = (weights[first:last] @ c.T).reshape(-1, drones, axes)
+        c = coefficients[pieces[first], drones].reshape(-1, order)
+        found[first:last] = (weights[first:last] @ c.T).reshape(-1, *found.shape[1:])
     return found
 
 

@@ -61,7 +61,6 @@ class StopBounds:
         self.grid = DerivativeGrid(limits, width)
         self._mass, self._max_thrust = limits.motion.team.mass, limits.motion.team.max_thrust
         self._vectors = max(1, VECTORS // max(1, len(self._mass)))
-        self._drones = np.arange(len(self._mass))[:, None]
 
     @cached_property
     def _tables(self) -> LimitTables:
@@ -82,9 +81,9 @@ class StopBounds:
         return kept
 
     def may_keep(self, start: Array, duration: Array) -> Flags:
-        """Return (stops,) whether stops keep limits at samples; what breaks one is out."""
+        """Return (stops,) whether leading drones keep limits at samples; what breaks one is out."""
         kept = np.zeros(len(start), dtype=np.bool_)
-        size = max(1, self._vectors // len(_W))
+        size = max(1, VECTORS // (len(_W) * len(self.grid.leading)))
         for first in range(0, len(start), size):
             part = slice(first, first + size)
             kept[part] = self._samples(start[part], duration[part])
@@ -102,14 +101,15 @@ class StopBounds:
         return kept
 
     def _samples(self, start: Array, duration: Array) -> Flags:
-        """Return (stops,) whether drones keep their limits in the first halves of stops."""
+        """Return (stops,) whether leading drones keep limits in the first halves of stops."""
         limits = self.limits.motion.requirements.limits
         w, T = (each.ravel() for each in np.broadcast_arrays(_W[:, None], duration))
         time = np.tile(start, len(_W)) + (w - 2.0 / 3.0 * w * w * w) * T
         time = np.minimum(time, self.grid.until[-1])
         cell = np.maximum(np.searchsorted(self.grid.begin, time, side="right") - 1, 0)
         share = (time - self.grid.begin[cell]) / self.grid.width[cell]
-        x1, x2, x3 = self.grid.on_chord(slice(3), self._drones, cell, share[None])[:, :, 0]
+        drones = self.grid.leading[:, None]
+        x1, x2, x3 = self.grid.on_chord(slice(3), drones, cell, share[None])[:, :, 0]
         s, a, j = 1.0 - 2.0 * w * w, -4.0 * w / T, -4.0 / (T * T)
         s2 = s * s
         fine = axis_lengths(s2 * s * x3 + (3.0 * s * a) * x2 + j * x1) <= limits.jerk

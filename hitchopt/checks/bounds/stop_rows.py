@@ -110,15 +110,11 @@ class LimitTables(NamedTuple):
     def of(cls, limits: ClockLimits, grid: DerivativeGrid) -> LimitTables:
         """Return those of a motion."""
         team = limits.motion.team
-        sizes, largest = (
-            np.stack(list(vars(each).values())).transpose(0, 2, 1)
-            for each in (grid.sizes, grid.largest)
-        )
         margins = np.stack([grid.fourth, grid.fifth, *limits.margins]).transpose(0, 2, 1)
         spare = np.minimum(team.max_thrust - limits.hover, -limits.beyond) / team.mass
         return cls(
-            np.ascontiguousarray(sizes),
-            largest[:, 0],
+            np.ascontiguousarray(grid.sizes),
+            grid.largest,
             margins.reshape(len(margins), -1),
             np.stack([limits.hover.T, limits.beyond.T]),
             np.min(spare, axis=1),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
@@ -49,6 +50,10 @@ class ClosePieces:
 
     def __len__(self) -> int:
         return len(self.piece)
+
+    def taken(self, which: NDArray[np.bool_]) -> ClosePieces:
+        """Return some of them."""
+        return ClosePieces(self.piece[which], self.first[which], self.second[which])
 
     def united(self, other: ClosePieces, drones: int) -> ClosePieces:
         """Return what is in either, in order."""

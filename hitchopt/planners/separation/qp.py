@@ -31,9 +31,15 @@ class ProgramError(Exception):
 
 
 class Solver:
-    """OSQP, set up once for programs of one pattern and updated while that stays the same."""
+    """OSQP, set up once for programs of one pattern and updated while that stays the same.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    iterations: after which the current point is used as it is.
+    """
+
+    def __init__(self, iterations: int = MOST_ITERATIONS) -> None:
+        self._iterations = iterations
         self._osqp: Any = None
         self._patterns: list[Any] = []
         self._multipliers: Array | None = None
@@ -75,7 +81,7 @@ class Solver:
                 **data,
                 eps_abs=ACCURACY,
                 eps_rel=ACCURACY,
-                max_iter=MOST_ITERATIONS,
+                max_iter=self._iterations,
                 warm_starting=True,
                 polishing=False,
                 verbose=False,

@@ -13,7 +13,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.planners.separation.curve_evaluation import Evaluation, check_ends, evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.planes import ClosePieces, close_pieces, planes_between
-from hitchopt.planners.separation.qp import ProgramError, Solver
+from hitchopt.planners.separation.qp import MOST_ITERATIONS, ProgramError, Solver
 from hitchopt.planners.separation.roundabout import roundabout
 from hitchopt.planners.separation.separation_program import MARGIN, Around, build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
@@ -36,6 +36,10 @@ GUESSES = (
 
 ROUNDS = 16
 """Maximum number of programs around one guess."""
+
+AROUND_CROWDS = 200
+"""Iterations in a program around a roundabout. Rounds correct what these leave: on circles of 32 to
+128 drones MOST_ITERATIONS take twice the time, and flights are 0.9 % longer."""
 
 FASTER = 0.85
 """Share of the present duration that the next program aims at while the curves are clear."""
@@ -67,6 +71,13 @@ REACH = 1.0
 LARGE = 256
 """Number of drones from which on only those that are too close are moved, until curves are clear,
 which ends the search."""
+
+NARROW, CAREFUL = 0.5, 0.4
+"""REACH, and largest move in trust radii, of drones in those programs that are not DEEP. With fewer
+planes factors fill a tenth as much, and with smaller moves drones meet no others that have none."""
+
+DEEP = 0.5
+"""Separation below which drones must move farther than that."""
 
 CLOSE = 0.1
 """Excess of the separation [1] below which drones are too close in this sense."""
@@ -101,7 +112,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
         tried.append(found)
     if (around := roundabout(setting)) is not None:
         say("guess: a roundabout")
-        found = _improved(setting, around, say)
+        found = _improved(setting, around, say, AROUND_CROWDS)
         if found.clear and found.duration <= (task.duration or math.inf):
             return _separated(setting, found, "all go around where they meet, to the right")
         tried.append(found)
@@ -118,9 +129,11 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     return _last_resort(task, tried, say)
 
 
-def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
-    """Return the best curves that programs around a guess reach."""
-    solver = Solver()
+def _improved(
+    setting: Setting, guess: Array, say: Progress, iterations: int = MOST_ITERATIONS
+) -> Evaluation:
+    """Return the best curves that programs around a guess reach, each in so many iterations."""
+    solver = Solver(iterations)
     here = best = evaluate(setting, guess)
     known: ClosePieces | None = None
     idle = 0
@@ -160,12 +173,20 @@ def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Ar
     pieces = setting.grid.pieces_of(here.coefficients)
     scaled = pieces * setting.scale[:, None]
     close = close_pieces(scaled, 1.0 + MARGIN + REACH)
+    moves = np.ones(task.drones)
+    if _large(setting) and not here.clear:
+        gaps = np.min(planes_between(scaled, close).gaps, axis=1)
+        moves[:] = CAREFUL
+        for ends in (close.first, close.second):
+            moves[ends[gaps < DEEP]] = 1.0
+        deep = np.maximum(moves[close.first], moves[close.second]) == 1.0
+        close = close.taken((gaps < 1.0 + MARGIN + NARROW) | deep)
     if known is not None:
         close = close.united(known, task.drones)
     trust = TRUST * radius
     walls = walls_before(pieces, task.requirements.keep_out, radius, radius + 2.0 * trust)
     planes = planes_between(scaled, close)
-    return Around(here.coefficients, max(aimed, floor), trust, planes, walls)
+    return Around(here.coefficients, max(aimed, floor), trust, planes, walls, moves)
 
 
 def _moving(setting: Setting, here: Evaluation, around: Around) -> NDArray[np.bool_]:

@@ -45,6 +45,7 @@ class Around:
     duration: [s] for which the limits hold.
     trust: how far any coefficient may move along any axis [m].
     planes, walls: what pieces must stay on their side of.
+    moves: (N,), largest move of each drone's coefficients along any axis, in ``trust``.
     """
 
     coefficients: Array
@@ -52,6 +53,7 @@ class Around:
     trust: float
     planes: Planes
     walls: Walls
+    moves: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +94,8 @@ class Built:
     def moved(self, x: Array) -> Array:
         """Return the coefficients (N, count, 3) [m] that a solution stands for."""
         coefficients = self.around.coefficients.copy()
-        inner = coefficients[:, HELD:-HELD]
-        inner += self.around.trust * np.clip(x[: inner.size], -1.0, 1.0).reshape(inner.shape)
+        inner, moves = coefficients[:, HELD:-HELD], self.around.moves[:, None, None]
+        inner += self.around.trust * np.clip(x[: inner.size].reshape(inner.shape), -moves, moves)
         arena = self.setting.task.requirements.arena
         if arena is not None:  # exactly, where OSQP has a tolerance
             inner[...] = inside(arena, inner)
@@ -167,7 +169,8 @@ def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float6
 def _add_boxes(rows: Rows, setting: Setting, around: Around) -> None:
     """Keep changes within the trust radius, and coefficients (so curves) within the arena."""
     current = around.coefficients[:, HELD:-HELD]
-    lower, upper = np.full(current.shape, -1.0), np.full(current.shape, 1.0)
+    upper = np.broadcast_to(around.moves[:, None, None], current.shape)
+    lower = -upper
     arena = setting.task.requirements.arena
     if arena is not None:
         lower = np.maximum(lower, np.minimum((arena.lower - current) / around.trust, 0.0))
