@@ -13,7 +13,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.planners.optimise.guesses import Guess, guesses, widened
-from hitchopt.planners.optimise.ipopt_steps import iterates
+from hitchopt.planners.optimise.ipopt_steps import farthest, iterates
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.screening import (
     clear,
@@ -66,6 +66,9 @@ LATER_STRIDE = 0.12
 
 FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
+
+DIRECT_STEPS = 2
+"""Largest number of steps from a guess to a faster path next to it."""
 
 STILL = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
@@ -165,6 +168,9 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     fastest = np.inf
     groups = _alike(paths)
     firsts = [group[0].resampled(_steps(group[0]) + 1) for group in groups]
+    direct = _quickened(firsts[0], search) if len(firsts) == 1 else None
+    if direct is not None:
+        return [direct]
     estimates = _estimates(firsts, search)
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
@@ -202,6 +208,21 @@ def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
     return [estimate(path, search.requirements) for path in paths]
 
 
+def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
+    """Return a faster path next to a guess that is clear, with its flight; None if there is none.
+
+    Next to it: the steps have come to rest. Farther on, the path of least energy leads to faster
+    ones.
+    """
+    if not clear(guess, search):
+        return None
+    closer, step = replace(search, margin=ROUNDS[0].margin), SolverStep(LATER_STRIDE, ROUNDS[0].parts)
+    moved = [guess, *iterates(guess, closer, replace(step, fastest=True), DIRECT_STEPS, STILL)]
+    if len(moved) == 1 or farthest(*moved[-2:]) >= STILL * step.stride:
+        return None
+    return _flown([*(path for path in moved[1:] if clear(path, search)), guess], search)
+
+
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
     """Return the path of least energy near a guess; None where it is one that was seen before."""
     found: KnotPath | None = None
@@ -235,13 +256,22 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
             continue
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
-        choices = [*faster, path]
-        best = choices[int(np.argmin(_estimates(choices, search)))]
-        for choice in dict.fromkeys([best, path]):
-            shape = choice.path
-            flight = judged(shape, search)
-            if flight is not None:
-                return Candidate(choice.name, shape, flight)
+        found = _flown([*faster, path], search)
+        if found is not None:
+            return found
+    return None
+
+
+def _flown(paths: Sequence[KnotPath], search: Search) -> Candidate | None:
+    """Return the path that seems to be the fastest, or else the last one, with its flight."""
+    if not paths:
+        return None
+    best = paths[int(np.argmin(_estimates(paths, search)))]
+    for choice in dict.fromkeys([best, paths[-1]]):
+        shape = choice.path
+        flight = judged(shape, search)
+        if flight is not None:
+            return Candidate(choice.name, shape, flight)
     return None
 
 

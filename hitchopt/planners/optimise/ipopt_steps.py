@@ -24,13 +24,14 @@ TOLERANCE = 1e-3
 
 LINEAR_SOLVER: dict[str, int | str] = {
     "mumps_permuting_scaling": 0,
+    "mumps_scaling": 0,
     "mumps_pivot_order": 0,
     "fast_step_computation": "yes",
 }
 """Options of IPOPT's linear algebra: rows and variables are of one size already, so that MUMPS need
-not permute them first, which takes a fifth of a solve; solutions are verified anyway. Pivots are
-ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that MUMPS
-chooses itself make a solve take two and a half times as long."""
+not permute or scale them first, which takes a fifth of a solve; solutions are verified anyway.
+Pivots are ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that
+MUMPS chooses itself make a solve take two and a half times as long."""
 
 LEAST_TIME = 1e-3
 """[s] Least limit of time given to IPOPT, which must be positive."""
@@ -61,11 +62,16 @@ def iterates(
         moved = solve_program(build_program(path, search, step), search.effort)
         if moved is None:
             return
-        far = float(np.max(np.abs(moved.polygons - path.polygons)))
+        far = farthest(moved, path)
         path = moved
         yield path
         if far < settled * step.stride:
             return
+
+
+def farthest(path: KnotPath, other: KnotPath) -> float:
+    """Return by how much the paths' vertices differ at most along an axis, at any knot [m]."""
+    return float(np.max(np.abs(path.polygons - other.polygons)))
 
 
 def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPath | None:
@@ -90,9 +96,10 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     with answered_later():
         solution = solver(**numbers)
     check_time()  # what has been cut short is no solution
-    effort.spend(rows, solver.stats()["iter_count"])
+    stats = solver.stats()
+    effort.spend(rows, stats["iter_count"])
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
+    if not stats["success"] or not np.all(np.isfinite(x)):
         return None
     if rows <= SMALL and math.isinf(time_left()):
         _SOLVERS[key] = solver
