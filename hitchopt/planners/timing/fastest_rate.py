@@ -130,16 +130,20 @@ class RateProgram:
 
     def duration(self, coefficients: Array) -> float:
         """Return Σ w / √x [s]."""
-        return float(np.sum(self.weights / np.sqrt(self.basis.at(coefficients)[:, 0])))
+        return self.time(self.basis.at(coefficients))
+
+    def time(self, p: Array) -> float:
+        """Return the same for x and its derivatives p (M, 3) at the samples [s]."""
+        return float(self.weights @ (1.0 / np.sqrt(p[:, 0])))
 
     def slack(self, coefficients: Array) -> Array | None:
         """Return the slack (R · M + count,) of rows and coefficients; None if one is negative."""
         p = self.basis.at(coefficients)
         own = coefficients - LEAST
-        if np.min(own) <= 0.0 or np.min(p[:, 0]) <= 0.0:
+        if own.min() <= 0.0 or p[:, 0].min() <= 0.0:
             return None
-        slack = np.append(-self.rows.values(p).T.ravel(), own)
-        return slack if np.min(slack) > 0.0 else None
+        slack = np.concatenate([-self.rows.values(p).T.ravel(), own])
+        return slack if slack.min() > 0.0 else None
 
 
 def fastest_rate(program: RateProgram, start: Array) -> Array:
@@ -155,10 +159,11 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
     force = 0.1 * program.duration(c) / len(slack) / slack
     for _ in range(STEPS):
         check_time()
-        duration = program.duration(c)
+        p = program.basis.at(c)
+        duration = program.time(p)
         gap = float(force @ slack)
-        newton = _Newton.at(program, program.basis.at(c), force, slack)
-        if gap < GAP * duration and np.max(np.abs(newton.residual)) < GAP * duration:
+        newton = _Newton.at(program, p, force, slack)
+        if gap < GAP * duration and np.abs(newton.residual).max() < GAP * duration:
             break
         if not newton.solvable:
             break
@@ -167,8 +172,8 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
         aim = max(gap * float(np.clip(left / gap, LEAST_LEFT, 1.0)) ** 3, 0.1 * GAP * duration)
         dc, dslack, dforce = newton.step(aim / len(slack))
         share = _share(slack, dslack)
-        left_over = program.slack(c + share * dc)
-        while left_over is None or np.any(left_over < SHRINK * slack):
+        left_over, least = program.slack(c + share * dc), SHRINK * slack
+        while left_over is None or (left_over < least).any():
             share *= BACKTRACK
             if share < SMALLEST:
                 return c
@@ -236,12 +241,11 @@ class _Newton:
         right = pull[inner:] - self.residual - basis.transposed(pushed)
         dc: Array = dpbtrs(self.factor, right, lower=True)[0]
         along = np.einsum("mri,mi->mr", self.gradients, basis.at(dc))
-        dslack = np.append(-along.T.ravel(), dc)
+        dslack = np.concatenate([-along.T.ravel(), dc])
         return dc, dslack, pull - self.force / self.slack * dslack
 
 
 def _share(values: Array, steps: Array) -> float:
     """Return how much of a step keeps the values above zero, at most all of it."""
-    falling = steps < 0.0
-    reach = np.min(values[falling] / -steps[falling], initial=np.inf)
-    return min(1.0, INSIDE * float(reach))
+    fastest = float((steps / values).min())
+    return min(1.0, INSIDE / -fastest) if fastest < 0.0 else 1.0
