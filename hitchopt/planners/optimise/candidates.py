@@ -67,8 +67,8 @@ LATER_STRIDE = 0.12
 FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
 
-DIRECT_STEPS = 2
-"""Largest number of steps from a guess to a faster path next to it."""
+NEXT = 0.25
+"""Share of its stride: a faster path whose vertices are that near to a guess is next to it."""
 
 STILL = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
@@ -209,18 +209,18 @@ def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
 
 
 def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
-    """Return a faster path next to a guess that is clear, with its flight; None if there is none.
+    """Return the faster path next to a guess that is clear, with its flight; None if there is none.
 
-    Next to it: the steps have come to rest. Farther on, the path of least energy leads to faster
-    ones.
+    Where one step of the optimiser leads farther away, the path of least energy comes first.
     """
     if not clear(guess, search):
         return None
-    closer, step = replace(search, margin=ROUNDS[0].margin), SolverStep(LATER_STRIDE, ROUNDS[0].parts)
-    moved = [guess, *iterates(guess, closer, replace(step, fastest=True), DIRECT_STEPS, STILL)]
-    if len(moved) == 1 or farthest(*moved[-2:]) >= STILL * step.stride:
+    closer = replace(search, margin=ROUNDS[0].margin)
+    step = SolverStep(LATER_STRIDE, ROUNDS[0].parts, fastest=True)
+    faster = next(iterates(guess, closer, step, 1), None)
+    if faster is None or farthest(faster, guess) >= NEXT * step.stride:
         return None
-    return _flown([*(path for path in moved[1:] if clear(path, search)), guess], search)
+    return _flown([faster, guess], search) if clear(faster, search) else None
 
 
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
@@ -264,8 +264,6 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
 
 def _flown(paths: Sequence[KnotPath], search: Search) -> Candidate | None:
     """Return the path that seems to be the fastest, or else the last one, with its flight."""
-    if not paths:
-        return None
     best = paths[int(np.argmin(_estimates(paths, search)))]
     for choice in dict.fromkeys([best, paths[-1]]):
         shape = choice.path
