@@ -90,9 +90,9 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     iterations = effort.iterations(rows, program.iterations)
     if iterations == 0:
         return None
-    key = (iterations, program.program.structure)
+    key = (iterations, program.multipliers, program.program.structure)
     solver = _SOLVERS.pop(key, None) if math.isinf(time_left()) else None
-    solver = solver or _new_solver(program.program, iterations)
+    solver = solver or _new_solver(program.program, iterations, program.multipliers)
     with answered_later():
         solution = solver(**numbers)
     check_time()  # what has been cut short is no solution
@@ -111,7 +111,7 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     return program.path.with_table(table)
 
 
-def _new_solver(program: Program, iterations: int) -> ca.Function:
+def _new_solver(program: Program, iterations: int, multipliers: bool) -> ca.Function:
     """Return IPOPT with a program's expressions, for as long as there is time."""
     left = time_left()
     options: dict[str, int | float | str] = {
@@ -121,6 +121,7 @@ def _new_solver(program: Program, iterations: int) -> ca.Function:
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
         **LINEAR_SOLVER,
+        **({} if multipliers else {"constr_mult_init_max": 0.0}),
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
     return ca.nlpsol(
