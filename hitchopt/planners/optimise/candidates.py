@@ -70,6 +70,10 @@ FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 NEXT = 0.25
 """Share of its stride: a faster path whose vertices are that near to a guess is next to it."""
 
+SURE = 0.999
+"""Factor on the estimate of a faster path below which that of its guess is flown in its place:
+estimates that differ by less may mistake which of two flights is the shorter one."""
+
 STILL = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
 
@@ -220,7 +224,10 @@ def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
     faster = next(iterates(guess, closer, step, 1), None)
     if faster is None or farthest(faster, guess) >= NEXT * step.stride:
         return None
-    return _flown([faster, guess], search) if clear(faster, search) else None
+    if not clear(faster, search):
+        return None
+    by_step, as_it_is = _estimates([faster, guess], search)
+    return _flown([guess] if as_it_is < SURE * by_step else [faster, guess], search)
 
 
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
@@ -256,16 +263,17 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
             continue
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
-        found = _flown([*faster, path], search)
+        choices = [*faster, path]
+        best = choices[int(np.argmin(_estimates(choices, search)))]
+        found = _flown(dict.fromkeys([best, path]), search)
         if found is not None:
             return found
     return None
 
 
-def _flown(paths: Sequence[KnotPath], search: Search) -> Candidate | None:
-    """Return the path that seems to be the fastest, or else the last one, with its flight."""
-    best = paths[int(np.argmin(_estimates(paths, search)))]
-    for choice in dict.fromkeys([best, paths[-1]]):
+def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
+    """Return the first path that the judge accepts, with its flight."""
+    for choice in paths:
         shape = choice.path
         flight = judged(shape, search)
         if flight is not None:
