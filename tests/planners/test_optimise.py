@@ -169,19 +169,22 @@ def test_next_to_a_clear_guess_one_step_takes_the_place_of_the_search(
 
     monkeypatch.setattr(ipopt_steps, "solve_program", counting)
 
-    def found(turn: float) -> tuple[Candidate, list[bool]]:
+    def found(polygon: ConvexPolygon, turn: float) -> tuple[float, list[bool]]:
         solved.clear()
-        start, end = ends(FOUR, SQUARE, SQUARE.rotated(turn))
+        start, end = ends(Team(len(polygon.vertices), 2.0), polygon, polygon.rotated(turn))
         task = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE.limits))
-        return task.solve()[0], list(solved)
+        return task.solve()[0].flight.duration, list(solved)
 
-    near, steps = found(0.3)
-    assert steps == [False]
-    assert len(found(1.2)[1]) > 1
+    shapes, turn = (SQUARE, OCTAGON), 0.25
+    near = [found(shape, turn) for shape in shapes]
+    assert [steps for _, steps in near] == [[False], [False]]
+    assert len(found(SQUARE, 1.2)[1]) > 1
     monkeypatch.setattr(candidates, "NEXT", 0.0)
-    searched, steps = found(0.3)
-    assert steps.count(True) > 1
-    assert near.flight.duration <= 1.001 * searched.flight.duration
+    searched = [found(shape, turn) for shape in shapes]
+    assert all(steps.count(True) > 1 for _, steps in searched)
+    shares = [short / long for (short, _), (long, _) in zip(near, searched, strict=True)]
+    assert shares[0] < 1.001
+    assert shares[1] < 0.995  # the octagon as it turns as a whole
 
 
 def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch) -> None:
