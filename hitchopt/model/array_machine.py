@@ -32,6 +32,12 @@ OPERATIONS: dict[int, np.ufunc] = {
 CHUNK = 6144
 """Number of columns at a time: fewer spend more on calls than on numbers, more leave the cache."""
 
+MANY = 64
+"""Number of columns from which on ``array_machine`` is faster than casadi."""
+
+BATCH = MANY
+"""Number of columns that a call of casadi evaluates, at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class ArrayMachine:
@@ -120,3 +126,42 @@ def array_machine(function: ca.Function) -> ArrayMachine | None:
         if kind != ca.OP_OUTPUT:
             found[written[0]] = written[0]
     return ArrayMachine(tuple(steps), working, tuple(constants), tuple(p.shape for p in values))
+
+
+def mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
+    """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
+
+    Many columns are evaluated by ``array_machine``, few by casadi, in batches of few sizes: it
+    takes longer to make a map than to run it. Its buffers read and write numpy's memory, since
+    converting arrays to its own matrices takes four times as long as the evaluation.
+    """
+    columns = len(inputs[0])
+    machine = array_machine(function) if columns >= MANY else None
+    if machine is not None:
+        return machine.evaluate(inputs)
+    size = min(BATCH, 1 << (columns - 1).bit_length())
+    padded = -(-columns // size) * size
+    given = []
+    for array in inputs:
+        column_major = np.empty((padded, array.shape[2], array.shape[1]))
+        column_major[:columns] = array.transpose(0, 2, 1)
+        column_major[columns:] = column_major[0]
+        given.append(column_major)
+    results = [
+        np.zeros((padded, function.size2_out(i), function.size1_out(i)))
+        for i in range(function.n_out())
+    ]
+    buffer, evaluate = _map(function, size).buffer()
+    for first in range(0, padded, size):
+        for i, array in enumerate(given):
+            # casadi's stubs ask for a size, which its wrapper takes from the memory itself.
+            buffer.set_arg(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
+        for i, array in enumerate(results):
+            buffer.set_res(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
+        evaluate()
+    return [array[:columns].transpose(0, 2, 1) for array in results]
+
+
+@lru_cache(maxsize=64)
+def _map(function: ca.Function, size: int) -> ca.Function:
+    return function.map(size)

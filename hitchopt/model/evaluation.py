@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.statics import cable_forces
-from hitchopt.model.array_machine import CHUNK, array_machine
+from hitchopt.model.array_machine import CHUNK, mapped
 from hitchopt.model.attitude import attitude_function
 from hitchopt.model.loaded_clasp import loaded_clasp_function
 from hitchopt.model.robot import JET, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
+from hitchopt.model.straight_legs import straight_legs
 from hitchopt.values import Array
 
-MANY = 64
-"""Number of columns from which on ``array_machine`` is faster than casadi."""
-
-BATCH = MANY
-"""Number of columns that a call of casadi evaluates, at most."""
+UPWARD = np.array([0.0, 0.0, GRAVITY])
+"""[m/s²] What thrusts hold against besides accelerations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +88,7 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     columns = thrusts.size // 3
     jets = np.stack([thrusts.reshape(columns, 3), thrust_rates.reshape(columns, 3)], axis=-1)
     yaws = np.tile([[[yaw, 0.0]]], (columns, 1, 1))
-    quaternions, body_rates = _mapped(attitude_function(), [jets, yaws])
+    quaternions, body_rates = mapped(attitude_function(), [jets, yaws])
     shape = thrusts.shape[:-1]
     return Attitudes(quaternions.reshape(*shape, 4), body_rates.reshape(*shape, 3))
 
@@ -115,7 +111,10 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     for first in range(0, max(count, 1), size):
         span = slice(first, first + size)
         some = flat if count <= size else flat.taken(span)
-        part = _loaded_jets(team, some) if loaded else _plain_jets(team, some, equal)
+        if loaded:
+            part = _loaded_jets(team, some)
+        else:
+            part = _straight_jets(team, some) if equal else _plain_jets(team, some)
         if some is flat:
             return part
         own = [getattr(part, field.name) for field in fields(part)]
@@ -125,12 +124,21 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     return DroneJets(*whole)
 
 
-def _plain_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
-    """Return ``drone_jets`` of clasps without loads, robot by robot, tensions all equal or not."""
+def _straight_jets(team: Team, flat: FlatJets) -> DroneJets:
+    """Return ``drone_jets`` of clasps without loads where all tensions are equal."""
+    drones, along, r_legs = straight_legs(team, flat.vertices, flat.q_legs)
+    positions = drones.reshape(len(drones), team.drones, 3, JET)
+    forces = flat.tensions[0, 0, 0] * along.reshape(positions.shape[:-1])
+    thrusts = team.mass[:, None] * (positions[..., 2] + UPWARD) - forces
+    return DroneJets(positions, forces, thrusts, np.stack([flat.q_legs, r_legs], axis=2))
+
+
+def _plain_jets(team: Team, flat: FlatJets) -> DroneJets:
+    """Return ``drone_jets`` of clasps without loads, robot by robot, whatever the tensions."""
     count, n = flat.q_legs.shape[:2]
     columns, layout = count * n, team.layout
-    q, r, q_force, r_force, q_thrust, r_thrust, r_leg = _mapped(
-        robot_function(equal),
+    q, r, q_force, r_force, q_thrust, r_thrust, r_leg = mapped(
+        robot_function(False),
         [
             flat.vertices[:, layout.stencil].reshape(columns, 12, JET),
             flat.q_legs.reshape(columns, 1, JET),
@@ -163,7 +171,7 @@ def _loaded_jets(team: Team, flat: FlatJets) -> DroneJets:
     columns = count * clasps
     weight = GRAVITY * team.cable_density
     roll = np.zeros((count, clasps, JET)) if flat.roll is None else flat.roll
-    found = _mapped(
+    found = mapped(
         loaded_clasp_function(weight > 0.0, flat.roll is not None),
         [
             flat.vertices[:, around].reshape(columns, 9, JET),
@@ -190,8 +198,7 @@ def _loaded_jets(team: Team, flat: FlatJets) -> DroneJets:
         taut, pulls = np.ones(team.robots), np.repeat(flat.tensions[..., 0], 2, axis=1)
         ends = cable_forces(team, positions[..., 0], flat.vertices[..., 0], pulls, taut)
         forces[:, alone] = ends[:, alone]
-    upward = np.array([0.0, 0.0, GRAVITY])
-    thrusts = team.mass[:, None] * (positions[..., 2] + upward) - forces
+    thrusts = team.mass[:, None] * (positions[..., 2] + UPWARD) - forces
     return DroneJets(positions, forces, thrusts, distances.reshape(count, -1, 2, JET))
 
 
@@ -253,44 +260,5 @@ def slipping_drones(
         loads.reshape(columns, 3, JET),
         of_legs(halves),
     ]
-    both = np.stack(_mapped(slipping_clasp_function(), at_clasp), axis=1)
+    both = np.stack(mapped(slipping_clasp_function(), at_clasp), axis=1)
     return both.reshape(count, len(layout.clasps), 2, 3, JET)
-
-
-def _mapped(function: ca.Function, inputs: list[Array]) -> list[Array]:
-    """Return the outputs (columns, rows, width) of ``function`` for inputs of that layout.
-
-    Many columns are evaluated by ``array_machine``, few by casadi, in batches of few sizes: it
-    takes longer to make a map than to run it. Its buffers read and write numpy's memory, since
-    converting arrays to its own matrices takes four times as long as the evaluation.
-    """
-    columns = len(inputs[0])
-    machine = array_machine(function) if columns >= MANY else None
-    if machine is not None:
-        return machine.evaluate(inputs)
-    size = min(BATCH, 1 << (columns - 1).bit_length())
-    padded = -(-columns // size) * size
-    given = []
-    for array in inputs:
-        column_major = np.empty((padded, array.shape[2], array.shape[1]))
-        column_major[:columns] = array.transpose(0, 2, 1)
-        column_major[columns:] = column_major[0]
-        given.append(column_major)
-    results = [
-        np.zeros((padded, function.size2_out(i), function.size1_out(i)))
-        for i in range(function.n_out())
-    ]
-    buffer, evaluate = _map(function, size).buffer()
-    for first in range(0, padded, size):
-        for i, array in enumerate(given):
-            # casadi's stubs ask for a size, which its wrapper takes from the memory itself.
-            buffer.set_arg(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
-        for i, array in enumerate(results):
-            buffer.set_res(i, array[first : first + size].reshape(-1).data)  # type: ignore[call-arg]
-        evaluate()
-    return [array[:columns].transpose(0, 2, 1) for array in results]
-
-
-@lru_cache(maxsize=64)
-def _map(function: ca.Function, size: int) -> ca.Function:
-    return function.map(size)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hitchopt.model import evaluation
+from hitchopt.model import array_machine as machines
 from hitchopt.model.array_machine import CHUNK, array_machine
 from hitchopt.model.attitude import attitude_function
 from hitchopt.model.loaded_clasp import loaded_clasp_function
@@ -34,9 +34,9 @@ def test_columns_are_those_of_casadi(
     ]
     machine = array_machine(function)
     assert machine is not None
-    monkeypatch.setattr(evaluation, "MANY", columns + 1)
+    monkeypatch.setattr(machines, "MANY", columns + 1)
     for found, wanted in zip(
-        machine.evaluate(inputs), evaluation._mapped(function, inputs), strict=True
+        machine.evaluate(inputs), machines.mapped(function, inputs), strict=True
     ):
         assert found.shape == wanted.shape
         np.testing.assert_array_equal(found, wanted)

@@ -1,6 +1,6 @@
 """The casadi model: derivatives by finite differences, values by the hitch's own formulas."""
 
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.model import evaluation
+from hitchopt.model import array_machine
 from hitchopt.model.evaluation import FlatJets, drone_jets
 from hitchopt.model.loaded_clasp import loaded_clasp_function, loaded_planar_function
 from hitchopt.model.robot import planar_function, robot_function
 from hitchopt.model.slipping import slipping_clasp_function
+from hitchopt.model.straight_legs import straight_legs
 from problems.random_morph import random_convex_polygon
 
 
@@ -151,11 +152,37 @@ def test_values_are_the_hitchs_own(seed: int, n: int, equal: bool) -> None:
     np.testing.assert_allclose(residuals, 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("topology", ["closed", "open"])
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
+@settings(max_examples=10)
+def test_straight_legs_are_the_robots_of_equal_tensions(
+    topology: Literal["closed", "open"], seed: int, n: int
+) -> None:
+    """Vectors of any robots at once, against casadi's robots one by one."""
+    rng = np.random.default_rng(seed)
+    team = Team(n, 4.0, topology=topology, tension=0.7)
+    layout, count = team.layout, 3
+    vertices = rng.normal(size=(count, layout.points, 3, 4))
+    vertices[..., 0] += 3.0 * np.arange(layout.points)[:, None] ** [1.0, 0.5, 0.0]
+    q_legs = rng.normal(size=(count, n, 4))
+    drones, along, r_legs = straight_legs(team, vertices, q_legs)
+    robot, tensions = robot_function(True), np.zeros((3, 4))
+    tensions[:, 0] = 0.7
+    for j in range(count):
+        for k in range(n):
+            points = vertices[j, layout.stencil[k]].reshape(12, 4)
+            found = robot(points, q_legs[j, k][None], tensions, 4.0, 0.1)
+            q, r, q_force, r_force, _, _, r_leg = map(np.asarray, found)
+            np.testing.assert_allclose(drones[j, k], [q, r], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(0.7 * along[j, k], [*q_force.T, *r_force.T], atol=1e-12)
+            np.testing.assert_allclose(r_legs[j, k], r_leg[0], rtol=1e-10, atol=1e-10)
+
+
 def test_batches_and_their_padding_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    h = hitch(4, 7, equal=True)
+    h = hitch(4, 7, equal=False)
     flat = curve(h, 4, np.linspace(0.0, 0.1, 5), tensions_move=False)
     whole = drone_jets(h.team, flat)
-    monkeypatch.setattr(evaluation, "BATCH", 8)  # 35 columns in five batches, the last padded
+    monkeypatch.setattr(array_machine, "BATCH", 8)  # 35 columns in five batches, the last padded
     parts = drone_jets(h.team, flat)
     np.testing.assert_array_equal(parts.positions, whole.positions)
     np.testing.assert_array_equal(parts.thrusts, whole.thrusts)

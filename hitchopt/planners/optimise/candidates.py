@@ -13,7 +13,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.planners.optimise.guesses import Guess, guesses, widened
-from hitchopt.planners.optimise.ipopt_steps import iterates
+from hitchopt.planners.optimise.ipopt_steps import farthest, iterates
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.screening import (
     clear,
@@ -66,6 +66,13 @@ LATER_STRIDE = 0.12
 
 FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
+
+NEXT = 0.25
+"""Share of its stride: a faster path whose vertices are that near to a guess is next to it."""
+
+SURE = 0.999
+"""Factor on the estimate of a faster path below which that of its guess is flown in its place:
+estimates that differ by less may mistake which of two flights is the shorter one."""
 
 STILL = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
@@ -165,6 +172,9 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     fastest = np.inf
     groups = _alike(paths)
     firsts = [group[0].resampled(_steps(group[0]) + 1) for group in groups]
+    direct = _quickened(firsts[0], search) if len(firsts) == 1 else None
+    if direct is not None:
+        return [direct]
     estimates = _estimates(firsts, search)
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
@@ -202,6 +212,24 @@ def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
     return [estimate(path, search.requirements) for path in paths]
 
 
+def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
+    """Return the faster path next to a guess that is clear, with its flight; None if there is none.
+
+    Where one step of the optimiser leads farther away, the path of least energy comes first.
+    """
+    if not clear(guess, search):
+        return None
+    closer = replace(search, margin=ROUNDS[0].margin)
+    step = SolverStep(LATER_STRIDE, ROUNDS[0].parts, fastest=True, multipliers=False)
+    faster = next(iterates(guess, closer, step, 1), None)
+    if faster is None or farthest(faster, guess) >= NEXT * step.stride:
+        return None
+    if not clear(faster, search):
+        return None
+    by_step, as_it_is = _estimates([faster, guess], search)
+    return _flown([guess] if as_it_is < SURE * by_step else [faster, guess], search)
+
+
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
     """Return the path of least energy near a guess; None where it is one that was seen before."""
     found: KnotPath | None = None
@@ -237,11 +265,19 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
         faster = [moved for moved in quicker if clear(moved, search)]
         choices = [*faster, path]
         best = choices[int(np.argmin(_estimates(choices, search)))]
-        for choice in dict.fromkeys([best, path]):
-            shape = choice.path
-            flight = judged(shape, search)
-            if flight is not None:
-                return Candidate(choice.name, shape, flight)
+        found = _flown(dict.fromkeys([best, path]), search)
+        if found is not None:
+            return found
+    return None
+
+
+def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
+    """Return the first path that the judge accepts, with its flight."""
+    for choice in paths:
+        shape = choice.path
+        flight = judged(shape, search)
+        if flight is not None:
+            return Candidate(choice.name, shape, flight)
     return None
 
 

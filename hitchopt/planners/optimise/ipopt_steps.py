@@ -24,13 +24,14 @@ TOLERANCE = 1e-3
 
 LINEAR_SOLVER: dict[str, int | str] = {
     "mumps_permuting_scaling": 0,
+    "mumps_scaling": 0,
     "mumps_pivot_order": 0,
     "fast_step_computation": "yes",
 }
 """Options of IPOPT's linear algebra: rows and variables are of one size already, so that MUMPS need
-not permute them first, which takes a fifth of a solve; solutions are verified anyway. Pivots are
-ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that MUMPS
-chooses itself make a solve take two and a half times as long."""
+not permute or scale them first, which takes a fifth of a solve; solutions are verified anyway.
+Pivots are ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that
+MUMPS chooses itself make a solve take two and a half times as long."""
 
 LEAST_TIME = 1e-3
 """[s] Least limit of time given to IPOPT, which must be positive."""
@@ -61,11 +62,16 @@ def iterates(
         moved = solve_program(build_program(path, search, step), search.effort)
         if moved is None:
             return
-        far = float(np.max(np.abs(moved.polygons - path.polygons)))
+        far = farthest(moved, path)
         path = moved
         yield path
         if far < settled * step.stride:
             return
+
+
+def farthest(path: KnotPath, other: KnotPath) -> float:
+    """Return by how much the paths' vertices differ at most along an axis, at any knot [m]."""
+    return float(np.max(np.abs(path.polygons - other.polygons)))
 
 
 def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPath | None:
@@ -84,15 +90,16 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     iterations = effort.iterations(rows, program.iterations)
     if iterations == 0:
         return None
-    key = (iterations, program.program.structure)
+    key = (iterations, program.multipliers, program.program.structure)
     solver = _SOLVERS.pop(key, None) if math.isinf(time_left()) else None
-    solver = solver or _new_solver(program.program, iterations)
+    solver = solver or _new_solver(program.program, iterations, program.multipliers)
     with answered_later():
         solution = solver(**numbers)
     check_time()  # what has been cut short is no solution
-    effort.spend(rows, solver.stats()["iter_count"])
+    stats = solver.stats()
+    effort.spend(rows, stats["iter_count"])
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
+    if not stats["success"] or not np.all(np.isfinite(x)):
         return None
     if rows <= SMALL and math.isinf(time_left()):
         _SOLVERS[key] = solver
@@ -104,7 +111,7 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     return program.path.with_table(table)
 
 
-def _new_solver(program: Program, iterations: int) -> ca.Function:
+def _new_solver(program: Program, iterations: int, multipliers: bool) -> ca.Function:
     """Return IPOPT with a program's expressions, for as long as there is time."""
     left = time_left()
     options: dict[str, int | float | str] = {
@@ -114,6 +121,7 @@ def _new_solver(program: Program, iterations: int) -> ca.Function:
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
         **LINEAR_SOLVER,
+        **({} if multipliers else {"constr_mult_init_max": 0.0}),
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
     return ca.nlpsol(

@@ -173,5 +173,14 @@ class KnotPath:
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:
     """Return the spline through values (J + 1, *shape) at evenly spaced s in [0, 1]."""
-    s = np.linspace(0.0, 1.0, len(values))
-    return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))
+    units = _unit_splines(len(values))
+    joined = values.reshape(len(values), -1).T @ units.coefficients
+    shape = (units.pieces, *values.shape[1:], SPLINE_DEGREE + 1)
+    return PiecewisePolynomial(units.breaks, joined.reshape(shape))
+
+
+@lru_cache(maxsize=64)
+def _unit_splines(count: int) -> PiecewisePolynomial:
+    """Return the splines (count,) that are 1 at one of ``count`` knots and 0 at the others."""
+    s = np.linspace(0.0, 1.0, count)
+    return PiecewisePolynomial.from_spline(make_interp_spline(s, np.eye(count), k=SPLINE_DEGREE))

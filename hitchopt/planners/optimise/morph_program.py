@@ -61,11 +61,13 @@ class MorphProgram:
     program: its variables start with those of the inner knots.
     path: around which it is, to read the solution.
     iterations: after which it is given up.
+    multipliers: whether they are estimated first.
     """
 
     program: Program
     path: KnotPath
     iterations: int
+    multipliers: bool
 
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
@@ -113,7 +115,7 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
 
         draft.cost(energy_cost)
     iterations = FASTEST_ITERATIONS if step.fastest else ITERATIONS
-    return MorphProgram(draft.program(), path, iterations)
+    return MorphProgram(draft.program(), path, iterations, step.multipliers)
 
 
 def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX, ca.MX]:

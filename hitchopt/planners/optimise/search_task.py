@@ -54,11 +54,14 @@ class SolverStep:
     parts: number of parts of a step between knots at whose ends distances are enforced as well; 1
         for at the knots alone.
     fastest: minimise the time, not the energy.
+    multipliers: estimate those of the rows before the first iteration, which takes as long as one;
+        else they start at zero, as suits a start where few rows bind.
     """
 
     stride: float
     parts: int = 1
     fastest: bool = False
+    multipliers: bool = True
 
     @property
     def reach(self) -> float:

@@ -118,7 +118,8 @@ class RateRows:
             (_square(F), zero, thrust, dot(load, load) - share, flat),
             (_square(G), _square(rise), tilt, dot(pull, pull) - dot(lift, lift), flat),
         )
-        return cls(*(np.concatenate(part, axis=1) for part in zip(*rows, strict=True)))
+        parts = (np.concatenate(part, axis=1) for part in zip(*rows, strict=True))
+        return cls(*map(np.asfortranarray, parts))
 
     @cached_property
     def forms(self) -> Array:

@@ -156,9 +156,8 @@ def _fastest_squares(programs: Array) -> Array:
     above = np.where(a > 0.0, a, 1.0)
     limits, slopes = np.where(a > 0.0, -c / above, np.inf), np.where(a > 0.0, b / above, 0.0)
     twice, squares = a[:, 0].tolist(), [0.0] * (steps + 1)
-    for i in range(steps):
-        fastest = float(np.min(limits[i] - slopes[i] * squares[i]))
-        after = squares[i] + twice[i] * fastest
+    for i, (limit, slope) in enumerate(zip(limits, slopes, strict=True)):
+        after = squares[i] + twice[i] * float((limit - slope * squares[i]).min())
         squares[i + 1] = min(most[i + 1], max(after - TINY, 0.9999 * after, 0.0))
     return np.array(squares)
 
