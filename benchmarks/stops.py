@@ -6,6 +6,7 @@ It plans problems of the collection, stops each N times at random, aborts it N t
 every way, and prints what the largest value over its limit is. Samples share nothing with the
 certificate but the polynomials. An abort that is not found counts where its goal is feasible from
 rest: where all but ``continuity`` is certified of a plan that stands still at once, there and then.
+Times with the same stop ahead have the same aborts, which are sampled once.
 Rows are appended to FILE, and problems that it has already are left out.
 """
 
@@ -23,9 +24,10 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
+from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before, followed, resting
-from hitchopt.stopping.abort import HOLD, WAYS, Aborts, Stopped
+from hitchopt.stopping.abort import HOLD, WAYS, Aborts, How, Stopped
 from hitchopt.stopping.clock_changes import STEADY
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -147,6 +149,37 @@ class Count:
         return f"{self.found}/{self.found + self.missed}"
 
 
+def groups(common: Aborts, moments: Array) -> list[Array]:
+    """Return times (k,) [s] by the first rest that is ahead of them: they have the same aborts."""
+    still = common.motion.drones.breaks[rests(common.motion)]
+    first = [np.searchsorted(common.stops.starts, moments), np.searchsorted(still, moments)]
+    _, which = np.unique(np.stack(first), axis=1, return_inverse=True)
+    return [moments[which == each] for each in range(which.max(initial=-1) + 1)]
+
+
+def aborted(stem: str, common: Aborts, moments: Array, counts: dict[How, Count]) -> float:
+    """Return the largest value over its limit in aborts at plan times, which are counted."""
+    largest = 0.0
+    for times in groups(common, moments):
+        for how, count in counts.items():
+            try:
+                done = common.found(float(times[-1]), how)
+            except InfeasibleError as error:
+                reason = str(error).splitlines()[0]
+                for moment in times.tolist():
+                    if how == "hold" or feasible_from_rest(common, moment, how):
+                        count.missed += 1
+                        print(f"<!-- {stem}: no {how} at {moment:.6f} s: {reason} -->", flush=True)
+                continue
+            count.found += len(times)
+            whole = ho.Plan(done.certified.motion, done.certified.certificate)
+            value = flown(whole, max(done.start - 0.01, 0.0))
+            if value > 1.0 + OVER:
+                print(f"<!-- {stem}: {how} at {times[-1]:.6f} s has {value:.7f} -->", flush=True)
+            largest = max(largest, value)
+    return largest
+
+
 def measure(stem: str, stops: int, aborts: int) -> str:
     """Return a row of the table."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
@@ -154,24 +187,8 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     common = Aborts(plan.motion)
     moments = rng.uniform(0.0, plan.duration, stops)
     worst, longest = stopped(plan, moments, common.player.stops)
-    largest = 0.0
     counts = {how: Count() for how in WAYS}
-    for moment in rng.uniform(0.0, plan.duration, aborts).tolist():
-        for how, count in counts.items():
-            try:
-                done = common.found(moment, how)
-            except InfeasibleError as error:
-                if how == "hold" or feasible_from_rest(common, moment, how):
-                    count.missed += 1
-                    reason = str(error).splitlines()[0]
-                    print(f"<!-- {stem}: no {how} at {moment:.6f} s: {reason} -->", flush=True)
-                continue
-            count.found += 1
-            whole = ho.Plan(done.certified.motion, done.certified.certificate)
-            value = flown(whole, max(done.start - 0.01, 0.0))
-            if value > 1.0 + OVER:
-                print(f"<!-- {stem}: {how} at {moment:.6f} s has {value:.7f} -->", flush=True)
-            largest = max(largest, value)
+    largest = aborted(stem, common, rng.uniform(0.0, plan.duration, aborts), counts)
     reported = plan.certificate["stoppable"].bound
     shown = " | ".join(str(count) for count in counts.values())
     return (

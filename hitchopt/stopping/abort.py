@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Literal, get_args
 
 import numpy as np
@@ -123,7 +124,8 @@ class Aborts:
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
-        for stopped in self.stopped(time):
+        later = None if how != "back" else TRIES  # what hangs free later is not behind
+        for stopped in islice(self.stopped(time), later):
             try:
                 certified = self.continued(stopped, how)
             except InfeasibleError as error:
