@@ -22,6 +22,7 @@ from hitchopt.motion.phases import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.stopping.abort import Abort, Aborts, until_stop
 from hitchopt.stopping.abort_table import abort_table, read_aborts, save_aborts
+from hitchopt.stopping.grounding import resting_hitch
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -175,3 +176,14 @@ def test_legs_that_lean_against_friction_stand_straight_where_the_plan_rests() -
         found = check_abort(aborts, 0.2 * aborts.motion.duration, how)
         assert found.start == aborts.motion.duration
         assert found.seconds == 0.0
+
+
+def test_heavy_hitches_on_rolled_legs_land() -> None:
+    """What cables weigh on a clasp depends on its roll, which is found again at rest."""
+    team = ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01)
+    roll = np.radians([10.0, 35.0, 0.0, -15.0, 20.0])
+    hitch = ho.Hitch(team, regular_polygon(5, 1.0).vertices, 1.5, np.full(5, 0.6), roll)
+    aborts = Aborts(ho.transport(hitch, to=[0.5, 0.0, 1.5]).motion)
+    whole = check_abort(aborts, 0.4, "land").certified.motion
+    assert whole.duration > aborts.motion.duration
+    np.testing.assert_allclose(resting_hitch(aborts.motion).roll, roll, rtol=0.0, atol=1e-6)
