@@ -1,10 +1,13 @@
 """Random stops of the common clock at 1 kHz, and random aborts at 10 kHz.
 
-Usage: python -m benchmarks.stops [--stops N] [--aborts N] [PROBLEM …]
+Usage: python -m benchmarks.stops [--stops N] [--aborts N] [--rows FILE] [PROBLEM …]
 
 It plans problems of the collection, stops each N times at random, aborts it N times at random in
 every way, and prints what the largest value over its limit is. Samples share nothing with the
-certificate but the polynomials.
+certificate but the polynomials. An abort that is not found counts where its goal is feasible from
+rest: where all but ``continuity`` is certified of a plan that stands still at once, there and then.
+Times with the same stop ahead have the same aborts, which are sampled once.
+Rows are appended to FILE, and problems that it has already are left out.
 """
 
 from __future__ import annotations
@@ -12,14 +15,19 @@ from __future__ import annotations
 import argparse
 import platform
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import hitchopt as ho
+from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
-from hitchopt.stopping.abort import WAYS, Aborts
+from hitchopt.motion.cutting import rests
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import before, followed, resting
+from hitchopt.stopping.abort import HOLD, WAYS, Aborts, How, Stopped
 from hitchopt.stopping.clock_changes import STEADY
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -30,6 +38,9 @@ PROBLEMS = Path(__file__).parents[1] / "problems"
 USUAL = ("triangle", "move_edge", "hexagon", "tie_carry_untie", "swarms/head_on")
 RATE, ABORT_RATE = 1e3, 1e4
 """[Hz]"""
+
+OVER = 1e-6
+"""Values over their limits by more than this are printed one by one."""
 
 BLOCK = 50
 """Number of stops that are sampled in one go."""
@@ -111,6 +122,64 @@ def flown(plan: ho.Plan, begin: float) -> float:
     return worst
 
 
+def standing(motion: Motion, time: float) -> Motion:
+    """Return a plan that stands still at once at a time [s], where its velocity jumps to zero."""
+    short = before(motion, time)
+    return followed(short, resting(short, HOLD)).untimed
+
+
+def feasible_from_rest(common: Aborts, time: float, how: str) -> bool:
+    """Return whether an abort is found for a plan that stands still at once at a time [s]."""
+    try:
+        whole = standing(common.motion, time)
+        found = common.continuation(Stopped(whole, time, 0.0, time), how)
+    except InfeasibleError:
+        return False
+    return {check.name for check in certify(found).violated} <= {"continuity"}
+
+
+@dataclass
+class Count:
+    """How many aborts of a kind were found, and how many others are feasible from rest."""
+
+    found: int = 0
+    missed: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.found}/{self.found + self.missed}"
+
+
+def groups(common: Aborts, moments: Array) -> list[Array]:
+    """Return times (k,) [s] by the first rest that is ahead of them: they have the same aborts."""
+    still = common.motion.drones.breaks[rests(common.motion)]
+    first = [np.searchsorted(common.stops.starts, moments), np.searchsorted(still, moments)]
+    _, which = np.unique(np.stack(first), axis=1, return_inverse=True)
+    return [moments[which == each] for each in range(which.max(initial=-1) + 1)]
+
+
+def aborted(stem: str, common: Aborts, moments: Array, counts: dict[How, Count]) -> float:
+    """Return the largest value over its limit in aborts at plan times, which are counted."""
+    largest = 0.0
+    for times in groups(common, moments):
+        for how, count in counts.items():
+            try:
+                done = common.found(float(times[-1]), how)
+            except InfeasibleError as error:
+                reason = str(error).splitlines()[0]
+                for moment in times.tolist():
+                    if how == "hold" or feasible_from_rest(common, moment, how):
+                        count.missed += 1
+                        print(f"<!-- {stem}: no {how} at {moment:.6f} s: {reason} -->", flush=True)
+                continue
+            count.found += len(times)
+            whole = ho.Plan(done.certified.motion, done.certified.certificate)
+            value = flown(whole, max(done.start - 0.01, 0.0))
+            if value > 1.0 + OVER:
+                print(f"<!-- {stem}: {how} at {times[-1]:.6f} s has {value:.7f} -->", flush=True)
+            largest = max(largest, value)
+    return largest
+
+
 def measure(stem: str, stops: int, aborts: int) -> str:
     """Return a row of the table."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
@@ -118,23 +187,13 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     common = Aborts(plan.motion)
     moments = rng.uniform(0.0, plan.duration, stops)
     worst, longest = stopped(plan, moments, common.player.stops)
-    ended, tried, largest = 0, 0, 0.0
-    held = 0
-    for moment in rng.uniform(0.0, plan.duration, aborts):
-        for how in WAYS:
-            tried += 1
-            try:
-                done = common.found(float(moment), how)
-            except InfeasibleError:
-                continue
-            ended += 1
-            held += how == "hold"
-            whole = ho.Plan(done.certified.motion, done.certified.certificate)
-            largest = max(largest, flown(whole, max(done.start - 0.01, 0.0)))
+    counts = {how: Count() for how in WAYS}
+    largest = aborted(stem, common, rng.uniform(0.0, plan.duration, aborts), counts)
     reported = plan.certificate["stoppable"].bound
+    shown = " | ".join(str(count) for count in counts.values())
     return (
-        f"| {stem} | {stops} | {worst:.7f} | {longest:.3f} | {reported:.3f} | {held}/{aborts} | "
-        f"{ended}/{tried} | {largest:.7f} |"
+        f"| {stem} | {plan.motion.team.drones} | {stops} | {worst:.7f} | {longest:.3f} | "
+        f"{reported:.3f} | {aborts} | {shown} | {largest:.7f} |"
     )
 
 
@@ -143,21 +202,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stops", type=int, default=100)
     parser.add_argument("--aborts", type=int, default=3)
+    parser.add_argument("--rows", type=Path)
     parser.add_argument("problems", nargs="*", default=USUAL)
     given = parser.parse_args()
     print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}\n")
     print(
-        "| plan | stops | largest value over its limit | longest stop [s] | stoppable [s] | "
-        "holds | aborts | largest value over its limit |"
+        "| plan | drones | stops | largest value over its limit | longest stop [s] | "
+        f"stoppable [s] | abort times | {' | '.join(WAYS)} | largest value over its limit |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---" * (8 + len(WAYS)) + "|")
+    rows = given.rows.read_text() if given.rows and given.rows.exists() else ""
     for stem in given.problems:
-        begin = time.perf_counter()
-        print(
-            measure(stem, given.stops, given.aborts),
-            f"<!-- {time.perf_counter() - begin:.0f} s -->",
-            flush=True,
-        )
+        if f"| {stem} |" in rows:
+            continue
+        begin = time.process_time()
+        row = measure(stem, given.stops, given.aborts)
+        print(row, f"<!-- {time.process_time() - begin:.0f} s -->", flush=True)
+        if given.rows:
+            with given.rows.open("a") as file:
+                file.write(f"{row}\n")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN, free_fall, resting_place
 from hitchopt.losing.reaction_records import Course, Held, Reaction
-from hitchopt.losing.sinking import SHARE, alone, landed, stopped, sunk
+from hitchopt.losing.sinking import SHARE, alone, deepest_first, landed, stopped, sunk
 from hitchopt.losing.swinging import LEAST_LEG, swings
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
@@ -51,18 +51,22 @@ OVERSHOOT = 2.0
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
 
-SHARES = (SHARE, 0.8, 0.65, 0.5, 0.35, 0.25, 0.12)
-"""Shares of the limits that sinking is tried with while the clock slows down."""
+TRIES = 12
+"""Number of courses that are certified, before one that sinks only after the stop."""
+
+SWUNG = 0.65
+"""[s] Time after the loss at which a lost drone pulls most: a team that has sunk deeper by then
+brakes it less. In simulated flights peaks of tension were larger where it had not sunk yet."""
 
 SUNK = (
-    "separation",
-    "cable_clearance",
-    "crossing",
     "speed",
     "acceleration",
     "jerk",
     "thrust",
     "tilt",
+    "separation",
+    "cable_clearance",
+    "crossing",
     "legs",
     "arena",
     "keep_out",
@@ -114,7 +118,7 @@ class Reactions:
         begins = min(time + DELAY, motion.duration)
         stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
         first = stoppings[0]
-        tries = [(stopping, begins, share) for share in SHARES for stopping in stoppings]
+        tries = deepest_first(stoppings, begins, time + SWUNG)[:TRIES]
         tries.append((first, first.motion.duration, SHARE))
         if motion.team.has_cables and not first.motion.phases[-1].formed:
             tries = [(first, first.motion.duration, 0.0)]  # cables are not dragged over the ground

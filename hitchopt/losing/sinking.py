@@ -6,6 +6,7 @@ for it: at 2 m/s² a lost drone pulls at its cable with four fifths of its weigh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.requirements import Limits
 from hitchopt.stopping.abort import until_stop
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
@@ -24,6 +26,12 @@ from hitchopt.values import Array
 
 SHARE = 0.97
 """Share of the limits that sinking takes at most."""
+
+SHARES = (SHARE, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12)
+"""Shares of the limits that sinking is tried with while the clock slows down."""
+
+SAMPLE, LATER = 0.01, 0.05
+"""[s] Distance of the samples of a stop, and of the times at which sinking is tried to begin."""
 
 REST = 0.2
 """[s] Time at rest after everything."""
@@ -75,9 +83,7 @@ def sunk(stopping: Stopping, begin: float, share: float) -> Motion:
     depth = float(np.min(heights)) - motion.requirements.floor
     if depth <= LEAST:
         return followed(motion, resting(motion, REST))
-    clock = fastest_clock(
-        depth, share * limits.speed, share * limits.acceleration, share * limits.jerk
-    )
+    clock = _descent(limits, depth, share)
     end = begin + clock.duration + REST
     if end > motion.duration + JOINT:
         motion = followed(motion, resting(motion, end - motion.duration))
@@ -100,6 +106,50 @@ def sunk(stopping: Stopping, begin: float, share: float) -> Motion:
         return PiecewisePolynomial(breaks, coefficients)
 
     return replace(finer, drones=lowered(finer.drones), vertices=lowered(finer.vertices))
+
+
+def _descent(limits: Limits, depth: float, share: float) -> PiecewisePolynomial:
+    """Return how far a team has sunk [m], to a depth [m], with a share of the limits."""
+    kept = (share * limits.speed, share * limits.acceleration, share * limits.jerk)
+    return fastest_clock(depth, *kept)
+
+
+def deepest_first(
+    stoppings: Sequence[Stopping], first: float, swung: float
+) -> list[tuple[Stopping, float, float]]:
+    """Return stops, times from which on to sink [s] and shares, the deepest sunk at a time first.
+
+    Left out are those that break a limit at samples: what is left of the limits while a plan stops
+    changes, and to begin later with more of them may sink the team sooner.
+
+    Parameters
+    ----------
+    first: earliest time to sink [s].
+    swung: time at which the depth counts [s].
+    """
+    found: list[tuple[float, Stopping, float, float]] = []
+    for stopping in stoppings:
+        motion, limits = stopping.motion, stopping.motion.requirements.limits
+        depth = float(np.min(motion.drones.coefficients[-1, :, 2, -1])) - motion.requirements.floor
+        if depth <= LEAST:
+            continue
+        bounds = limits.speed, limits.acceleration, limits.jerk
+        t = np.append(np.arange(first, motion.duration, SAMPLE), motion.duration)
+        flown = [motion.drones.at(t, order) for order in (1, 2, 3)]
+        for share in SHARES:
+            descent = _descent(limits, depth, share)
+            for begin in np.append(np.arange(first, motion.duration, LATER), motion.duration):
+                since = np.clip(t - begin, 0.0, descent.duration)
+                moves = (t > begin) & (t < begin + descent.duration)
+                kept = True
+                for order, (values, bound) in enumerate(zip(flown, bounds, strict=True), 1):
+                    down = np.where(moves, descent.at(since, order), 0.0)
+                    sums = values - down[:, None, None] * [0.0, 0.0, 1.0]
+                    kept &= bool(np.max(np.sum(sums**2, axis=-1)) <= bound**2)
+                if kept:
+                    at = np.clip([swung - begin], 0.0, descent.duration)
+                    found.append((-float(descent.at(at)[0]), stopping, float(begin), share))
+    return [each[1:] for each in sorted(found, key=lambda each: (each[0], each[2], -each[3]))]
 
 
 def landed(motion: Motion) -> list[PiecewisePolynomial]:

@@ -36,7 +36,8 @@ APART = 0.1
 """[s] Rests that are tried one after the other are at least so far apart."""
 
 TRIES = 8
-"""Number of rests from which a continuation is tried."""
+"""Number of the clock's stops from which a continuation is tried; later ones begin where the plan
+is at rest by itself: legs that lean against friction stand straight there."""
 
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States between hanging and hitched cables, that nothing but the clock leads out of."""
@@ -123,7 +124,8 @@ class Aborts:
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
-        for stopped in islice(self.stopped(time), TRIES):
+        later = None if how != "back" else TRIES  # what hangs free later is not behind
+        for stopped in islice(self.stopped(time), later):
             try:
                 certified = self.continued(stopped, how)
             except InfeasibleError as error:
@@ -137,6 +139,7 @@ class Aborts:
     def stopped(self, time: float) -> Iterator[Stopped]:
         """Yield the plan stopped after a time [s], at the first rest and at later ones.
 
+        After TRIES stops of the clock only those follow at which the plan is at rest by itself.
         Rests that the states of the cables do not allow are left out: before the chords of a swap
         have met, or while tensions are not the team's.
         """
@@ -148,13 +151,14 @@ class Aborts:
         ]
         still = self.motion.drones.breaks[rests(self.motion)]
         options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
-        latest = -np.inf
+        latest, tries = -np.inf, 0
         for rest, start, duration in sorted(options):
-            if duration > 0.0 and rest < latest + APART:
+            if duration > 0.0 and (rest < latest + APART or tries == TRIES):
                 continue
             latest = rest
             found = self._stop(float(start), float(duration))
             if found is not None:
+                tries += duration > 0.0
                 yield found
 
     def _stop(self, start: float, duration: float) -> Stopped | None:
@@ -178,7 +182,20 @@ class Aborts:
 
         Raises
         ------
-        InfeasibleError: as abort.
+        InfeasibleError: as found.
+        """
+        whole = self.continuation(stopped, how)
+        certificate = certify(whole)
+        if not certificate.certified:
+            raise infeasible(certificate, whole)
+        return Certified(whole, certificate)
+
+    def continuation(self, stopped: Stopped, how: str) -> Motion:
+        """Return the continuation of a plan at rest, not certified yet.
+
+        Raises
+        ------
+        InfeasibleError: there is none.
         """
         whole, time = stopped.motion, stopped.time
         phase = None
@@ -192,10 +209,7 @@ class Aborts:
             whole = released(whole) if how == "release_and_land" else descended(whole)
         if how in ("hold", "back"):
             whole = followed(whole, resting(whole, HOLD, phase))
-        certificate = certify(whole)
-        if not certificate.certified:
-            raise infeasible(certificate, whole)
-        return Certified(whole, certificate)
+        return whole
 
     def _sought(self, whole: Motion, time: float, goal: float) -> Motion:
         """Return a plan at rest at a plan time followed by the clock's move to another one."""

@@ -9,7 +9,7 @@ import numpy as np
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
-from hitchopt.stopping.one_way_spans import leans
+from hitchopt.stopping.one_way_spans import leaning_pieces
 from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array
 
@@ -34,6 +34,7 @@ class ChangeSearch:
     def __init__(self, limits: ClockLimits) -> None:
         self.limits = limits
         self.motion = limits.motion
+        self._leaning = leaning_pieces(limits.motion)
 
     def first(
         self, bases: Sequence[ClockPhases], here: Array, change: Change, rate: float
@@ -85,6 +86,9 @@ class ChangeSearch:
 
     def _may_fly(self, made: ClockPhases) -> bool:
         """Whether no cable slides back where legs lean."""
+        if not len(self._leaning):
+            return True
         backward = np.minimum(made.jets[:, 1], made.ends[:, 1]) < -STEADY
         spans = np.sort(np.stack([made.jets[:, 0], made.ends[:, 0]], axis=-1)[backward], axis=-1)
-        return not any(leans(self.motion, first, last) for first, last in spans.tolist())
+        begins, ends = self._leaning.T
+        return not np.any((ends > spans[:, :1]) & (begins < spans[:, 1:]))

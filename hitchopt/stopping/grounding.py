@@ -21,7 +21,14 @@ SAME = 1e-7
 """[m] Drones of a hitch found again stand where the plan has them, within this."""
 
 ROUNDS = 8
-"""Corrections of the lengths of legs that sag."""
+"""Corrections of the lengths of legs that sag, and of their roll."""
+
+CLOSER = 0.5
+"""Share of the distance to a hitch that a correction of its roll leaves at most: legs that lean
+against friction stay farther from any."""
+
+STEP = 1e-4
+"""[rad] Half of the difference of two rolls between which the derivatives of legs are found."""
 
 
 def released(whole: Motion) -> Motion:
@@ -105,14 +112,14 @@ def resting_hitch(whole: Motion) -> Hitch:
     drones, vertices, legs = (
         part.coefficients[-1, ..., -1] for part in (whole.drones, whole.vertices, whole.legs)
     )
-    off = np.inf
+    roll, off, last = np.zeros(len(whole.team.layout.clasps)), np.inf, np.inf
     try:
-        hitch = _fitted(whole, vertices, legs, np.zeros(len(whole.team.layout.clasps)))
-        off = float(np.max(np.abs(hitch.drones - drones)))
-        if off > SAME:
-            rolled = _roll(hitch, drones)
-            hitch = _fitted(whole, vertices, legs, rolled)
+        for _ in range(ROUNDS):
+            hitch = _fitted(whole, vertices, legs, roll)
             off = float(np.max(np.abs(hitch.drones - drones)))
+            if off <= SAME or off > CLOSER * last:
+                break
+            roll, last = roll + _turn(hitch, drones), off
     except HitchoptError:
         pass
     if off > SAME:
@@ -132,21 +139,19 @@ def _fitted(whole: Motion, vertices: Array, legs: Array, roll: Array) -> Hitch:
     return hitch
 
 
-def _roll(flat: Hitch, drones: Array) -> Array:
-    """Return the roll (clasps,) [rad] with which q-legs point to their drones.
+def _turn(hitch: Hitch, drones: Array) -> Array:
+    """Return by how much the legs of a hitch are to roll (clasps,) [rad] toward given drones.
 
-    A leg's direction is ``c + A cos ψ + B sin ψ``; three rolls give c, A and B.
+    A Newton step: what heavy cables put on a clasp depends on its roll too.
     """
-    layout = flat.team.layout
+    layout = hitch.team.layout
     ahead = 2 * layout.ahead
-    rolls = (0.0, 1.0, -1.0)
-    rows = [
-        Hitch(flat.team, flat.polygon, flat.altitude, flat.q_legs, roll).leg_directions[ahead]
-        for roll in rolls
-    ]
-    terms = np.array([[1.0, np.cos(roll), np.sin(roll)] for roll in rolls])
-    c, A, B = np.einsum("ij,jck->ick", np.linalg.inv(terms), np.array(rows))
-    away = drones[ahead] - flat.vertices[layout.anchors[ahead]]
-    away = away / np.linalg.norm(away, axis=-1, keepdims=True) - c
-    roll: Array = np.arctan2(np.sum(away * B, axis=-1), np.sum(away * A, axis=-1))
-    return roll
+    low, high = (
+        Hitch(hitch.team, hitch.polygon, hitch.altitude, hitch.q_legs, hitch.roll + step)
+        for step in (-STEP, STEP)
+    )
+    rate = (high.leg_directions[ahead] - low.leg_directions[ahead]) / (2.0 * STEP)
+    away = drones[ahead] - hitch.vertices[layout.anchors[ahead]]
+    away = away / np.linalg.norm(away, axis=-1, keepdims=True) - hitch.leg_directions[ahead]
+    turn: Array = np.sum(away * rate, axis=-1) / np.sum(rate**2, axis=-1)
+    return turn

@@ -24,12 +24,6 @@ def leaning_pieces(motion: Motion) -> Array:
     return found
 
 
-def leans(motion: Motion, first: float, last: float) -> bool:
-    """Return whether a leg leans at plan times between ``first`` and ``last`` [s]."""
-    pieces = leaning_pieces(motion)
-    return bool(np.any((pieces[:, 1] > first) & (pieces[:, 0] < last)))
-
-
 def earliest_return(motion: Motion, time: float) -> float:
     """Return the earliest plan time [s] from which the plan may be flown backward to.
 

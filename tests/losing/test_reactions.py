@@ -15,7 +15,8 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place
 from hitchopt.losing.flown_reaction import LETTING_GO, reacting
-from hitchopt.losing.reaction import DELAY, Reactions
+from hitchopt.losing.reaction import DELAY, SWUNG, Reactions
+from hitchopt.losing.sinking import stopped
 from hitchopt.losing.survivable import survivable
 from hitchopt.losing.swinging import swings, swung
 from hitchopt.motion.motion import Motion, Phase
@@ -23,6 +24,7 @@ from hitchopt.motion.phases import CableState
 from hitchopt.motion.states import states_at
 from hitchopt.requirements import Requirements
 from hitchopt.simulation.flight_task import read_task
+from hitchopt.stopping.abort import Aborts
 from hitchopt.trajectory import PiecewisePolynomial
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -59,6 +61,16 @@ def test_survivors_sink_as_a_whole_and_keep_all_limits(altitude: float) -> None:
     assert np.max(np.abs(flown.at(t[-1], 1))) <= 1e-9
     assert course.begins == pytest.approx(TIME + DELAY)
     assert all(check.holds for check in course.checks)
+
+
+def test_survivors_sink_while_the_plan_still_stops() -> None:
+    """A plan that accelerates as fast as it may leaves nothing to sink with until it stops."""
+    reactions, time = reactions_of(2.4), 0.2
+    course = reactions.course(time)
+    still = stopped(reactions.motion, Aborts(reactions.motion).stops, course.begins)
+    heights = course.sinking.drones.at([time, time + SWUNG])[:, 0, 2]
+    assert still.motion.duration > time + SWUNG
+    assert heights[0] - heights[1] > 0.1
 
 
 def test_a_lost_drone_is_held_where_it_hangs_still() -> None:

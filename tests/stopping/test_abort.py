@@ -16,10 +16,13 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.cli.fly_command import _tables
+from hitchopt.geometry import regular_polygon
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.phases import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.stopping.abort import Abort, Aborts, until_stop
 from hitchopt.stopping.abort_table import abort_table, read_aborts, save_aborts
+from hitchopt.stopping.grounding import resting_hitch
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -158,3 +161,29 @@ def test_the_abort_key_flies_the_saved_table(tmp_path: Path) -> None:
     tables = _tables(tmp_path, plan.motion, None)
     assert [each.start for each in tables["abort"].entries] == [table.entries[1].start]
     assert tables["land"] is tables["abort"]
+
+
+def test_legs_that_lean_against_friction_stand_straight_where_the_plan_rests() -> None:
+    polygon = regular_polygon(4, 1.0).vertices.tolist()
+    problem = {
+        "team": {"robots": 4, "cable_length": 2.2, "cable_friction": 0.1},
+        "limits": {"speed": 0.06},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.5}},
+        "mission": [{"move_vertex": {"vertex": 0, "by": [0.1, 0.1]}}],
+    }
+    aborts = Aborts(ho.solve(problem_from_dict(problem)).motion)
+    for how in ("land", "release_and_land"):
+        found = check_abort(aborts, 0.2 * aborts.motion.duration, how)
+        assert found.start == aborts.motion.duration
+        assert found.seconds == 0.0
+
+
+def test_heavy_hitches_on_rolled_legs_land() -> None:
+    """What cables weigh on a clasp depends on its roll, which is found again at rest."""
+    team = ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01)
+    roll = np.radians([10.0, 35.0, 0.0, -15.0, 20.0])
+    hitch = ho.Hitch(team, regular_polygon(5, 1.0).vertices, 1.5, np.full(5, 0.6), roll)
+    aborts = Aborts(ho.transport(hitch, to=[0.5, 0.0, 1.5]).motion)
+    whole = check_abort(aborts, 0.4, "land").certified.motion
+    assert whole.duration > aborts.motion.duration
+    np.testing.assert_allclose(resting_hitch(aborts.motion).roll, roll, rtol=0.0, atol=1e-6)
