@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -250,12 +250,14 @@ class Hitch(OneLine):
     def _loads(self) -> ClaspLoads | None:
         return clasp_loads(self.team, self.q_legs, self.slack, self.roll)
 
-    @cached_property
+    @property
     def _directions(self) -> tuple[Array, Array]:
-        team = self.team
-        return leg_directions(
-            self.polygon.edge_directions, team.tension, team.topology, self._loads
-        )
+        found = _DIRECTIONS.get(self)
+        if found is None:
+            team, along = self.team, self.polygon.edge_directions
+            found = leg_directions(along, team.tension, team.topology, self._loads)
+            _DIRECTIONS[self] = found
+        return found
 
     @property
     def drones(self) -> Array:
@@ -269,6 +271,10 @@ class Hitch(OneLine):
         """(2n, 3) [N]: the force that the taut cable puts on each drone."""
         pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
+
+
+_DIRECTIONS: WeakKeyDictionary[Hitch, tuple[Array, Array]] = WeakKeyDictionary()
+"""Those of hitches in use: stored in a hitch they would make it differ from an equal one."""
 
 
 def _leg_task(

@@ -100,6 +100,15 @@ def test_plans_from_memory_are_those_planned_anew_to_the_last_bit(
     assert bits(anew) == bits(first) == bits(again)
 
 
+def test_what_planning_asks_of_a_hitch_makes_no_other_request(planned: list[int]) -> None:
+    start = ho.Hitch.spread(TEAM, ho.ConvexPolygon(TRIANGLE))
+    known = set(vars(start))
+    for _ in range(2):
+        ho.morph(start, PULLED_IN)
+    assert set(vars(start)) == known
+    assert planned == [0]
+
+
 def test_a_step_that_follows_remembered_ones_is_planned_as_after_new_ones() -> None:
     ho.solve(mission(0.3))
     edited = ho.solve(mission(0.4))
