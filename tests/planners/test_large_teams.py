@@ -94,13 +94,16 @@ def test_no_level_legs_have_a_larger_margin_than_their_bound(n: int) -> None:
         assert split_slack(task).margin <= bound * (1.0 + 1e-9)
 
 
-def test_work_of_large_programs_is_bounded_and_small_ones_are_free() -> None:
+def test_work_counts_rows_beyond_those_of_small_programs() -> None:
     effort = Effort(10.0 * SMALL)
     assert effort.iterations(SMALL, 100) == 100
     effort.spend(SMALL, 100)
     assert effort.left == 10.0 * SMALL
-    assert effort.iterations(2 * SMALL, 100) == 5
-    effort.spend(2 * SMALL, 3)
+    assert effort.iterations(SMALL + 1, 100) == 100  # costs hardly more
+    effort.spend(SMALL + 1, 100)
+    assert effort.left == 10.0 * SMALL - 100
+    assert effort.iterations(2 * SMALL, 100) == 9
+    effort.spend(2 * SMALL, 8)
     assert effort.iterations(2 * SMALL, 100) == 0
     assert effort.over
 

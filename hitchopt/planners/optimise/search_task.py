@@ -28,11 +28,12 @@ RAMP = 2.0
 """Number of knots in which the margin rises from that of an end: a jump would bend the path."""
 
 SMALL = 3000
-"""Number of rows up to which programs do not count towards a search's work: n = 20 or so."""
+"""Number of a program's rows that do not count towards a search's work: n = 6 or so, or 20 at the
+knots alone."""
 
 WORK = 2.5e5
-"""Rows times iterations of IPOPT, for all large programs of a search: some 4 s. To turn a regular
-100-gon takes 1.8e5."""
+"""Rows that count times iterations of IPOPT, for all programs of a search: some 4 s of large ones.
+To turn a regular 100-gon takes 1.8e5."""
 
 ASKED_WORK = 5.0 * WORK
 """The same where the problem asks for an optimised route."""
@@ -75,7 +76,7 @@ class Effort:
 
     Attributes
     ----------
-    left: rows times iterations of programs that are not SMALL.
+    left: rows beyond SMALL times iterations of programs.
     """
 
     left: float = WORK
@@ -89,7 +90,7 @@ class Effort:
         """Return after how many iterations, at most ``most``, a program is given up; 0: at once."""
         if rows <= SMALL:
             return most
-        allowed = int(self.left // rows)
+        allowed = int(self.left // (rows - SMALL))
         if allowed < FEWEST_ITERATIONS:
             self.left = 0.0  # others of the search are as large
             return 0
@@ -97,8 +98,7 @@ class Effort:
 
     def spend(self, rows: int, iterations: int) -> None:
         """Take what a program has done off what is left."""
-        if rows > SMALL:
-            self.left -= float(rows * iterations)
+        self.left -= float(max(0, rows - SMALL) * iterations)
 
 
 @dataclass(frozen=True, eq=False)
