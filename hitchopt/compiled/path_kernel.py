@@ -22,6 +22,7 @@ from hitchopt.compiled.series_kernels import (
 )
 from hitchopt.values import Array, Indices
 
+
 @kernel
 def _slowed(start: Array, t: float, b: float) -> Jet:
     """Return the quartic of ``SmoothChange`` that brakes for b seconds."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 FORMS = 3
 """Number of limits on forces: acceleration, thrust, tilt."""
@@ -108,7 +108,7 @@ def quick_squares(corners: Array, steps: Array, tie: float) -> Array:
 
 
 @kernel
-def _along(rows: Array, order: Array, count: int, row: int, slow: float, bound: float) -> Array:
+def _along(rows: Array, order: Indices, count: int, row: int, slow: float, bound: float) -> Array:
     """Return the best point on a row's line that the box and the first rows of an order allow.
 
     Not a number where there is none.
@@ -141,7 +141,7 @@ def _along(rows: Array, order: Array, count: int, row: int, slow: float, bound: 
 
 
 @kernel
-def _best(rows: Array, order: Array, slow: float, bound: float) -> float:
+def _best(rows: Array, order: Indices, slow: float, bound: float) -> float:
     """Return the largest x that rows ``a u + b x + c ≤ 0`` allow; not a number where there is none.
 
     Rows are looked at one after the other (Seidel's algorithm); those that bind come first in the
@@ -152,7 +152,7 @@ def _best(rows: Array, order: Array, slow: float, bound: float) -> float:
     rows: (3, m)
     order: (m,), of the rows.
     slow: weight of u beside that of x, which chooses among points of equal x.
-    bound: of \\|u\\| and x.
+    bound: of u, to either side, and of x.
     """
     u, x = -bound, bound
     for i in range(rows.shape[1]):

@@ -95,7 +95,7 @@ def _slack(tables: RateTables, coefficients: Array, p: Array, least: float, out:
 @kernel
 def _gradients(tables: RateTables, p: Array) -> Array:
     """Return the rows' derivatives by p (M, R, 3)."""
-    g = np.empty(tables.b.shape)
+    g: Array = np.empty_like(tables.b)
     for m in range(g.shape[0]):
         x, y, z = p[m, 0], p[m, 1], p[m, 2]
         for r in range(g.shape[1]):
@@ -240,9 +240,7 @@ def fastest_rate(tables: RateTables, start: Array, settings: RateSettings) -> Ar
         next_force = force + _share(force, dforce, settings.inside) * dforce
         left = min(max(np.sum(next_slack * next_force) / gap, settings.least_left), 1.0)
         aim = max(gap * left**3, 0.1 * goal)
-        dc, dslack, dforce = _step(
-            tables, g, (force, slack), residual, factor, aim / len(slack)
-        )
+        dc, dslack, dforce = _step(tables, g, (force, slack), residual, factor, aim / len(slack))
         share, least = _share(slack, dslack, settings.inside), settings.shrink * slack
         while True:
             moved = c + share * dc

@@ -32,7 +32,7 @@ def straight_legs(team: Team, vertices: Array, q_legs: Array) -> tuple[Array, Ar
     if kernels_on():
         from hitchopt.compiled.straight_kernel import straight_drones
 
-        rows = (np.ascontiguousarray(part) for part in (vertices, q_legs))
+        rows = np.ascontiguousarray(vertices), np.ascontiguousarray(q_legs)
         return straight_drones(*rows, team.cable_length, layout.stencil)
     points = np.ascontiguousarray(vertices.transpose(3, 2, 0, 1))  # samples and robots come last
     d = np.ascontiguousarray(q_legs.transpose(2, 0, 1))
