@@ -15,6 +15,7 @@ from hitchopt.hitch.parts import SEPARATION
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
 from hitchopt.planners.optimise.separating_rows import (
+    LinearRows,
     NearPairs,
     near_pairs,
     rows_at_knots,
@@ -236,7 +237,9 @@ def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: Solve
     drones = pairs.chosen(pairs.kind == SEPARATION)
     if len(drones.frame):
         _keep_drones_apart(draft, x, path, drones)
-    linear = [rows_at_knots(path, pairs.chosen(pairs.kind != SEPARATION))]
+    linear, others = list[LinearRows](), pairs.chosen(pairs.kind != SEPARATION)
+    if len(others.frame):
+        linear.append(rows_at_knots(path, others))
     if step.parts > 1:
         linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
     for found in linear:
