@@ -108,6 +108,41 @@ def quick_squares(corners: Array, steps: Array, tie: float) -> Array:
 
 
 @kernel
+def step_programs(corners: Array, s: Array, length: float, unit: float) -> Array:
+    """Return (J, 3, 2m + 2): rows of the steps between points, as ``speed_profile`` builds them.
+
+    Parameters
+    ----------
+    corners: (J + 1, m + 1, 2), of what is allowed at the points.
+    s: (J + 1,), the points.
+    length, unit: of the path, and of ṡ² times length.
+    """
+    count, m = len(s) - 1, corners.shape[1] - 1
+    rows = np.empty((count + 1, 3, m))
+    for i in range(count + 1):
+        for k in range(m):
+            u, x = corners[i, k, 0], corners[i, k, 1]
+            p, q = corners[i, k + 1, 1] - x, u - corners[i, k + 1, 0]
+            size = np.sqrt(p * p + q * q)
+            p, q = (p / size, q / size) if size > 0.0 else (0.0, 1.0)
+            bound = (p * u + q * x) / unit
+            q = q / length
+            size = np.sqrt(p * p + q * q)
+            rows[i, 0, k], rows[i, 1, k], rows[i, 2, k] = p / size, q / size, bound / size
+    programs = np.zeros((count, 3, 2 * m + 2))
+    for i in range(count):
+        twice = 2.0 * (s[i + 1] - s[i]) * length
+        programs[i, 0, 0], programs[i, 1, 0] = twice, 1.0
+        programs[i, 0, 1], programs[i, 1, 1] = -twice, -1.0
+        for k in range(m):
+            programs[i, 0, 2 + k], programs[i, 1, 2 + k] = rows[i, 0, k], rows[i, 1, k]
+            programs[i, 2, 2 + k], programs[i, 2, 2 + m + k] = -rows[i, 2, k], -rows[i + 1, 2, k]
+            programs[i, 0, 2 + m + k] = rows[i + 1, 0, k] + twice * rows[i + 1, 1, k]
+            programs[i, 1, 2 + m + k] = rows[i + 1, 1, k]
+    return programs
+
+
+@kernel
 def _along(rows: Array, order: Indices, count: int, row: int, slow: float, bound: float) -> Array:
     """Return the best point on a row's line that the box and the first rows of an order allow.
 
