@@ -7,9 +7,6 @@ import numpy as np
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.values import Array, Indices
 
-FORMS = 3
-"""Number of limits on forces: acceleration, thrust, tilt."""
-
 
 @kernel
 def _dot(a: Array, b: Array) -> float:

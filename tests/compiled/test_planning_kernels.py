@@ -14,7 +14,7 @@ from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_lengths import reference_margin, reference_margins
 from hitchopt.hitch.leg_task import LegTask
-from hitchopt.planners.path.shape_path import ShapePath, path_jets
+from hitchopt.planners.path.shape_path import ShapePath, path_jets, shapes_along
 from hitchopt.planners.timing import time_warp
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.fastest_rate import RateProgram, fastest_rate
@@ -132,6 +132,16 @@ def test_margins_of_hitches(seed: int) -> None:
     for margins in both(reference_margins, task), both(reference_margin, task):
         plain, compiled = np.minimum(margins, task.wanted)
         np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-12)
+
+
+def test_margins_of_chains() -> None:
+    path = chain()
+    shapes = shapes_along(path, np.linspace(0.0, 1.0, 9))
+    for margin in (1.2, 2.5):
+        task = LegTask(path.team, Requirements(), shapes.polygons, shapes.legs[..., 0], 0.0, margin)
+        plain, compiled = np.minimum(both(reference_margins, task), margin)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-12)
+    assert np.min(plain) < margin
 
 
 def test_an_optimised_morph() -> None:

@@ -60,7 +60,7 @@ class Derivatives(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RowGroup:
     """A column of rows.
 
     Attributes
@@ -90,7 +90,7 @@ class Draft:
         self._variables: list[tuple[Array, Array, Array]] = []
         self._parameters: list[Array] = []
         self._ranges: list[tuple[Array, Array]] = []
-        self._rows: list[Rows] = []
+        self._rows: list[RowGroup] = []
         self._costs: list[Expression] = []
 
     def structure(self, *parts: Hashable | NDArray[Any]) -> None:
@@ -121,7 +121,7 @@ class Draft:
         derivatives: Derivatives | None = None,
     ) -> None:
         """Add rows (a column) that keep values between their bounds (rows,)."""
-        self._rows.append(Rows(value, derivatives))
+        self._rows.append(RowGroup(value, derivatives))
         self._ranges.append((least, most))
 
     def soft_bound(self, value: Expression, least: Array, now: Array, weight: float) -> None:
@@ -176,7 +176,7 @@ class Program:
     numbers: dict[str, Array]
     groups: list[int]
     vectors: list[int]
-    rows: list[Rows]
+    rows: list[RowGroup]
     costs: list[Expression]
 
     def symbols(self) -> Symbols:
