@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from benchmarks.rival import Solution
     from benchmarks.tasks import Task
 
-OURS = ("straight", "optimised")
+OURS = ("straight", "optimised", "compiled")
+"""Ours; the last one is the optimised one within ``ho.kernels()``."""
+
 RIVALS = ("lean", "opti", "opti fine", "rockit", "toppra")
 
 MEMORY = 6.0
@@ -95,10 +97,15 @@ def main() -> None:
     solver, kind, robots, seconds, most, *more = sys.argv[1:]
     memory = float(more[0]) if more else MEMORY
     from benchmarks.tasks import make_task
+    from hitchopt.compiled.kernel_switch import kernels
 
     task = make_task(kind, int(robots))
     if solver in OURS:
-        found = _ours(solver, kind, task, _imported(), float(most))
+        imports = _imported()
+        with kernels(on=solver == "compiled") as used:
+            if used != (solver == "compiled"):
+                raise SystemExit("compiled code needs numba: pip install 'hitchopt[fast]'")
+            found = _ours(solver, kind, task, imports, float(most))
     else:
         found = _rival(solver, kind, task, float(seconds), float(most), memory)
     print(json.dumps(asdict(found)))
@@ -119,7 +126,7 @@ def _ours(solver: str, kind: str, task: Task, imports: float, most: float) -> Me
 
     def plan() -> ho.Plan:
         goal, separation = task.end.polygon, task.separation
-        optimize = solver == "optimised"
+        optimize = solver != "straight"
         return ho.morph(
             task.start, goal, limits=task.limits, separation=separation, optimize=optimize
         )

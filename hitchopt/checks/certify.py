@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from hitchopt.checks import duration
 from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
@@ -84,7 +85,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     raises degrees, which changes coefficients by units in the last place; the margins of rounding,
     a thousand times these, are already in every ``worst``. Rules of the ``whole`` are applied anew:
     continuity and tensions, joints included, the duration, how cables have become interlaced, and
-    stops.
+    stops. A single part has no joints: only its duration and its stops are computed anew.
 
     Parameters
     ----------
@@ -97,8 +98,12 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
         for check in part.checks:
             found[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
+    joints = len(parts) > 1
     checks = [
-        rule.check(motion) if rule.whole else most_pressing(found[rule.name]) for rule in RULES
+        rule.check(motion)
+        if rule.whole and (joints or rule is duration.RULE)
+        else most_pressing(found[rule.name])
+        for rule in RULES
     ]
     checks += [
         rule.check(motion, {}, GAMMA) if rule.whole else most_pressing(found[rule.name])

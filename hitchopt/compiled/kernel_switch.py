@@ -25,8 +25,8 @@ def kernels_on() -> bool:
 def kernels(*, on: bool = True) -> Iterator[bool]:
     """Use compiled code within the context, in its own thread, if numba is installed.
 
-    Certificates of plans that are made within take less time, and differ from others by rounding;
-    their motions do not. Code is compiled where it is first called, which takes up to a minute, and
+    Plans that are made within take less time, and differ from others by rounding, as do their
+    certificates. Code is compiled where it is first called, which takes up to a minute, and
     kept on disk: this pays where many plans are made. ``Replanner`` and ``Feedback`` use it anyway.
 
     Yields whether it is used.

@@ -1,6 +1,6 @@
 """Compiled flat outputs and drones of ``RetargetPath``, one time after the other.
 
-Within, jets are Taylor coefficients: derivatives over factorials, so that products are short sums.
+Within, jets are Taylor coefficients, see ``series_kernels``.
 """
 
 from __future__ import annotations
@@ -9,62 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.compiled.series_kernels import (
+    FACTORIALS,
+    JET,
+    Jet,
+    edge,
+    jet,
+    minus,
+    over,
+    plus,
+    times,
+)
 from hitchopt.values import Array, Indices
-
-JET = 4
-"""Number of derivatives, the zeroth included."""
-
-Jet = tuple[float, float, float, float]
-"""Taylor coefficients."""
-
-_FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
-
-
-@kernel
-def _times(a: Jet, b: Jet) -> Jet:
-    """Return a product."""
-    return (
-        a[0] * b[0],
-        a[0] * b[1] + a[1] * b[0],
-        a[0] * b[2] + a[1] * b[1] + a[2] * b[0],
-        a[0] * b[3] + a[1] * b[2] + a[2] * b[1] + a[3] * b[0],
-    )
-
-
-@kernel
-def _minus(a: Jet, b: Jet) -> Jet:
-    """Return a difference."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
-
-
-@kernel
-def _plus(a: Jet, b: Jet) -> Jet:
-    """Return a sum."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
-
-
-@kernel
-def _square_root(a: Jet) -> Jet:
-    """Return a square root; nan where there is none."""
-    first = np.sqrt(a[0])
-    second = a[1] / (2.0 * first)
-    third = (a[2] - second * second) / (2.0 * first)
-    return first, second, third, (a[3] - 2.0 * second * third) / (2.0 * first)
-
-
-@kernel
-def _over(a: Jet, b: Jet) -> Jet:
-    """Return a quotient; nan where there is none."""
-    first = a[0] / b[0]
-    second = (a[1] - first * b[1]) / b[0]
-    third = (a[2] - first * b[2] - second * b[1]) / b[0]
-    return first, second, third, (a[3] - first * b[3] - second * b[2] - third * b[1]) / b[0]
-
-
-@kernel
-def _jet(row: Array) -> Jet:
-    """Return a jet of an array."""
-    return row[0], row[1], row[2], row[3]
 
 
 @kernel
@@ -105,19 +61,10 @@ def _turned(shape: Array, yaw: float, moved: Jet) -> None:
     s3 = (a1 * c2 + 2.0 * a2 * c1) / 3.0 + a3 * c0
     c, s = (c0, c1, c2, c3), (s0, s1, s2, s3)
     for i in range(len(shape)):
-        x, y = _jet(shape[i, 0]), _jet(shape[i, 1])
-        across, along = _minus(_times(c, x), _times(s, y)), _plus(_times(c, y), _times(s, x))
+        x, y = jet(shape[i, 0]), jet(shape[i, 1])
+        across, along = minus(times(c, x), times(s, y)), plus(times(c, y), times(s, x))
         for k in range(JET):
             shape[i, 0, k], shape[i, 1, k] = across[k], along[k]
-
-
-@kernel
-def _edge(points: Array, first: int, last: int) -> tuple[Jet, Jet, Jet, Jet]:
-    """Return the vector from one point to another, and its length."""
-    x = _minus(_jet(points[last, 0]), _jet(points[first, 0]))
-    y = _minus(_jet(points[last, 1]), _jet(points[first, 1]))
-    z = _minus(_jet(points[last, 2]), _jet(points[first, 2]))
-    return x, y, z, _square_root(_plus(_plus(_times(x, x), _times(y, y)), _times(z, z)))
 
 
 @kernel
@@ -163,25 +110,25 @@ def path_jets(
         points += rows[:3]
         for k in range(n):
             before, here, there, after = stencil[k]
-            chord, nothing = _edge(points, here, there)[3], (0.0, 0.0, 0.0, 0.0)
-            slack = _minus((team[k, 0], 0.0, 0.0, 0.0), chord)
-            q_leg = _times(_jet(rows[3 + 3 * count + k]), slack) if has_leg[k, 0] else nothing
+            chord, nothing = edge(points, here, there)[3], (0.0, 0.0, 0.0, 0.0)
+            slack = minus((team[k, 0], 0.0, 0.0, 0.0), chord)
+            q_leg = times(jet(rows[3 + 3 * count + k]), slack) if has_leg[k, 0] else nothing
             q_leg = q_leg if has_leg[k, 1] else slack
             for end in range(2):
-                leg = q_leg if end == 0 else _minus(slack, q_leg)
+                leg = q_leg if end == 0 else minus(slack, q_leg)
                 place = here if end == 0 else there
-                x, y, z, size = _edge(points, before if end == 0 else after, place)
+                x, y, z, size = edge(points, before if end == 0 else after, place)
                 for axis in range(3):
-                    along = _over(x if axis == 0 else (y if axis == 1 else z), size)
-                    curve = _plus(_jet(points[place, axis]), _times(leg, along))
+                    along = over(x if axis == 0 else (y if axis == 1 else z), size)
+                    curve = plus(jet(points[place, axis]), times(leg, along))
                     lift = team[k, 4] if axis == 2 else 0.0
                     force = team[k, 2 + end] * (2.0 * curve[2] + lift)
                     thrusts[step, 2 * k + end, axis] = force + team[k, 1] * along[0]
                     for order in range(JET):
-                        drones[step, 2 * k + end, axis, order] = curve[order] * _FACTORIALS[order]
+                        drones[step, 2 * k + end, axis, order] = curve[order] * FACTORIALS[order]
                 for order in range(JET):
-                    legs[step, k, end, order] = leg[order] * _FACTORIALS[order]
-        vertices[step] = points * _FACTORIALS
+                    legs[step, k, end, order] = leg[order] * FACTORIALS[order]
+        vertices[step] = points * FACTORIALS
     return vertices, drones, legs, thrusts
 
 

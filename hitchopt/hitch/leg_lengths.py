@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
 from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_bounds, leg_program
 from hitchopt.hitch.leg_task import LegLengths, LegTask
+from hitchopt.hitch.parts import Parts
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
 
@@ -103,13 +105,36 @@ def reference_margin(task: LegTask) -> float:
 
     Pairs beyond the wanted margin may be left out.
     """
+    compiled = _compiled_margins(task)
+    if compiled is not None:
+        return float(np.min(compiled))
     bodies = LegBodies(task, task.reference, task.reference)
     return bodies.margin(task, task.reference)
 
 
 def reference_margins(task: LegTask) -> Array:
     """Return the same (J,) of every polygon by itself."""
+    compiled = _compiled_margins(task)
+    if compiled is not None:
+        return compiled
     return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
+
+
+def _compiled_margins(task: LegTask) -> Array | None:
+    """Return the same (J,) by compiled code where that is on, and few bodies are in one plane."""
+    parts = Parts.of(task.team.robots, task.team.topology)
+    if not kernels_on() or not task.level or parts.many:
+        return None
+    bodies = LegBodies(task, task.reference, task.reference, paired=False)
+    from hitchopt.compiled.margin_kernel import smallest_shares
+
+    nodes = bodies.nodes(task.reference).reshape(len(task.reference), bodies.count, 2)
+    margins, cutoff = (task.margins, task.crossing_margins), bodies.cutoff(task)
+    pairs, ends = parts.all_pairs, parts.nodes
+    shares: Array = smallest_shares(nodes, ends, pairs, bodies.limits, margins, cutoff)
+    if task.fixed is not None:  # fixed knots cannot change
+        shares[task.fixed] = np.inf
+    return task.wanted * shares
 
 
 def _merit(task: LegTask, found: LegLengths) -> float:

@@ -41,9 +41,12 @@ class LegBodies:
     ----------
     task: whose bodies.
     lowest, highest: (J, n) [m], leg lengths between which pairs that never come near are dropped.
+    paired: whether pairs are found at all.
     """
 
-    def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
+    def __init__(
+        self, task: LegTask, lowest: Array, highest: Array, *, paired: bool = True
+    ) -> None:
         J, n = task.reference.shape
         layout, keep = task.team.layout, task.requirements.separation
         self._task, self._turns = task, task.team.cable_density > 0.0
@@ -61,7 +64,8 @@ class LegBodies:
         self.scale = np.ones((3, self.dimensions))
         self.scale[SEPARATION, 2:] = keep.radius / keep.height
         self._lay(task.reference)
-        self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
+        if paired:
+            self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
@@ -128,6 +132,11 @@ class LegBodies:
         drones = self.nodes(d)[self.drones, :2]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
+    def cutoff(self, task: LegTask) -> float:
+        """Return the distance [m] from which on a pair has its margin for certain."""
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        return cutoff + (SWAY if self._turns else 0.0)
+
     def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
         """Find the pairs whose sweeps between two splits come within reach of their limits."""
         J = len(task.reference)
@@ -137,8 +146,7 @@ class LegBodies:
             ends.append(self.nodes(upper)[:, :2])
         swept = np.stack(ends).reshape(-1, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        cutoff += SWAY if self._turns else 0.0
+        cutoff = self.cutoff(task)
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
         frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change

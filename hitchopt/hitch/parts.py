@@ -93,7 +93,7 @@ class Parts:
         listed = self._listed(lowest, highest, cutoff)
         if listed is not None:
             i, j, kind = (part[limits[listed[2]] > 0.0] for part in listed)
-            if len(lowest) == 1 and len(self.nodes) > FEW:  # listed as near
+            if len(lowest) == 1 and self.many:  # listed as near
                 return np.zeros_like(i), i, j, kind
             pair, frame = _close(lowest, highest, i, j, cutoff)
             return frame, i[pair], j[pair], kind[pair]
@@ -113,8 +113,8 @@ class Parts:
         self, lowest: Array, highest: Array, cutoff: float
     ) -> tuple[Index, Index, Index] | None:
         """Return bodies (i, j) and kinds of pairs that may come near, or None: too many."""
-        if len(self.nodes) <= FEW:
-            return self._all_pairs
+        if not self.many:
+            return self.all_pairs
         if len(lowest) == 1:
             single = close_pairs(Boxes(lowest[0], highest[0]), None, cutoff)
             return self._not_free(single.first, single.second)
@@ -126,8 +126,13 @@ class Parts:
         kind = self.kind(i, j)
         return i[kind >= 0], j[kind >= 0], kind[kind >= 0]
 
+    @property
+    def many(self) -> bool:
+        """Whether there are too many bodies to compare all of their pairs."""
+        return len(self.nodes) > FEW
+
     @cached_property
-    def _all_pairs(self) -> tuple[Index, Index, Index]:
+    def all_pairs(self) -> tuple[Index, Index, Index]:
         """Bodies (i, j) and kinds of all pairs that are not free to touch."""
         return self._not_free(*np.triu_indices(len(self.nodes), 1))
 

@@ -41,8 +41,12 @@ def one_after_the_other(parts: list[Motion], duration: float | None) -> Motion:
     )
 
 
+@pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("duration", [None, 100.0, 0.5])
-def test_merging_equals_looking_anew(parts: list[Motion], duration: float | None) -> None:
+def test_merging_equals_looking_anew(
+    parts: list[Motion], duration: float | None, count: int
+) -> None:
+    parts = parts[:count]
     whole = one_after_the_other(parts, duration)
     anew, ours = certify(whole), merged(whole, [certify(part) for part in parts])
     assert ours.duration == anew.duration

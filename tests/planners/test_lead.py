@@ -69,7 +69,7 @@ def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> No
 
     from hitchopt.planners.path import leading_legs
 
-    slopes, left = leading_legs._slopes(path)
+    slopes, left = leading_legs._slopes(path, ho.Limits())
     led, usual = (
         np.max(np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1))
         for p in (leading_legs._slid(path, slopes), path)

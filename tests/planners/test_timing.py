@@ -23,6 +23,7 @@ from hitchopt.planners.timing.fly_path import GRID, fly, time_mesh
 from hitchopt.planners.timing.speed_profile import (
     SpeedProfile,
     acceleration_rows,
+    allowed_corners,
     fastest_profile,
     path_grid,
 )
@@ -85,7 +86,7 @@ def profile_of(path: ShapePath, limits: Limits) -> SpeedProfile:
 def test_the_rows_allow_what_the_limits_allow_and_nothing_else(seed: int, n: int) -> None:
     limits = Limits(speed=0.7, acceleration=1.5, tilt=math.radians(25.0))
     found = demands(straight(n, seed, limits), limits, 5)
-    rows = acceleration_rows(found)
+    rows = acceleration_rows(allowed_corners(found))
     rng = np.random.default_rng(seed)
     q1, q2 = found.drones[..., 1], found.drones[..., 2]
     largest_x, largest_u = found.speed_bound, 1.5 / np.linalg.norm(q1, axis=-1).max(axis=1)
@@ -118,7 +119,7 @@ def test_rows_are_the_same_however_many_rays_are_cast_at_a_time(
     rows = {}
     for chunk in (1, 3000, 10**9):
         monkeypatch.setattr(timing_demands, "CHUNK", chunk)
-        rows[chunk] = acceleration_rows(found)
+        rows[chunk] = acceleration_rows(allowed_corners(found))
     for other in (rows[1], rows[3000]):  # products of matrices of another size round otherwise
         np.testing.assert_allclose(other.normals, rows[10**9].normals, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(other.bounds, rows[10**9].bounds, rtol=1e-12)
@@ -200,7 +201,7 @@ def test_profiles_are_those_of_toppras_own_classes(seed: int, tilt: float) -> No
     limits = Limits(tilt=tilt)
     grid = path_grid(GRID)
     found = Demands.along(straight(3 + seed, seed, limits), limits, grid)
-    rows = acceleration_rows(found)
+    rows = acceleration_rows(allowed_corners(found))
 
     class Rule(LinearConstraint):  # type: ignore[misc]
         identical = False

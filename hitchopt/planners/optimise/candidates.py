@@ -220,7 +220,7 @@ def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
     if not clear(guess, search):
         return None
     closer = replace(search, margin=ROUNDS[0].margin)
-    step = SolverStep(LATER_STRIDE, ROUNDS[0].parts, fastest=True, multipliers=False)
+    step = SolverStep(LATER_STRIDE, ROUNDS[0].parts, fastest=True, multipliers=False, near=NEXT)
     faster = next(iterates(guess, closer, step, 1), None)
     if faster is None or farthest(faster, guess) >= NEXT * step.stride:
         return None

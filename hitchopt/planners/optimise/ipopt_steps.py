@@ -128,7 +128,13 @@ def _new_solver(program: Program, iterations: int, multipliers: bool) -> ca.Func
         "path",
         "ipopt",
         {**program.expressions()},
-        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
+        {
+            "print_time": False,
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+            "ipopt": options,
+            **program.derivatives(),
+        },
     )
 
 

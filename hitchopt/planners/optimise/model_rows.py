@@ -1,34 +1,27 @@
-"""A path's program as it is put together: drones tied to the flat outputs, bodies kept apart."""
+"""A path's program as it is put together: variables, rows that keep bodies apart, derivatives."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.parts import SEPARATION
-from hitchopt.model.loaded_clasp import loaded_planar_function
-from hitchopt.model.robot import planar_function
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.search_task import Search, SolverStep
 from hitchopt.planners.optimise.separating_rows import (
+    LinearRows,
     NearPairs,
     near_pairs,
     rows_at_knots,
     rows_between,
 )
 from hitchopt.values import Array
-
-FLATTEST = math.radians(3.0)
-"""[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
 BETWEEN = 0.35
 """Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
@@ -56,6 +49,36 @@ Expression = Callable[[Symbols], ca.MX]
 """Builds a column of rows, or a cost."""
 
 
+class Derivatives(Protocol):
+    """Builds the derivatives of a column of rows that casadi would take long to find."""
+
+    def slopes(self, at: Symbols) -> ca.MX:
+        """Return the Jacobian (rows, variables)."""
+
+    def bends(self, at: Symbols, multipliers: ca.MX) -> ca.MX:
+        """Return the upper triangle (variables, variables) of the Hessian of the weighted sum."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowGroup:
+    """A column of rows.
+
+    Attributes
+    ----------
+    value: builds it.
+    derivatives: build its derivatives; None for casadi's own.
+    """
+
+    value: Expression
+    derivatives: Derivatives | None = None
+
+    def slopes(self, at: Symbols, value: ca.MX) -> ca.MX:
+        """Return the Jacobian (rows, variables) of the rows as they have been built."""
+        if self.derivatives is not None:
+            return self.derivatives.slopes(at)
+        return ca.jacobian(value, ca.vertcat(*at.variables))
+
+
 class Draft:
     """Variables, rows and costs as they are collected: numbers at once, expressions when built.
 
@@ -67,7 +90,7 @@ class Draft:
         self._variables: list[tuple[Array, Array, Array]] = []
         self._parameters: list[Array] = []
         self._ranges: list[tuple[Array, Array]] = []
-        self._rows: list[Expression] = []
+        self._rows: list[RowGroup] = []
         self._costs: list[Expression] = []
 
     def structure(self, *parts: Hashable | NDArray[Any]) -> None:
@@ -90,9 +113,15 @@ class Draft:
         """Add a cost."""
         self._costs.append(expression)
 
-    def bound(self, value: Expression, least: Array, most: Array) -> None:
+    def bound(
+        self,
+        value: Expression,
+        least: Array,
+        most: Array,
+        derivatives: Derivatives | None = None,
+    ) -> None:
         """Add rows (a column) that keep values between their bounds (rows,)."""
-        self._rows.append(value)
+        self._rows.append(RowGroup(value, derivatives))
         self._ranges.append((least, most))
 
     def soft_bound(self, value: Expression, least: Array, now: Array, weight: float) -> None:
@@ -147,74 +176,52 @@ class Program:
     numbers: dict[str, Array]
     groups: list[int]
     vectors: list[int]
-    rows: list[Expression]
+    rows: list[RowGroup]
     costs: list[Expression]
 
-    def expressions(self) -> dict[str, ca.MX]:
-        """Build casadi's expressions x, p, f, g."""
+    def symbols(self) -> Symbols:
+        """Return new symbols for variables and parameters."""
         x, p = (
             [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
             for name, sizes in (("x", self.groups), ("p", self.vectors))
         )
-        at = Symbols(x, p)
-        f = sum((cost(at) for cost in self.costs), ca.MX(0.0))
-        g = ca.vertcat(*(rows(at) for rows in self.rows))
-        return {"x": ca.vertcat(*x), "p": ca.vertcat(*p), "f": f, "g": g}
+        return Symbols(x, p)
 
+    def expressions(self) -> dict[str, ca.MX]:
+        """Build casadi's expressions x, p, f, g."""
+        at = self.symbols()
+        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
+        g = ca.vertcat(*(rows.value(at) for rows in self.rows))
+        return {"x": x, "p": p, "f": self._cost(at), "g": g}
 
-def tie_drones(draft: Draft, x: int, path: KnotPath) -> None:
-    """Tie drones and r-legs to the flat outputs, and keep every vertex a corner.
+    def derivatives(self) -> dict[str, ca.Function]:
+        """Build casadi's functions ``jac_g`` and ``hess_lag``, one column of rows after the other.
 
-    Parameters
-    ----------
-    x: the variables of the inner knots.
-    """
-    layout, n, team, inner = path.columns, path.team.robots, path.team, path.steps - 1
-    columns = n * inner
-    lifted = np.column_stack([layout.drones.reshape(n, 4), layout.r_legs])
-    around = np.concatenate([np.roll(layout.vertices, -k, axis=0) for k in (-1, 0, 1, 2)], axis=1)
-    pulls = np.stack([np.roll(layout.tensions, -k) for k in (-1, 0, 1)], axis=1)
-    rolled, equal = team.loaded or path.roll is not None, bool(np.ptp(team.tension) == 0.0)
-    own: tuple[Array, ...]
-    if rolled:
-        legs, own = layout.q_legs[team.layout.neighbours], _clasp_numbers(path)
-        planar = loaded_planar_function(team.cable_density > 0.0)
-    else:
-        legs, own = layout.q_legs[:, None], (np.tile(team.cable_length, inner)[None],)
-        planar = planar_function(equal)
-    draft.structure("tied", n, inner, rolled, equal, *own)
+        Those of all rows at once, as casadi builds them, take three times as long to evaluate.
+        """
+        at = self.symbols()
+        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
+        values = [rows.value(at) for rows in self.rows]
+        slopes = [rows.slopes(at, value) for rows, value in zip(self.rows, values, strict=True)]
+        weight = ca.MX.sym("weight")
+        multipliers = [ca.MX.sym(f"m{i}", value.numel()) for i, value in enumerate(values)]
+        plain, bends = weight * self._cost(at), list[ca.MX]()
+        for rows, value, each in zip(self.rows, values, multipliers, strict=True):
+            if rows.derivatives is None:
+                plain += ca.dot(each, value)
+            else:
+                bends.append(rows.derivatives.bends(at, each))
+        hessian = sum(bends, ca.triu(ca.hessian(plain, x)[0]))
+        jacobian = [ca.vertcat(*values), ca.vertcat(*slopes)]
+        return {
+            "jac_g": ca.Function("nlp_jac_g", [x, p], jacobian),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", [x, p, weight, ca.vertcat(*multipliers)], [hessian]
+            ),
+        }
 
-    def tied(at: Symbols) -> ca.MX:
-        knots = ca.reshape(at.variables[x], layout.size, inner)
-
-        def gathered(places: NDArray[np.intp]) -> ca.MX:
-            """Return (width, n · inner) of places (n, width)."""
-            return ca.reshape(knots[places.ravel().tolist(), :], places.shape[1], columns)
-
-        moved = (gathered(around), gathered(legs), gathered(pulls))
-        place, turn = planar.map(columns)(*moved, *own)
-        return ca.vertcat(ca.vec(place - gathered(lifted)), ca.vec(turn))
-
-    sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
-    flattest = math.sin(min(FLATTEST, 0.5 * float(sharpest)))
-    zeros, corners = np.zeros(lifted.size * inner), np.full(columns, flattest)
-    least, most = (np.append(zeros, end) for end in (corners, np.full(columns, np.inf)))
-    draft.bound(tied, least, most)
-
-
-def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
-    """Return cables' lengths, rolls, loads and weights of all robots at the inner knots."""
-    team, n, inner = path.team, path.team.robots, path.steps - 1
-    columns, ends = n * inner, np.column_stack([team.layout.starts, team.layout.ends])
-    roll = np.zeros((inner, n)) if path.roll is None else path.roll[1:-1]
-    loads = np.zeros((n, 2, 3))
-    loads[..., 2] = -GRAVITY * team.load[ends]
-    return (
-        np.tile(team.cable_length[team.layout.neighbours[:, :2]].T, inner),
-        roll[:, ends].reshape(columns, 2).T,
-        np.tile(loads.reshape(n, 6).T, inner),
-        np.full((1, columns), GRAVITY * team.cable_density),
-    )
+    def _cost(self, at: Symbols) -> ca.MX:
+        return sum((cost(at) for cost in self.costs), ca.MX(0.0))
 
 
 def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: SolverStep) -> None:
@@ -230,7 +237,9 @@ def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: Solve
     drones = pairs.chosen(pairs.kind == SEPARATION)
     if len(drones.frame):
         _keep_drones_apart(draft, x, path, drones)
-    linear = [rows_at_knots(path, pairs.chosen(pairs.kind != SEPARATION))]
+    linear, others = list[LinearRows](), pairs.chosen(pairs.kind != SEPARATION)
+    if len(others.frame):
+        linear.append(rows_at_knots(path, others))
     if step.parts > 1:
         linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
     for found in linear:

@@ -20,9 +20,9 @@ from hitchopt.planners.optimise.model_rows import (
     Program,
     Symbols,
     keep_apart,
-    tie_drones,
 )
 from hitchopt.planners.optimise.search_task import Search, SolverStep, variable_bounds
+from hitchopt.planners.optimise.tied_drones import tie_drones
 from hitchopt.values import Array
 
 BEND = 0.1

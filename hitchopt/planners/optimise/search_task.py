@@ -57,17 +57,20 @@ class SolverStep:
     fastest: minimise the time, not the energy.
     multipliers: estimate those of the rows before the first iteration, which takes as long as one;
         else they start at zero, as suits a start where few rows bind.
+    near: share of its stride that the step is expected to go: pairs that are farther apart than
+        they can come in that get no row.
     """
 
     stride: float
     parts: int = 1
     fastest: bool = False
     multipliers: bool = True
+    near: float = 1.0
 
     @property
     def reach(self) -> float:
         """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
-        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
+        return 2.0 * math.sqrt(2.0) * self.near * self.stride + 0.02
 
 
 @dataclass

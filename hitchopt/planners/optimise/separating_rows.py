@@ -135,6 +135,8 @@ def rows_between(path: KnotPath, search: Search, parts: int, reach: float) -> Li
 
     legs = np.concatenate([columns.q_legs, columns.r_legs])
     frame, leg = np.nonzero(there[:, legs] < limits.leg + LEG_REACH)
+    if not len(frame):
+        return apart
     single = (frame, legs[leg][:, None], np.ones((len(frame), 1)))
     rows, bow = _chords(at_knots, there, places, single)
     ends = np.min(at_knots[[0, -1]][:, legs], axis=0)
@@ -166,6 +168,9 @@ def _chords(
     """
     frame, variables, weights = sums
     steps, size = len(at_knots) - 1, at_knots.shape[1]
+    shape = (len(frame), size * (steps - 1))
+    if not len(frame):
+        return sparse.csc_matrix(shape), np.zeros(0)
     knot = places[frame].astype(np.intp)
     share = places[frame] - knot
     bow = np.sum(weights * there[frame[:, None], variables], axis=1)
@@ -177,5 +182,4 @@ def _chords(
         column = size * (at[inner, None] - 1) + own
         entries.append((slope.ravel(), np.repeat(inner, own.shape[1]), column.ravel()))
     values, row, column = (np.concatenate(part) for part in zip(*entries, strict=True))
-    shape = (len(frame), size * (steps - 1))
     return sparse.csc_matrix((values, (row, column)), shape=shape), bow

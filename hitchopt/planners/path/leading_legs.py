@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.planners.timing.time_estimates import flight_estimate
+from hitchopt.planners.timing.time_estimates import flight_estimate, grid_demands
 from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
@@ -44,7 +44,7 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     """
     if path.legs.length.pieces > 1:
         return
-    slopes, left = _slopes(path)
+    slopes, left = _slopes(path, limits)
     if left > HELPS:
         return
     paths = {share: _slid(path, share * slopes) for share in SHARES}
@@ -55,18 +55,21 @@ def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
         yield _slid(path, SMALLER * best * slopes)
 
 
-def _slopes(path: ShapePath) -> tuple[Array, float]:
+def _slopes(path: ShapePath, limits: Limits) -> tuple[Array, float]:
     """Return the slides' slopes (2, n) [m] at s = 0 and 1 that slow the drones most there.
 
     Also the fastest drone's share of its speed that they leave. A drone's derivative by s is linear
     in its leg's, which moves it along the leg.
     """
     ends, n = np.array([0.0, 1.0]), path.team.robots
-    usual, slid = (
-        drones_along(p, ends).positions[..., 1].reshape(2, n, 2, -1)
-        for p in (path, _slid(path, np.ones((2, n))))
-    )
-    along = slid - usual
+    jets = grid_demands(path, limits).drones[[0, -1]]
+    usual = jets[..., 1].reshape(2, n, 2, -1)
+    if path.team.cable_density == 0.0 and path.team.layout.closed:
+        legs = jets[..., 0] - path.vertices.at(ends)[:, path.team.layout.anchors]
+        along = unit(legs).reshape(2, n, 2, -1) * [[1.0], [-1.0]]  # r-legs grow shorter
+    else:
+        slid = drones_along(_slid(path, np.ones((2, n))), ends)
+        along = slid.positions[..., 1].reshape(2, n, 2, -1) - usual
     size = np.sum(along**2, axis=(2, 3))
     slopes: Array = -np.sum(usual * along, axis=(2, 3)) / np.where(size > 0.0, size, np.inf)
     fastest = np.max(length(usual))

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
 from hitchopt.planners.timing.demands import Demands
@@ -95,22 +96,18 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     ------
     TimingError: none exists, as where rest itself breaks a limit on the path.
     """
-    rows = acceleration_rows(demands)
+    allowed = allowed_corners(demands)
     # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
     # which both s̈ and ṡ² are of order 1, be they bound by acceleration or by speed.
-    length = float(np.clip(np.median(rows.steepest / rows.fastest), 1e-2, 1e9))
-    unit = float(np.median(rows.fastest)) * length
-    normals = rows.normals * [1.0, 1.0 / length]
-    size = np.linalg.norm(normals, axis=-1)
-    squares = _fastest_squares(
-        _step_programs(normals / size[..., None], rows.bounds / unit / size, s * length)
-    )
+    length = float(np.clip(np.median(allowed.steepest / allowed.fastest), 1e-2, 1e9))
+    unit = float(np.median(allowed.fastest)) * length
+    squares = _fastest_squares(_step_programs(allowed, s, length, unit))
     if not np.all(squares[1:-1] > 0.0):
         raise TimingError("toppra found no speed profile from rest to rest on this path")
     return SpeedProfile(s, np.sqrt(squares) * np.sqrt(unit / length))
 
 
-def _step_programs(normals: Array, bounds: Array, s: Array) -> Array:
+def _step_programs(allowed: AllowedCorners, s: Array, length: float, unit: float) -> Array:
     """Return (J, 3, 2m + 2): rows ``a s̈ + b ṡ² + c ≤ 0`` of the steps between points s (J + 1,).
 
     The first two keep ṡ² at the next point within bounds, the others are the half planes at both
@@ -118,9 +115,18 @@ def _step_programs(normals: Array, bounds: Array, s: Array) -> Array:
 
     Parameters
     ----------
-    normals, bounds: (J + 1, m, 2) and (J + 1, m), half planes of (s̈, ṡ²) at the points.
+    allowed: at the points.
+    length, unit: of the path, and of ṡ² times length.
     """
-    twice, m = 2.0 * np.diff(s)[:, None], normals.shape[1]
+    if kernels_on():
+        from hitchopt.compiled.profile_kernels import step_programs
+
+        return step_programs(allowed.points, s, length, unit)
+    rows = acceleration_rows(allowed)
+    normals = rows.normals * [1.0, 1.0 / length]
+    size = np.linalg.norm(normals, axis=-1)
+    normals, bounds = normals / size[..., None], rows.bounds / unit / size
+    twice, m = 2.0 * np.diff(s * length)[:, None], normals.shape[1]
     programs = np.zeros((len(twice), 3, 2 * m + 2))
     programs[:, :2, 0] = np.append(twice, np.ones_like(twice), axis=1)
     programs[:, :2, 1] = -programs[:, :2, 0]
@@ -141,6 +147,12 @@ def _fastest_squares(programs: Array) -> Array:
     ----------
     programs: (J, 3, 2m + 2), of the steps; the next point's bounds are written into them.
     """
+    if kernels_on():
+        from hitchopt.compiled.profile_kernels import fastest_squares
+
+        found = fastest_squares(programs, RATHER_SLOW, HUGE, TINY)
+        if not np.isnan(found[0]):  # else toppra's solver tells
+            return found
     steps = len(programs)
     lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
     aim, active = np.array([-RATHER_SLOW, 1.0, 0.0]), np.arange(2)
@@ -188,13 +200,10 @@ class AccelerationRows:
     ----------
     normals: (J, m, 2)
     bounds: (J, m)
-    steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
     """
 
     normals: Array
     bounds: Array
-    steepest: Array
-    fastest: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,13 +240,12 @@ def allowed_corners(demands: Demands) -> AllowedCorners:
     return AllowedCorners(np.stack([ends * u, ends * x], axis=-1), steepest, fastest)
 
 
-def acceleration_rows(demands: Demands) -> AccelerationRows:
-    """Return the half planes of the polygons of ``allowed_corners``."""
-    allowed = allowed_corners(demands)
+def acceleration_rows(allowed: AllowedCorners) -> AccelerationRows:
+    """Return the half planes of polygons."""
     corners = allowed.points
     along = np.diff(corners, axis=1)
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # rays run counter-clockwise
     size = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
     bounds = np.sum(normals * corners[:, :-1], axis=-1)
-    return AccelerationRows(normals, bounds, allowed.steepest, allowed.fastest)
+    return AccelerationRows(normals, bounds)

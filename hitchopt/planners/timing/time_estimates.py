@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.speed_profile import (
@@ -68,6 +69,10 @@ def quick_profile(s: Array, demands: Demands) -> SpeedProfile:
     """
     steps = np.diff(s)
     corners = allowed_corners(demands).points[:-1]
+    if kernels_on():
+        from hitchopt.compiled.profile_kernels import quick_squares
+
+        return _profile(s, quick_squares(corners, steps, TIE))
     u, x = corners[..., 0], corners[..., 1]
     tops = np.argmax(x, axis=1).tolist()
     # ṡ² at the next point falls on the way down from the top; bisection wants it to rise.
@@ -81,7 +86,12 @@ def quick_profile(s: Array, demands: Demands) -> SpeedProfile:
     for i in range(len(steps)):
         fastest = _where(squares[i], rates[i], (1.0 - TIE) * square[i], 0, tops[i])
         square[i + 1] = min(square[i] + 2.0 * lengths[i] * fastest, most[i + 1])
-    if not min(square[1:-1]) > 0.0:
+    return _profile(s, np.array(square))
+
+
+def _profile(s: Array, square: Array) -> SpeedProfile:
+    """Return the profile of ṡ² (J,) on the grid s (J,)."""
+    if not np.min(square[1:-1]) > 0.0:
         raise TimingError("there is no speed profile from rest to rest on this path")
     return SpeedProfile(s, np.sqrt(np.maximum(square, 0.0)))
 

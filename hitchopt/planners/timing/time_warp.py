@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Clock:
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s], t at the knots."""
-        nodes, weights = np.polynomial.legendre.leggauss(8)
+        nodes, weights = gauss_points(8)
         h = np.diff(self.knots)
         tau = self.knots[:-1, None] + 0.5 * h[:, None] * (1.0 + nodes)
         steps = 0.5 * h * (1.0 / np.sqrt(self.squared_rate(tau)) @ weights)
@@ -151,9 +152,18 @@ def _nearest(ratios: Array) -> NDArray[np.intp]:
 
 def _samples(knots: Array) -> tuple[Array, Array]:
     """Return SAMPLES Gauss points of each piece, and their weights, (K · SAMPLES,) each."""
-    nodes, weights = np.polynomial.legendre.leggauss(SAMPLES)
+    nodes, weights = gauss_points(SAMPLES)
     half = 0.5 * np.diff(knots)[:, None]
     return (knots[:-1, None] + half * (1.0 + nodes)).ravel(), (half * weights).ravel()
+
+
+@lru_cache
+def gauss_points(count: int) -> tuple[Array, Array]:
+    """Return the points (count,) in [-1, 1] of Gauss's quadrature and their weights."""
+    points, weights = np.polynomial.legendre.leggauss(count)
+    for values in (points, weights):
+        values.setflags(write=False)
+    return points, weights
 
 
 def _spline_jet(spline: BSpline, tau: Array) -> Array:
