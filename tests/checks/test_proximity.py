@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,10 +80,10 @@ def test_spans_cover_all_of_the_time_and_are_cut_where_much_moves(
     spans = []
     close = proximity._close
 
-    def counted(*given: object) -> Pairs | None:
-        pairs = close(*given)
+    def counted(a: np.ndarray, *rest: Any) -> Pairs | None:
+        pairs = close(a, *rest)
         if pairs is not None:
-            spans.append((len(given[0]), len(pairs)))
+            spans.append((len(a), len(pairs)))
         return pairs
 
     monkeypatch.setattr(proximity, "_close", counted)
