@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,20 +36,25 @@ def all_of_them(
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 10_000), ends=st.sampled_from([1, 2]), speed=st.floats(0.0, 30.0))
+@given(
+    seed=st.integers(0, 10_000),
+    ends=st.sampled_from([1, 2]),
+    speed=st.floats(0.0, 30.0),
+    pieces=st.sampled_from([2, 13]),
+)
 def test_with_and_without_the_index_the_distance_is_the_same(
-    seed: int, ends: int, speed: float
+    seed: int, ends: int, speed: float, pieces: int
 ) -> None:
     """Bodies on curves of their own, all of them drifting along as well."""
     rng = np.random.default_rng(seed)
-    breaks = np.array([0.0, 0.7, 2.0])
-    drift = rng.uniform(-100.0, 100.0, (1, 1, 1, 3, 4))
+    breaks = np.cumsum(rng.uniform(0.1, 1.0, pieces + 1))
+    drift = rng.uniform(-100.0, 100.0, (pieces, 1, 1, 3, 4))
     corners = rng.uniform(-30.0, 30.0, (1, 70, 1, 3, 1)) + rng.uniform(
-        -1.0, 1.0, (2, 70, ends, 3, 4)
+        -1.0, 1.0, (pieces, 70, ends, 3, 4)
     )
-    first = Bodies(corners + drift + speed * rng.uniform(-0.1, 0.1, (2, 70, 1, 3, 4)))
-    other = rng.uniform(-30.0, 30.0, (1, 50, 1, 3, 1)) + rng.uniform(-2.0, 2.0, (2, 50, 2, 3, 4))
-    second = Bodies(other + drift)
+    first = Bodies(corners + drift + speed * rng.uniform(-0.1, 0.1, (pieces, 70, 1, 3, 4)))
+    other = rng.uniform(-30.0, 30.0, (1, 50, 1, 3, 1))
+    second = Bodies(other + drift + rng.uniform(-2.0, 2.0, (pieces, 50, 2, 3, 4)))
     for group in (None, second):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(proximity, "FEW", 0)
@@ -61,6 +67,33 @@ def test_with_and_without_the_index_the_distance_is_the_same(
         assert paired.item == plain.item or abs(paired.value - plain.value) < 1e-3
         assert indexed.worst == pytest.approx(plain.worst, rel=2e-4, abs=1e-6)
         assert indexed.item == plain.item or abs(indexed.value - plain.value) < 1e-3
+
+
+def test_spans_cover_all_of_the_time_and_are_cut_where_much_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A lattice whose spacing is 2 m at rest, in which one piece shakes all bodies by 1 km."""
+    monkeypatch.setattr(proximity, "FEW", 0)
+    lattice = np.stack(np.meshgrid(*[2.0 * np.arange(6)] * 3), axis=-1).reshape(-1, 3)
+    corners = np.repeat(lattice[None, :, None, :, None], 20, axis=0).repeat(2, axis=-1)
+    corners[12] += np.random.default_rng(0).uniform(-500.0, 500.0, (len(lattice), 1, 3, 1))
+    spans = []
+    close = proximity._close
+
+    def counted(a: np.ndarray, *rest: Any) -> Pairs | None:
+        pairs = close(a, *rest)
+        if pairs is not None:
+            spans.append((len(a), len(pairs)))
+        return pairs
+
+    monkeypatch.setattr(proximity, "_close", counted)
+    corners[17, 5, 0, 0] += 1.5  # the one pair that is nearer
+    found = smallest_distance(np.arange(21.0), Bodies(corners), None, every, 0.0)
+    assert found.worst == pytest.approx(0.5, rel=1e-3)
+    assert 17.0 <= found.time <= 18.0
+    assert sum(pieces for pieces, _ in spans) == 20
+    assert max(pieces for pieces, _ in spans) > 1
+    assert max(pairs for _, pairs in spans) < 20 * len(lattice)
 
 
 def test_pairs_that_do_not_count_are_left_out() -> None:

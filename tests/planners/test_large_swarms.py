@@ -11,13 +11,14 @@ import pytest
 from hitchopt import separate
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.swarm_problem import SwarmProblem
-from hitchopt.planners.separation.curve_evaluation import evaluate
+from hitchopt.planners.separation.curve_evaluation import Evaluation, evaluate
 from hitchopt.planners.separation.guess import PriorityRule, pushed_apart
 from hitchopt.planners.separation.qp import MOST_ITERATIONS, Solver
 from hitchopt.planners.separation.separation_program import build_program
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Requirements
+from hitchopt.values import Array
 from problems.swarm import antipodal_circle, random_crowd
 
 search = import_module("hitchopt.planners.separation.separate")
@@ -109,6 +110,31 @@ def test_programs_around_a_roundabout_take_few_iterations(
     for drones in (6, 32):  # the second one is a crowd
         separate(circle(drones)).certificate.raise_if_violated()
     assert given == [MOST_ITERATIONS, search.AROUND_CROWDS]
+
+
+@pytest.mark.parametrize(
+    ("shares", "crowd", "rounds"),
+    [
+        ([1.4, 1.13, 1.075, 1.06, 1.058], True, 2),  # 4.9 % in the second round
+        ([1.4, 1.13, 1.075, 1.06, 1.058], False, 3),  # 1.4 % in the third one
+        ([1.4, 1.13, 1.12, 1.11, 1.10], False, 2),
+        ([3.0, 2.9, 2.8, 2.7, 1.04], True, 4),  # far from as fast as single flights
+    ],
+)
+def test_rounds_around_a_roundabout_must_be_worthwhile(
+    monkeypatch: pytest.MonkeyPatch, shares: list[float], crowd: bool, rounds: int
+) -> None:
+    here = setting(6)
+    durations = iter(shares)
+    told: list[str] = []
+
+    def evaluation(_: Setting, coefficients: Array) -> Evaluation:
+        return Evaluation(coefficients, next(durations) * here.alone, 1.2, ())
+
+    monkeypatch.setattr(search, "evaluate", evaluation)
+    best = search._improved(here, here.nominal, told.append, crowd=crowd)
+    assert len(told) == rounds
+    assert best.duration == pytest.approx(shares[rounds] * here.alone)
 
 
 def test_drones_that_nobody_meets_stay(

@@ -2,8 +2,8 @@
 
 A span of time is searched for an attained distance first; only pairs whose boxes over that span
 come at least as close are looked at, all others being farther apart for certain. Few bodies are all
-paired, and all of the time is one span; of many the close pairs are listed span by span, and spans
-in which much moves are halved before.
+paired, and all of the time is one span; of many the close pairs are listed span by span: several
+pieces where little moves, and spans in which much moves are halved before.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ FEW = 6000
 """Pairs in all, up to which an index costs more than it saves."""
 
 GROUP = 32_768
-"""Pairs times pieces, where bodies are few, whose boxes are compared at a time."""
-
-CHUNK = 8192
-"""Pairs whose polynomials are laid out at a time."""
+"""Pairs, or bodies, times pieces whose boxes are compared at a time."""
 
 NEIGHBOURS = 8
 """How many of a body's neighbours are tried for an attained distance."""
 
 CROWD = 12
 """Pairs per body above which a span is halved, if motion is to blame."""
+
+QUIET = 30
+"""Pairs per body above which a span of several pieces is cut: each pair is looked at on each."""
 
 MAX_DEPTH = 8
 """Spans are halved this often at most."""
@@ -128,24 +128,16 @@ def smallest_distance(
     if pairs <= FEW:
         every = all_pairs(len(first), None if second is None else count)
         every = every.take(allowed(every.first, every.second))
-        group = max(1, GROUP // max(1, len(every)))  # pieces at a time
-        alone = len(breaks) - 1 <= group and metric is DISTANCE and math.isinf(known)
-        for start in range(0, len(breaks) - 1 if len(every) else 0, group):
-            a = first.corners[start : start + group]
-            b = a if second is None else second.corners[start : start + group]
-            times = breaks[start : start + group + 1]
-            piece, pair = _near(a, b, every, margin, metric)
-            cells = _cells(times, a, b, piece, every.take(pair), count, margin)
+        whole = _Span(breaks, first.corners, None if second is None else second.corners, every)
+        alone = len(breaks) - 1 <= _group(every) and metric is DISTANCE and math.isinf(known)
+        for cells in _near_cells(whole, count, margin, metric):
             if alone:
                 return _not_negative(smallest(cells, metric.bound, KnownBound("distance"), target))
             search.add(cells)
         return _not_negative(search.finish())
     for span in _spans(breaks, first, second, search, allowed, margin, metric):
-        a, b = span.first, span.second if span.second is not None else span.first
-        for start in range(0, len(span.pairs), CHUNK):
-            chunk = span.pairs.take(slice(start, start + CHUNK))
-            piece = np.zeros(len(chunk), dtype=np.intp)
-            search.add(_cells(span.times, a[None], b[None], piece, chunk, count, margin))
+        for cells in _near_cells(span, count, margin, metric):
+            search.add(cells)
         if search.value <= search.absolute:  # they touch: no other pair can do worse
             return Extremum(0.0, search.value, search.item, search.time)
     return _not_negative(search.finish())
@@ -153,12 +145,37 @@ def smallest_distance(
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """A span of time and the pairs that matter on it: ends (bodies, 1 or 2, 3, degree + 1)."""
+    """A span of time and the pairs that matter on it.
+
+    Attributes
+    ----------
+    times: (pieces + 1,) [s]
+    first, second: (pieces, bodies, 1 or 2, 3, degree + 1) [m], ends of two groups, or of one.
+    pairs: of bodies.
+    """
 
     times: Array
     first: Array
     second: Array | None
     pairs: Pairs
+
+
+def _group(pairs: Pairs) -> int:
+    """Return how many pieces of pairs are looked at in one go."""
+    return max(1, GROUP // max(1, len(pairs)))
+
+
+def _near_cells(span: _Span, count: int, margin: float, metric: Metric) -> Iterator[Cells]:
+    """Give the cells of the pairs that may be closest, on some pieces of a span at a time."""
+    group, pieces = _group(span.pairs), len(span.first)
+    for start in range(0, pieces if len(span.pairs) else 0, group):
+        a = span.first[start : start + group]
+        b = a if span.second is None else span.second[start : start + group]
+        times = span.times[start : start + group + 1]
+        piece, pair = _near(a, b, span.pairs, margin, metric)
+        for i in range(0, len(piece), GROUP):
+            part = slice(i, i + GROUP)
+            yield _cells(times, a, b, piece[part], span.pairs.take(pair[part]), count, margin)
 
 
 def _spans(
@@ -170,33 +187,61 @@ def _spans(
     margin: float,
     metric: Metric,
 ) -> Iterator[_Span]:
-    """Give spans that cover all of the time; the cutoff falls as the search goes on."""
+    """Give spans that cover all of the time; the cutoff falls as the search goes on.
+
+    The next span has twice as many pieces until one has to be cut, and then as many as its parts.
+    """
     bodies = len(first) + (0 if second is None else len(second))
-    for piece in range(len(breaks) - 1):
-        b = None if second is None else second.corners[piece]
-        stack = [(breaks[piece : piece + 2], first.corners[piece], b, 0)]
+    piece, size, growth = 0, 1, 2
+    while piece < len(breaks) - 1:
+        part = slice(piece, piece + min(size, max(1, GROUP // bodies)))
+        others = None if second is None else second.corners[part]
+        stack = [(breaks[part.start : part.stop + 1], first.corners[part], others, 0)]
+        piece += len(first.corners[part])
         while stack:
             times, a, b, depth = stack.pop()
-            attained = min(search.value, _attained(a, b, allowed, metric))
-            cutoff = metric.reach(attained + margin) * (1.0 + SLACK)
-            drift = np.mean(a, axis=(0, 1))  # what all do together changes no distance
-            boxes = Boxes.around(a - drift)
-            others = None if b is None else Boxes.around(b - drift)
-            moving = np.median(0.5 * np.max(np.ptp(a - drift, axis=-1), axis=(1, 2)))
-            hopeful = depth < MAX_DEPTH and moving > 0.25 * cutoff
-            pairs = (
-                few_close_pairs(boxes, others, cutoff, CROWD * bodies)
-                if hopeful
-                else close_pairs(boxes, others, cutoff)
-            )
-            if pairs is None:
-                middle = 0.5 * (times[0] + times[1])
+            pairs = _close(a, b, search.value, allowed, margin, metric, depth, bodies)
+            if pairs is not None:
+                yield _Span(times, a, b, pairs.take(allowed(pairs.first, pairs.second)))
+            elif len(a) > 1:
+                middle = len(a) // 2
+                size, growth = min(size, middle), 1
+                here, there = slice(middle), slice(middle, None)
+                cut = (None, None) if b is None else (b[here], b[there])
+                stack.append((times[middle:], a[there], cut[1], 0))
+                stack.append((times[: middle + 1], a[here], cut[0], 0))
+            else:
+                moment = 0.5 * (times[0] + times[1])
                 a_halves, b_halves = _halves(a), (None, None) if b is None else _halves(b)
-                stack.append((np.array([middle, times[1]]), a_halves[1], b_halves[1], depth + 1))
-                stack.append((np.array([times[0], middle]), a_halves[0], b_halves[0], depth + 1))
-                continue
-            pairs = pairs.take(allowed(pairs.first, pairs.second))
-            yield _Span(times, a, b, pairs)
+                stack.append((np.array([moment, times[1]]), a_halves[1], b_halves[1], depth + 1))
+                stack.append((np.array([times[0], moment]), a_halves[0], b_halves[0], depth + 1))
+        size *= growth
+
+
+def _close(
+    a: Array,
+    b: Array | None,
+    known: float,
+    allowed: Allowed,
+    margin: float,
+    metric: Metric,
+    depth: int,
+    bodies: int,
+) -> Pairs | None:
+    """Return the pairs whose boxes over a span may be closest, or None where it is to be cut."""
+    middle = len(a) // 2
+    there = None if b is None else b[middle]
+    attained = min(known, _attained(a[middle], there, allowed, metric))
+    cutoff = metric.reach(attained + margin) * (1.0 + SLACK)
+    drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
+    boxes = _whole_boxes(a - drift)
+    others = None if b is None else _whole_boxes(b - drift)
+    if len(a) > 1:
+        return few_close_pairs(boxes, others, cutoff, QUIET * bodies)
+    moving = np.median(0.5 * np.max(np.ptp(a[0] - drift[0], axis=-1), axis=(1, 2)))
+    if depth < MAX_DEPTH and moving > 0.25 * cutoff:
+        return few_close_pairs(boxes, others, cutoff, CROWD * bodies)
+    return close_pairs(boxes, others, cutoff)
 
 
 def _near(
@@ -240,6 +285,12 @@ def _boxes(corners: Array) -> Array:
     """Return the boxes (2, 3, pieces, bodies), lower and upper, of bodies (pieces, bodies, …)."""
     each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
     return np.stack([each.min(axis=0), each.max(axis=0)])
+
+
+def _whole_boxes(corners: Array) -> Boxes:
+    """Return the boxes over all of the pieces of bodies (pieces, bodies, …)."""
+    lower, upper = _boxes(corners)
+    return Boxes(lower.min(axis=1).T, upper.max(axis=1).T)
 
 
 def _cells(
