@@ -38,6 +38,9 @@ SLOPES, CARRIED = (0.0, 0.3, 0.6), 0.25
 """Level acceleration over that of sinking with which a team that brakes is carried on, and how far
 that takes it [m]."""
 
+WORTH = 0.05
+"""[m] Depth that being carried on has to gain: it leaves the plan's path."""
+
 SAMPLE, LATER = 0.01, 0.05
 """[s] Distance of the samples of a stop, and of the times at which sinking is tried to begin."""
 
@@ -199,6 +202,7 @@ def deepest_first(stoppings: Sequence[Stopping], first: float, swung: float) -> 
                 if not np.any(kept):
                     break
             heights = shift.at(np.clip(swung - begins, 0.0, shift.duration))[:, 2]
+            heights += WORTH if any(onward) else 0.0
             for begin, height in zip(begins[kept].tolist(), heights[kept].tolist(), strict=True):
                 found.append((height, Sinking(stopping, begin, share, onward)))
     found.sort(key=lambda each: (each[0], each[1].begin, -each[1].share))
