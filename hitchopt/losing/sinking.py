@@ -107,7 +107,7 @@ class Sinking:
 
     @cached_property
     def shift(self) -> PiecewisePolynomial:
-        """By how much all of the team is off its plan, (3,) [m], from ``begin`` on."""
+        """Offset of all of the team from its plan, (3,) [m], from ``begin`` on."""
         limits, slope = self.stopping.motion.requirements.limits, math.hypot(*self.onward)
         share = self.share / math.hypot(slope, 1.0)
         bounds = limits.speed, limits.acceleration, limits.jerk
