@@ -27,8 +27,9 @@ ROUNDS = 60
 GAIN = 1e-6
 """Smallest relative gain of merit that counts: a mirror image gains less."""
 
-SETTLED = 1e-9
-"""[m] Largest change of a leg in the last round."""
+SETTLED, QUICKLY_SETTLED = 1e-9, 1e-5
+"""[m] Largest change of a leg in the last round; and where the first split that keeps the margin is
+taken: a round that changes so little does not raise the margin either."""
 
 
 def split_slack(task: LegTask) -> LegLengths:
@@ -147,7 +148,7 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
 
     Or the ``first`` ones on the way that keep the margin.
     """
-    d = start
+    d, settled = start, QUICKLY_SETTLED if first else SETTLED
     for _ in range(ROUNDS):
         check_time()
         x = solve_qp(leg_program(task, bodies, d))
@@ -156,6 +157,6 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
         moved = x[: d.size].reshape(d.shape)
         step = float(np.max(np.abs(moved - d)))
         d = moved
-        if step < SETTLED or (first and bodies.margin(task, d) >= task.wanted * (1.0 - 1e-9)):
+        if step < settled or (first and bodies.margin(task, d) >= task.wanted * (1.0 - 1e-9)):
             break
     return LegLengths(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))

@@ -13,6 +13,7 @@ drone has to reach the ground before its cable is taut, since no drone carries t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -24,7 +25,7 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN, free_fall, resting_place
 from hitchopt.losing.reaction_records import Course, Held, Reaction
-from hitchopt.losing.sinking import SHARE, alone, deepest_first, landed, stopped, sunk
+from hitchopt.losing.sinking import SHARE, Sinking, alone, deepest_first, landed, stopped, sunk
 from hitchopt.losing.swinging import LEAST_LEG, swings
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
@@ -119,19 +120,19 @@ class Reactions:
         stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
         first = stoppings[0]
         tries = deepest_first(stoppings, begins, time + SWUNG)[:TRIES]
-        tries.append((first, first.motion.duration, SHARE))
+        tries.append(Sinking(first, first.motion.duration, SHARE))
         if motion.team.has_cables and not first.motion.phases[-1].formed:
-            tries = [(first, first.motion.duration, 0.0)]  # cables are not dragged over the ground
+            tries = [replace(tries[-1], share=0.0)]  # cables are not dragged over the ground
         refusal: Check | None = None
-        for stopping, start, share in tries:
-            held = followed(stopping.motion, resting(stopping.motion, HOLD))
-            sinking = sunk(stopping, min(start, held.duration), share) if share else held
+        for each in tries:
+            held = followed(each.stopping.motion, resting(each.stopping.motion, HOLD))
+            sinking = sunk(each) if each.share else held
             checks = list(_checks(sinking, SUNK))
             landing = tuple(alone(sinking, landed(sinking)))
             checks += [check for part in landing for check in _checks(part, LANDED)]
             broken = next((check for check in checks if not check.holds), None)
             if broken is None:
-                return Course(time, begins, sinking, landing, share, tuple(checks))
+                return Course(time, begins, sinking, landing, each.share, tuple(checks))
             refusal = refusal or broken
         raise _none(time, _words(refusal))
 

@@ -1,26 +1,30 @@
 """What survivors fly: the plan's clock stops, and all of the team sinks to the ground together.
 
 A team that sinks as a whole keeps all its distances. While it gathers speed, what falls is lighter
-for it: at 2 m/s² a lost drone pulls at its cable with four fifths of its weight.
+for it: at 2 m/s² a lost drone pulls at its cable with four fifths of its weight. Where a plan
+brakes at its limit nothing is left to sink with straight down, but there is along a slope: a team
+that is carried on while it sinks brakes less.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import cached_property
+from itertools import pairwise, product
 
 import numpy as np
 
 from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
+from hitchopt.geometry.vectors import dot
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.requirements import Limits
 from hitchopt.stopping.abort import until_stop
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array
 
@@ -29,6 +33,13 @@ SHARE = 0.97
 
 SHARES = (SHARE, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12)
 """Shares of the limits that sinking is tried with while the clock slows down."""
+
+SLOPES, CARRIED = (0.0, 0.3, 0.6), 0.25
+"""Level acceleration over that of sinking with which a team that brakes is carried on, and how far
+that takes it [m]."""
+
+WORTH = 0.05
+"""[m] Depth that being carried on has to gain: it leaves the plan's path."""
 
 SAMPLE, LATER = 0.01, 0.05
 """[s] Distance of the samples of a stop, and of the times at which sinking is tried to begin."""
@@ -70,56 +81,97 @@ def stopped(motion: Motion, stops: StopTable, time: float, longer: float = 1.0) 
     return Stopping(*until_stop(whole, start, duration, REST))
 
 
-def sunk(stopping: Stopping, begin: float, share: float) -> Motion:
-    """Return a plan that stops and sinks from a time on until its lowest drone is on the ground.
+@dataclass(frozen=True)
+class Sinking:
+    """How a team sinks while a plan stops.
 
-    Parameters
+    Attributes
     ----------
-    begin: [s]
+    stopping: the plan.
+    begin: from when on [s].
     share: of the limits of speed, acceleration and jerk that sinking takes.
+    onward: level x and y of the acceleration by which the team is carried on, over its own.
     """
-    motion, limits = stopping.motion, stopping.motion.requirements.limits
-    heights = motion.drones.coefficients[-1, :, 2, -1]
-    depth = float(np.min(heights)) - motion.requirements.floor
-    if depth <= LEAST:
+
+    stopping: Stopping
+    begin: float
+    share: float
+    onward: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def depth(self) -> float:
+        """How far the lowest drone is above the ground [m]."""
+        motion = self.stopping.motion
+        heights = motion.drones.coefficients[-1, :, 2, -1]
+        return float(np.min(heights)) - motion.requirements.floor
+
+    @cached_property
+    def shift(self) -> PiecewisePolynomial:
+        """Offset of all of the team from its plan, (3,) [m], from ``begin`` on."""
+        limits, slope = self.stopping.motion.requirements.limits, math.hypot(*self.onward)
+        share = self.share / math.hypot(slope, 1.0)
+        bounds = limits.speed, limits.acceleration, limits.jerk
+        down = fastest_clock(self.depth, *(share * bound for bound in bounds))
+        if slope == 0.0:
+            return _along(down, np.array([0.0, 0.0, -1.0]))
+        level = fastest_clock(CARRIED, *(share * slope * bound for bound in bounds))
+        level, down = _as_long(level, down), _as_long(down, level)
+        breaks = merged_breaks([level.breaks, down.breaks])
+        level, down = (
+            _along(on_breaks(part, breaks), direction)
+            for part, direction in (
+                (level, np.array([*self.onward, 0.0]) / slope),
+                (down, np.array([0.0, 0.0, -1.0])),
+            )
+        )
+        return PiecewisePolynomial(breaks, level.coefficients + down.coefficients)
+
+
+def _along(distance: PiecewisePolynomial, direction: Array) -> PiecewisePolynomial:
+    """Return the points (3,) at a distance in a direction."""
+    return PiecewisePolynomial(distance.breaks, direction[:, None] * distance.coefficients[:, None])
+
+
+def _as_long(distance: PiecewisePolynomial, other: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return a distance that rests at its end until another one has ended."""
+    if distance.duration >= other.duration - JOINT:
+        return distance
+    rest = PiecewisePolynomial.constant(
+        [0.0, other.duration - distance.duration], distance.coefficients[-1, ..., -1]
+    )
+    return joined([distance, rest])
+
+
+def sunk(sinking: Sinking) -> Motion:
+    """Return a plan that stops and sinks until its lowest drone is on the ground."""
+    motion, begin = sinking.stopping.motion, sinking.begin
+    if sinking.depth <= LEAST:
         return followed(motion, resting(motion, REST))
-    clock = _descent(limits, depth, share)
-    end = begin + clock.duration + REST
+    shift = sinking.shift
+    end = begin + shift.duration + REST
     if end > motion.duration + JOINT:
         motion = followed(motion, resting(motion, end - motion.duration))
-    last = motion.duration
-    times = [np.array([0.0, begin]) if begin > JOINT else np.array([0.0]), begin + clock.breaks]
-    edges = np.concatenate([times[0][:1], times[0][1:], times[1][1:], [last]])
-    c = clock.coefficients
-    flat = np.ones(c.shape[-1])
-    rows = [0.0 * flat[None]] * (begin > JOINT) + [c, depth * flat[None]]
-    profile = PiecewisePolynomial(edges, np.concatenate(rows))
-    breaks = merged_breaks([motion.drones.breaks, edges])
-    lower = on_breaks(profile, breaks)
+    parts = [PiecewisePolynomial.constant([0.0, begin], np.zeros(3))] if begin > JOINT else []
+    rest = [0.0, motion.duration - begin - shift.duration]
+    parts += [shift, PiecewisePolynomial.constant(rest, shift.coefficients[-1, ..., -1])]
+    whole = joined(parts)
+    whole = PiecewisePolynomial(np.append(whole.breaks[:-1], motion.duration), whole.coefficients)
+    breaks = merged_breaks([motion.drones.breaks, whole.breaks])
+    moved = on_breaks(whole, breaks)
     finer = motion.changed(lambda part: on_breaks(part, breaks), motion.phases)
 
-    def lowered(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        degree = max(part.degree, lower.degree)
-        down = lower.elevated(degree).coefficients
-        coefficients = part.elevated(degree).coefficients.copy()
-        coefficients[:, :, 2] -= down[:, None]
-        return PiecewisePolynomial(breaks, coefficients)
+    def shifted(part: PiecewisePolynomial) -> PiecewisePolynomial:
+        degree = max(part.degree, moved.degree)
+        by = moved.elevated(degree).coefficients[:, None]
+        return PiecewisePolynomial(breaks, part.elevated(degree).coefficients + by)
 
-    return replace(finer, drones=lowered(finer.drones), vertices=lowered(finer.vertices))
+    return replace(finer, drones=shifted(finer.drones), vertices=shifted(finer.vertices))
 
 
-def _descent(limits: Limits, depth: float, share: float) -> PiecewisePolynomial:
-    """Return how far a team has sunk [m], to a depth [m], with a share of the limits."""
-    kept = (share * limits.speed, share * limits.acceleration, share * limits.jerk)
-    return fastest_clock(depth, *kept)
+def deepest_first(stoppings: Sequence[Stopping], first: float, swung: float) -> list[Sinking]:
+    """Return how a team may sink, the deepest sunk at a time first.
 
-
-def deepest_first(
-    stoppings: Sequence[Stopping], first: float, swung: float
-) -> list[tuple[Stopping, float, float]]:
-    """Return stops, times from which on to sink [s] and shares, the deepest sunk at a time first.
-
-    Left out are those that break a limit at samples: what is left of the limits while a plan stops
+    Left out is what breaks a limit at samples: what is left of the limits while a plan stops
     changes, and to begin later with more of them may sink the team sooner.
 
     Parameters
@@ -127,29 +179,44 @@ def deepest_first(
     first: earliest time to sink [s].
     swung: time at which the depth counts [s].
     """
-    found: list[tuple[float, Stopping, float, float]] = []
+    found: list[tuple[float, Sinking]] = []
     for stopping in stoppings:
         motion, limits = stopping.motion, stopping.motion.requirements.limits
-        depth = float(np.min(motion.drones.coefficients[-1, :, 2, -1])) - motion.requirements.floor
-        if depth <= LEAST:
+        if Sinking(stopping, first, SHARE).depth <= LEAST:
             continue
         bounds = limits.speed, limits.acceleration, limits.jerk
         t = np.append(np.arange(first, motion.duration, SAMPLE), motion.duration)
         flown = [motion.drones.at(t, order) for order in (1, 2, 3)]
-        for share in SHARES:
-            descent = _descent(limits, depth, share)
-            for begin in np.append(np.arange(first, motion.duration, LATER), motion.duration):
-                since = np.clip(t - begin, 0.0, descent.duration)
-                moves = (t > begin) & (t < begin + descent.duration)
-                kept = True
-                for order, (values, bound) in enumerate(zip(flown, bounds, strict=True), 1):
-                    down = np.where(moves, descent.at(since, order), 0.0)
-                    sums = values - down[:, None, None] * [0.0, 0.0, 1.0]
-                    kept &= bool(np.max(np.sum(sums**2, axis=-1)) <= bound**2)
-                if kept:
-                    at = np.clip([swung - begin], 0.0, descent.duration)
-                    found.append((-float(descent.at(at)[0]), stopping, float(begin), share))
-    return [each[1:] for each in sorted(found, key=lambda each: (each[0], each[2], -each[3]))]
+        begins = np.append(np.arange(first, motion.duration, LATER), motion.duration)
+        for onward, share in product(_onward(flown[1]), SHARES):
+            shift = Sinking(stopping, first, share, onward).shift
+            since = t - begins[:, None]
+            moves = (since > 0.0) & (since < shift.duration)
+            since = np.clip(since, 0.0, shift.duration)
+            kept = np.ones(len(begins), dtype=np.bool_)
+            for order in (2, 3, 1):  # accelerations leave out most
+                by = np.where(moves[..., None], shift.at(since, order), 0.0)
+                for i in np.flatnonzero(kept):
+                    sums = flown[order - 1] + by[i, :, None]
+                    kept[i] = np.max(dot(sums, sums)) <= bounds[order - 1] ** 2
+                if not np.any(kept):
+                    break
+            heights = shift.at(np.clip(swung - begins, 0.0, shift.duration))[:, 2]
+            heights += WORTH if any(onward) else 0.0
+            for begin, height in zip(begins[kept].tolist(), heights[kept].tolist(), strict=True):
+                found.append((height, Sinking(stopping, begin, share, onward)))
+    found.sort(key=lambda each: (each[0], each[1].begin, -each[1].share))
+    return [sinking for _, sinking in found]
+
+
+def _onward(accelerations: Array) -> list[tuple[float, float]]:
+    """Return where a team may be carried on that stops with accelerations (times, drones, 3)."""
+    against = -np.mean(accelerations[..., :2], axis=(0, 1))
+    size = float(np.linalg.norm(against))
+    if size <= LEAST:
+        return [(0.0, 0.0)]
+    x, y = (against / size).tolist()
+    return [(slope * x, slope * y) for slope in SLOPES]
 
 
 def landed(motion: Motion) -> list[PiecewisePolynomial]:

@@ -27,6 +27,9 @@ POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 FURTHER = ("leg_tensions", "poses", "borne", "contacts")
 """Fields that are polynomials where cables slide against friction, or objects are held."""
 
+ROUNDED = 2.0**-40
+"""Shares of a weight this close to 0 or 1 are just that: written in another degree they round."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion(OneLine):
@@ -167,9 +170,14 @@ class Motion(OneLine):
 
     @property
     def object_shares(self) -> PiecewisePolynomial:
-        """The shares of objects' weights that clasps carry, as ``borne``, also where all are 0."""
+        """The shares of objects' weights that clasps carry, as ``borne``, also where all are 0.
+
+        Those that differ from 0 or 1 by rounding alone are 0 or 1.
+        """
         if self.borne is not None:
-            return self.borne
+            c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
+            shares = np.where(np.abs(c - nearest) <= ROUNDED, nearest, c)
+            return PiecewisePolynomial(self.borne.breaks, shares)
         count = len(self.requirements.objects)
         return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
 

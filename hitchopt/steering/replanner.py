@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,8 @@ from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steering.goal_distances import clearly_too_close
 from hitchopt.steering.retarget import (
-    DISTANCES,
+    BRAKES,
+    FIRST,
     IN_FLIGHT,
     NotNowError,
     Retarget,
@@ -33,7 +35,7 @@ from hitchopt.steering.retarget import (
     certified_retarget,
 )
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import shortest_shift
+from hitchopt.steering.retarget_timing import brakes, shortest_shift
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -117,7 +119,7 @@ class Replanner(OneLine):
     def _load(self) -> None:
         """Load compiled code, or compile it, before the first goal is given."""
         with suppress(NotNowError):
-            state = self._state(self.motion)
+            state = self._still(self.motion).state
             path = RetargetPath.to(self.motion.team, state, self._goal, 0.0)
             shortest_shift(path, self.requirements.planned.limits, 1.0)
 
@@ -217,8 +219,11 @@ class Replanner(OneLine):
     ) -> tuple[Retarget, Hitch]:
         """Return the answer of a plan that leaves the present one at a time, and its goal."""
         past = self._past(at)
-        state = self._state(past)
-        team, need = past.team, self.requirements
+        still = self._still(past)
+        state, team, need = still.state, past.team, self.requirements
+        durations = tuple(islice(brakes(still, need.planned.limits), BRAKES))
+        if not durations:
+            raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
         refused: tuple[RetargetPath, float] | None = None
@@ -237,19 +242,19 @@ class Replanner(OneLine):
                 if hopeless:
                     continue
             path = RetargetPath.to(team, state, end, yaw)
-            found, brake = braked_retarget(past, path, need)
+            found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
                 return found, end
             if refusal is None:
                 refusal, refused = found, (path, brake)
         if given is not None and hopeless:  # planned only to say what keeps it
             path = RetargetPath.to(team, state, given, yaw)
-            found, brake = braked_retarget(past, path, need)
+            found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
                 return found, given
             refusal, refused = found, (path, brake)
         assert refusal is not None
-        if refused and all(each.constraint in DISTANCES for each in refusal.violations):
+        if refused and all(each.constraint in FIRST for each in refusal.violations):
             found = certified_retarget(past, *refused, need)  # all that is to be said of it
             refusal = found if isinstance(found, InfeasibleError) else refusal
         raise refusal
@@ -276,8 +281,8 @@ class Replanner(OneLine):
         phase = replace(self.motion.phases[-1], name="hold", remark="")
         return followed(self.motion, resting(self.motion, at - duration, phase))
 
-    def _state(self, past: Motion) -> MovingState:
-        """Return the state at the end of a motion.
+    def _still(self, past: Motion) -> RetargetPath:
+        """Return the path that ends where a motion does, from the state there.
 
         Raises
         ------
@@ -292,4 +297,4 @@ class Replanner(OneLine):
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
         if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
-        return state
+        return still

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.shared_values import shared_values
+from hitchopt.checks.certificate import Check
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import Findings, Found
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
@@ -23,7 +25,7 @@ from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering.retarget_path import RetargetPath
-from hitchopt.steering.retarget_timing import brakes, shortest_shift
+from hitchopt.steering.retarget_timing import shortest_shift
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
@@ -47,7 +49,10 @@ SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust":
 """Checks that a longer shift eases, and the power of the duration with which they fall."""
 
 DISTANCES = ("separation", "cable_clearance", "crossing")
-"""Checks of what neither eases, looked at first: another path is tried where one is broken."""
+"""Checks of what neither eases: another path is tried where one is broken."""
+
+FIRST = (*DISTANCES, *SLOWER)
+"""Checks that are looked at first, distances before all: where one is broken, others may wait."""
 
 BRAKES = 3
 """Brakes that are tried, from the shortest on, where limits of motion are broken."""
@@ -95,24 +100,23 @@ class NotNowError(Exception):
 
 
 def braked_retarget(
-    past: Motion, path: RetargetPath, requirements: Requirements
+    past: Motion, path: RetargetPath, durations: Sequence[float], requirements: Requirements
 ) -> tuple[Retarget | InfeasibleError, float]:
     """Return the answer for a path, or the first refusal, and the brake [s] that it is for.
 
-    Raises
-    ------
-    NotNowError: no brake keeps all limits.
+    Parameters
+    ----------
+    durations: of the brakes that are tried [s], at least one.
     """
     first: tuple[InfeasibleError, float] | None = None
-    for brake in islice(brakes(path, requirements.planned.limits), BRAKES):
+    for brake in durations:
         found = certified_retarget(past, path, brake, requirements, complete=False)
         if isinstance(found, Retarget):
             return found, brake
         first = first or (found, brake)
         if not {each.constraint for each in found.violations} <= SLOWER.keys():
             break
-    if first is None:
-        raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+    assert first is not None
     return first
 
 
@@ -132,7 +136,7 @@ def certified_retarget(
     path: from its end.
     brake: duration of the brake [s].
     requirements: what the plan must satisfy.
-    complete: whether an error tells all that keeps it; else a distance that is too small may do.
+    complete: whether an error tells all that keeps it; else what is looked at first may do.
     """
     shift = shortest_shift(path, requirements.planned.limits, brake)
     if shift is None:
@@ -145,13 +149,12 @@ def certified_retarget(
         fresh = flying(flight, path.team, requirements, [phase])
         ahead = followed(recent, fresh)
         checked = ahead.untimed
-        known = {name: RULE_OF[name].findings(checked) for name in DISTANCES}
-        short = [each.check for found in known.values() for each in found]
-        short = [check for check in short if not check.holds]
-        if short and not complete:
-            return infeasible(Certificate(ahead.duration, tuple(short)), ahead)
         with shared_values():
-            certificate = certify(checked, reports=(), known=known)
+            known, short = _looked_at(checked, complete=complete)
+            if short and not complete:
+                certificate = Certificate(ahead.duration, short)
+            else:
+                certificate = certify(checked, reports=(), known=known)
             if certificate.certified:
                 stops = tuple(report.check(checked, {}, GAMMA) for report in IN_FLIGHT)
                 certificate = replace(certificate, checks=(*certificate.checks, *stops))
@@ -173,6 +176,22 @@ def certified_retarget(
         finer *= 0.5 if broken.keys() & FINER else 1.0
     assert error is not None
     return error
+
+
+def _looked_at(motion: Motion, *, complete: bool) -> tuple[Findings, tuple[Check, ...]]:
+    """Return what the rules that are looked at FIRST find, and the checks that do not hold.
+
+    Up to the first kind of which some do not, unless all are asked for.
+    """
+    known: dict[str, Sequence[Found]] = {}
+    short: list[Check] = []
+    for names in (DISTANCES, SLOWER):
+        for name in names:
+            known[name] = RULE_OF[name].findings(motion)
+            short += [each.check for each in known[name] if not each.check.holds]
+        if short and not complete:
+            break
+    return known, tuple(short)
 
 
 def _breaks(brake: float, shift: float, finer: float, *, moving: bool) -> Array:

@@ -7,7 +7,7 @@ hitch that is to be turned keeps its shape.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -113,11 +113,6 @@ class RetargetPath:
         left = _turn(state.vertices[:, :2, 0], end.vertices[:, :2])
         left += 2.0 * np.pi * np.round((yaw - left) / (2.0 * np.pi))
         return cls(team, state, end.vertices, end.fractions, left)
-
-    @cached_property
-    def braked(self) -> RetargetPath:
-        """The path on which the state comes to rest wherever that is."""
-        return replace(self, yaw=0.0)
 
     @cached_property
     def _change(self) -> SmoothChange:

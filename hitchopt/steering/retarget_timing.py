@@ -74,13 +74,18 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     return most if math.isfinite(most) else math.inf
 
 
-def brakes(path: RetargetPath, limits: Limits) -> Iterator[float]:
-    """Yield the durations [s] of BRAKES in which the state comes to rest within the limits."""
-    if not path.state.moves:
+def brakes(still: RetargetPath, limits: Limits) -> Iterator[float]:
+    """Yield the durations [s] of BRAKES in which the state comes to rest within the limits.
+
+    Parameters
+    ----------
+    still: a path from the state that does not turn; where it leads makes no difference.
+    """
+    if not still.state.moves:
         yield BRAKES[0]
         return
     left = []
-    for brake, found in zip(BRAKES, _excesses(path.braked, limits), strict=True):
+    for brake, found in zip(BRAKES, _excesses(still, limits), strict=True):
         if found <= BRAKE_SHARES[0]:
             yield brake
         elif found <= BRAKE_SHARES[1]:

@@ -13,6 +13,10 @@ from hitchopt.values import Array
 SHORTEST = 1e-9
 """[s] Phases of a profile that are shorter are dropped."""
 
+SAME = 1e-9
+"""Rates closer than this to the fastest one are that: ruckig brakes for a rate that is faster by
+rounding, and leaves a slope that adds up along the way."""
+
 
 def to_rate(jet: Array, rate: float, acceleration: float, jerk: float) -> ClockPhases | None:
     """Return the fastest change to a constant rate; None if there is none.
@@ -39,7 +43,10 @@ def to_time(
 
     task = InputParameter(1)
     task.max_velocity, task.target_position = [fastest], [time]
-    return _profile(task, jet, acceleration, jerk)
+    begin = np.array(jet[:3])
+    if abs(abs(begin[1]) - fastest) <= SAME:
+        begin[1] = math.copysign(fastest, begin[1])
+    return _profile(task, begin, acceleration, jerk)
 
 
 def _profile(task: object, jet: Array, acceleration: float, jerk: float) -> ClockPhases | None:

@@ -16,6 +16,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects.placing import in_frame
 from hitchopt.planners.carrying.held_motion import GENTLE
+from hitchopt.stopping.abort import Aborts
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -211,6 +212,25 @@ def test_distances_are_below_all_samples(motion: Motion) -> None:
 def shares(motion: Motion, value: float) -> PiecewisePolynomial:
     assert motion.borne is not None
     return PiecewisePolynomial(motion.borne.breaks, value * motion.borne.coefficients)
+
+
+def test_stops_after_the_tray_was_carried_are_certified(motion: Motion) -> None:
+    """A stop joins polynomials of other degrees, which must not round what is borne as a whole."""
+    leave = motion.phases[-1]
+    assert leave.name == "leave"
+    held = Aborts(motion).found(leave.start + 0.3, "hold")
+    assert held.start < leave.start + 0.8
+    assert held.rest < motion.duration - 0.1
+
+
+def test_shares_differ_from_one_by_more_than_rounding(motion: Motion) -> None:
+    assert motion.borne is not None
+    rounded = replace(motion, borne=shares(motion, 1.0 - 1e-15)).object_shares.coefficients
+    whole = motion.borne.coefficients == 1.0
+    assert np.any(whole)
+    np.testing.assert_array_equal(rounded[whole], 1.0)
+    less = replace(motion, borne=shares(motion, 1.0 - 1e-9)).object_shares.coefficients
+    assert np.all(less[whole] < 1.0)
 
 
 @pytest.mark.parametrize("kind", ["half borne", "not borne", "not held", "elsewhere", "apart"])

@@ -13,10 +13,11 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
+from hitchopt.losing import sinking
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place
 from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, SWUNG, Reactions
-from hitchopt.losing.sinking import stopped
+from hitchopt.losing.sinking import CARRIED, SLOPES, stopped
 from hitchopt.losing.survivable import survivable
 from hitchopt.losing.swinging import swings, swung
 from hitchopt.motion.motion import Motion, Phase
@@ -71,6 +72,24 @@ def test_survivors_sink_while_the_plan_still_stops() -> None:
     heights = course.sinking.drones.at([time, time + SWUNG])[:, 0, 2]
     assert still.motion.duration > time + SWUNG
     assert heights[0] - heights[1] > 0.1
+
+
+def test_a_team_that_brakes_is_carried_on_while_it_sinks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Straight down nothing is left to sink with before the plan has come to rest."""
+    motion = plan_of(2.4).motion
+    time = motion.duration - 0.5
+    sunk_by = []
+    for slopes in ((0.0,), SLOPES):
+        monkeypatch.setattr(sinking, "SLOPES", slopes)
+        flown = Reactions(motion).course(time).sinking.drones
+        heights = flown.at([time, time + SWUNG])[:, 0, 2]
+        sunk_by.append(heights[0] - heights[1])
+    assert sunk_by[0] < 0.05
+    assert sunk_by[1] > 0.15
+    carried = (flown.at(flown.duration) - motion.drones.at(motion.duration))[0, :2]
+    assert np.linalg.norm(carried) == pytest.approx(CARRIED)
+    speed = motion.drones.at(time, 1)[0, :2]
+    assert carried @ speed == pytest.approx(CARRIED * np.linalg.norm(speed))
 
 
 def test_a_lost_drone_is_held_where_it_hangs_still() -> None:

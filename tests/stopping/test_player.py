@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.checks.bounds.clock_stops import StopTable
+from hitchopt.stopping.clock_profiles import to_time
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -154,3 +155,14 @@ def test_wrong_arguments_are_named(call, key) -> None:  # type: ignore[no-untype
     with pytest.raises(ho.InputError) as found:
         call()
     assert found.value.key == key
+
+
+@pytest.mark.parametrize("off", [2.3e-16, 4.5e-16, -1.2e-16, 3e-13])
+def test_a_rate_that_is_off_by_rounding_leads_to_rest(off: float) -> None:
+    """A clock that is led to a place from far comes to rest there, not to a last slow creep."""
+    jet = np.array([1.95, 1.0 + off, 0.0])
+    for duration in (0.1, 0.3, 1.0):
+        found = to_time(jet, 48.0, 1.0, 2.0 / duration, 4.0 / duration**2)
+        assert found is not None
+        assert found.ends[-1, 0] == pytest.approx(48.0, abs=1e-9)
+        assert abs(found.ends[-1, 1]) <= 1e-9

@@ -48,7 +48,6 @@ class DerivativeGrid:
     slope, bend: (pieces, drones), bounds of the norms of the static thrusts' derivatives.
     sizes: (3, drones, cells), bounds of the norms of the derivatives of orders 1 to 3 by plan time.
     largest: (3, cells), the largest of all drones.
-    leading: the drones (k,) that have one of these somewhere.
     """
 
     def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
@@ -83,9 +82,13 @@ class DerivativeGrid:
         )
         self.sizes = self._bounded(limits.margins)
         self.largest = np.max(self.sizes, axis=1)
+
+    @cached_property
+    def leading(self) -> Indices:
+        """The drones (k,) that have the largest of ``sizes`` somewhere."""
         count = max(1, BLOCK // len(self.fourth[0]))
-        some = [self.sizes[..., cell : cell + count] for cell in range(0, len(x), count)]
-        self.leading = np.unique(np.concatenate([np.argmax(each, axis=1) for each in some], axis=1))
+        some = [self.sizes[..., cell : cell + count] for cell in range(0, len(self.piece), count)]
+        return np.unique(np.concatenate([np.argmax(each, axis=1) for each in some], axis=1))
 
     @property
     def _stored(self) -> bool:
