@@ -110,6 +110,8 @@ CASES = {
     "drum-3-rough": Case(DISC, 3, 1.6, 0.56, 0.25, 0.1453, 0.45),
     "drum-3-even": Case(DISC, 3, 1.6, 0.56, 0.05, 0.2187, 0.45, tension=1.1),
     "drum-3-small": Case({"circle": 0.15}, 3, 1.4, 0.5, 0.10, 0.2024, 0.45),
+    "drum-3-medium": Case({"circle": 0.17}, 3, 1.5, 0.5, 0.15, 0.2, 0.45),
+    "drum-3-wide": Case({"circle": 0.23}, 3, 1.75, 0.62, 0.15, 0.279, 0.45),
     "box-4": Case(BOX, 4, 1.3, 0.46, 0.15, 0.1784, 0.7),
 }
 """The first one is that by which the law was found; the others were chosen before they were flown,
