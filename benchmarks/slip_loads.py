@@ -1,0 +1,300 @@
+"""Slip loads of grips: simulated, and predicted from the friction of cables at their clasps.
+
+Usage: python -m benchmarks.slip_loads [CASE ...] [--preset NAME]
+
+A calm flight each: the object is planned three times as rough, gripped, lifted by 10 cm and held,
+while its friction falls by 0.03 a second until it slips. Its weight is the slip load at that
+friction. ``grip_history`` predicts it from the plan's drones and tensions, for cables as thick as
+simulated ones. A run is written to benchmarks/results/slip_loads.csv as it ends, not flown again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.carrying import SIDES, add_row, rows
+from benchmarks.carrying_loads import task_of
+from benchmarks.environment import busy, environment
+from benchmarks.grip_history import GripHistory, LoadedGrip
+from hitchopt.hitch import GRAVITY
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.plan import Plan
+from hitchopt.planning import solve
+from hitchopt.simulation.flight_task import Task
+from hitchopt.simulation.rope_flight import _Run
+from hitchopt.simulation.simulation_settings import PRESETS, Settings
+from hitchopt.values import Array
+
+RESULTS = Path(__file__).parent / "results"
+TABLE, SUMMARY = RESULTS / "slip_loads.csv", RESULTS / "slip_loads.md"
+
+COLUMNS = (
+    *("case", "preset", "mass_g", "friction", "predicted", "without_friction", "certified"),
+    *("load", "date"),
+)
+
+ROUGHER, BEGIN = 3.0, 1.35
+"""Friction planned with, and friction as the flight begins, over that at which a slip is due."""
+
+FALL = 0.03
+"""[1/s] Rate at which friction falls."""
+
+LOOSE, FALLING = 0.06, 0.01
+"""Depth [m] at which an object has slipped, and the speed [m/s] beyond which it slips."""
+
+PARTS = 16
+"""Parts in which the weight passes to the clasps of a prediction."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is gripped how.
+
+    Attributes
+    ----------
+    body: circle or outline.
+    robots: number n.
+    cable: length [m].
+    tied: radius [m] of the hitch that comes around it.
+    clasps: coefficient of friction of cables on each other.
+    mass: [kg]
+    friction: of the object, at which a slip is due.
+    tension: [N]
+    """
+
+    body: dict[str, Any]
+    robots: int
+    cable: float
+    tied: float
+    clasps: float
+    mass: float
+    friction: float
+    tension: float = 1.3
+
+    def problem(self) -> dict[str, Any]:
+        """Return the problem of a hitch that encloses, grips, lifts and holds it."""
+        angles = -2.0 * np.pi * np.arange(self.robots) / self.robots
+        polygon = self.tied * np.column_stack([np.cos(angles), np.sin(angles)])
+        rough = {"friction": ROUGHER * self.friction, "mass": self.mass, "at": [0.0, 0.0, 0.0]}
+        return {
+            "team": {
+                "robots": self.robots,
+                "cable_length": self.cable,
+                "cable_density": 0.01,
+                "tension": 1.0,
+                "cable_friction": self.clasps,
+            },
+            "limits": {"tilt_deg": 60},
+            "objects": {"held": {**self.body, **rough}},
+            "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 0.8}},
+            "mission": [
+                {"enclose": {"object": "held"}},
+                {"grasp": {"object": "held", "by": "grip", "tension": self.tension}},
+                {"lift": {"by": 0.1}},
+                {"hold": {"seconds": 20.0}},
+            ],
+        }
+
+
+DISC, BOX = {"circle": 0.2}, {"outline": SIDES}
+
+CASES = {
+    "drum-3": Case(DISC, 3, 1.6, 0.56, 0.15, 0.25, 0.445),
+    "drum-3-rough": Case(DISC, 3, 1.6, 0.56, 0.25, 0.1453, 0.45),
+    "drum-3-even": Case(DISC, 3, 1.6, 0.56, 0.05, 0.2187, 0.45, tension=1.1),
+    "drum-3-small": Case({"circle": 0.15}, 3, 1.4, 0.5, 0.10, 0.2024, 0.45),
+    "drum-3-medium": Case({"circle": 0.17}, 3, 1.5, 0.5, 0.15, 0.2, 0.45),
+    "drum-3-wide": Case({"circle": 0.23}, 3, 1.75, 0.62, 0.15, 0.279, 0.45),
+    "box-4": Case(BOX, 4, 1.3, 0.46, 0.15, 0.1784, 0.7),
+}
+"""The first one is that by which the law was found; the others were chosen before they were flown,
+and their masses such that the prediction for the friction is met."""
+
+
+BESIDES = """
+The last three are predicted over simulated slip loads. drum-3 led to the law; its flight began with
+a friction of 0.62, not 0.60. The other cases were written down, and predicted, before they were
+flown, drum-3-medium and drum-3-wide when the rest had been. A box on four cables with a friction of
+0.05 was to be another, and was not planned (separation, 0.996). The certificate's slip load is a
+lower bound, no prediction.
+
+States as predicted, and simulated, at the slip: wraps of 75° and 75° (drum-3), 60° and 58°
+(drum-3-rough), 66° and 67° (drum-3-small), 34° and 34° (box-4); edges pull with 1.05 and 1.09,
+0.77 and 0.78, 0.99 and 1.05, 0.84 and 0.88 times what legs do. As it has closed wraps are 63° and
+62°, 53° and 49°, 59° and 57°, 32° and 32°. What contacts press with, times friction, is the weight
+within 2.2 % where an object slips. While drums' hitches close and touch nothing yet, edges pull
+less than legs by as much as with 0.74, 0.77, 0.74 and 0.67 times their cables' friction (drum-3,
+-rough, -even and -small; medians of 9 to 22 samples); it is 0.71 where both cables slide alike.
+
+Of drum-3-even, whose cables hardly rub, the closed state is as predicted (72° and 71°), and that
+before it is off the ground: edges pull with 1.07 times what legs do, the largest ratio that
+friction allows being 1.08. As it is lifted it slips by 1.4 cm, and edges end at 1.00 and 72° in
+place of 77°, so the prediction is too high.
+
+At a friction of 0.5 the prediction for the drum of 0.2 m and clasps of 0.15 is 324 g: it grows with
+the load. 1.5 times as much (planned with a friction of 3) stayed on the ground in 4 of 4 perturbed
+flights (fast, 6200 to 6203); 352 g, 1.09 times as much, was lost in 20 of 20 (carrying_loads.md).
+
+box-4 holds more than its cables can: only nodes of ropes meet objects, and two that rest on both
+sides of a corner press on its faces, not on its edge. A rope of 10 mm segments that bends by 34° or
+74° about a corner of a fixed box, pulled by 1.3 N, pressed in all with 0.96 to 1.38 times `T θ`, by
+where its nodes were (1.00 on a disc); in the flight with 1.32 times. Rows of gripped boxes in other
+tables have this too.
+"""
+"""What the flights showed besides."""
+
+
+class _SlippedError(Exception):
+    """The object has slipped."""
+
+
+class _Falling(_Run):
+    """A flight in which an object's friction falls from a time on, until it slips."""
+
+    def begin(self, friction: float, time: float) -> None:
+        """Let friction fall from a value on, from a time [s] on."""
+        world = self._world
+        bodies = world.model.geom_bodyid
+        self._geoms = np.flatnonzero(np.isin(bodies, world.object_bodies))
+        self._friction, self._begin = friction, time
+        self._heights: list[tuple[float, float, float]] = []
+
+    def _step(self, time: float, index: int, pull: float, offset: Array | float = 0.0) -> None:
+        falling = max(time - self._begin, 0.0)
+        friction = self._friction - FALL * falling
+        self._world.model.geom_friction[self._geoms, 0] = friction
+        super()._step(time, index, pull, offset)
+        if falling > 0.0:
+            height = float(self._world.poses[0, 2])
+            self._heights.append((time, friction, height))
+            if height < self._heights[0][2] - LOOSE:
+                raise _SlippedError
+
+    @property
+    def slipped_at(self) -> float:
+        """Friction at which the object began to slip for good."""
+        t, friction, height = np.array(self._heights)[::10].T
+        slow = np.flatnonzero(np.gradient(height, t) > -FALLING)
+        return float(friction[slow[-1]])
+
+
+def simulated(plan: Plan, case: Case, settings: Settings) -> float:
+    """Return the friction at which the object slips; nan where it does not."""
+    task = task_of(plan)
+    friction = BEGIN * case.friction
+    body = replace(task.cargo.objects["held"], friction=friction)
+    task = replace(task, cargo=replace(task.cargo, objects={"held": body}))
+    run = _Falling(task, settings, None)
+    run.begin(friction, plan.motion.phases[-1].start + 0.3)
+    try:
+        run.fly()
+    except _SlippedError:
+        return run.slipped_at
+    return float("nan")
+
+
+def predicted(plan: Plan, case: Case, thickness: float) -> LoadedGrip:
+    """Return the state of a grip while it holds, by its history at the clasps."""
+    task = task_of(plan)
+    grasp, lift, hold = (
+        next(each for each in plan.motion.phases if each.name == name)
+        for name in ("grasp", "lift", "hold")
+    )
+    held = task.index(lift.start)
+    places = task.vertices[held]
+    level = places[:, 2].mean() - task.cargo.poses[held, 0, 2]
+    away = np.max(np.linalg.norm(task.vertices - places, axis=-1), axis=-1)
+    there = (task.t >= grasp.start) & (away < 1e-3)
+    lifting = np.flatnonzero((task.t >= lift.start) & (task.t <= hold.start))
+    borne = task.cargo.borne[lifting, 0]
+    parts = [lifting[np.argmax(borne >= i / PARTS)] for i in range(1, PARTS)]
+    history = GripHistory(
+        task.cargo.objects["held"].section, case.tension, case.clasps, 0.01, thickness
+    )
+    near = (1.0 + thickness / case.tied) * (places - task.cargo.poses[held, 0, :3])[:, :2]
+    closed = history.closed(_drones(task, int(np.argmax(there)), level), near)
+    drones = [_drones(task, int(i), level) for i in (*parts, task.index(hold.start + 0.1))]
+    return history.lifted(closed, drones, GRAVITY * case.mass)
+
+
+def _drones(task: Task, index: int, level: float) -> Array:
+    """Return drones (n, 2, 3) [m] about the object, above the plane where cables meet it."""
+    base = task.cargo.poses[index, 0, :3] + [0.0, 0.0, level]
+    drones: Array = task.setpoints.positions[index].reshape(-1, 2, 3) - base
+    return drones
+
+
+def fly(name: str, settings: Settings) -> None:
+    """Fly a case once, and add it to the table."""
+    case = CASES[name]
+    plan = solve(problem_from_dict(case.problem()))
+    friction = simulated(plan, case, settings)
+    weight = GRAVITY * case.mass
+    history = predicted(plan, case, settings.preset.diameter).slip_load(friction)
+    smooth = replace(case, clasps=0.0)
+    grips = [
+        plan.certificate["grip"] for plan in (solve(problem_from_dict(smooth.problem())), plan)
+    ]
+    shares = [(grip.worst or 0.0) * friction / (ROUGHER * case.friction) for grip in grips]
+    values = (
+        *(name, settings.preset.name, f"{1000.0 * case.mass:.1f}", f"{friction:.3f}"),
+        *(f"{share:.3f}" for share in (history / weight, *shares)),
+        *(f"{busy():.1f}", time.strftime("%Y-%m-%d")),
+    )
+    add_row(TABLE, COLUMNS, values)
+
+
+def summarise() -> None:
+    """Write the table of all runs so far."""
+    found = rows(TABLE)
+    days = ", ".join(sorted({row["date"] for row in found}))
+    lines = [
+        f"# Slip loads of grips, {days}",
+        "",
+        "`python -m benchmarks.slip_loads`",
+        "",
+        environment(("mujoco",)),
+        "- goal: predicted within 10 % of what is simulated",
+        "- limitations: one calm flight a case; drums on three cables and a box on four",
+        "- history: as friction leaves the clasps, cables sliding as the grip closes and sticking "
+        "as it lifts; without friction: `μ Σ T θ` of the plan of cables that do not rub; "
+        "certified: with the worst friction at the clasps",
+        "",
+        "| case | preset | cables' friction | mass [g] | slips at | history | without friction "
+        "| certified |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['case']} | {row['preset']} | {CASES[row['case']].clasps} | {row['mass_g']} "
+        f"| {row['friction']} | {row['predicted']} | {row['without_friction']} "
+        f"| {row['certified']} |"
+        for row in found
+    ]
+    SUMMARY.write_text("\n".join(lines) + "\n" + BESIDES, encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly the cases that are not in the table; return 0."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("cases", nargs="*", help=f"{', '.join(CASES)}; by default all")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="accurate")
+    given = parser.parse_args(arguments)
+    if not set(given.cases) <= set(CASES):
+        parser.error(f"cases are {', '.join(CASES)}")
+    settings = Settings(preset=PRESETS[given.preset], pull_test=False)
+    for name in given.cases or CASES:
+        if (name, given.preset) not in {(row["case"], row["preset"]) for row in rows(TABLE)}:
+            fly(name, settings)
+            summarise()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

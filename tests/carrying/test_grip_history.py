@@ -1,0 +1,134 @@
+"""Predicted slip loads: clasps that slide as a grip closes, and stick as it lifts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hitchopt as ho
+from benchmarks.grip_history import BOTH_SLIDE, GripHistory
+from hitchopt.holding.grip_statics import Grip
+from hitchopt.values import Array
+
+TENSION, FRICTION, RADIUS, OUT = 1.3, 0.15, 0.2, 0.221
+DISC = ho.Section(radius=RADIUS)
+BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
+RHOMBUS = np.array([[0, 0.27], [0.32, 0], [0, -0.27], [-0.32, 0]])
+
+
+def triangle(radius: float) -> Array:
+    angles = -2.0 * math.pi * np.arange(3) / 3
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def planned(section: ho.Section, vertices: Array, weight: float = 0.0) -> Array:
+    return Grip.of(section, vertices, 1.6, TENSION, weight=weight).drones
+
+
+def lifting(section: ho.Section, vertices: Array, weight: float, parts: int) -> Sequence[Array]:
+    return [planned(section, vertices, weight * i / parts) for i in range(1, parts + 1)]
+
+
+def units(vectors: Array) -> Array:
+    found: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return found
+
+
+def test_a_disc_is_closed_where_friction_balances_legs_and_edges() -> None:
+    drones = planned(DISC, triangle(OUT))
+    clasps = GripHistory(DISC, TENSION, FRICTION).closed(drones, triangle(OUT))
+    out = np.linalg.norm(clasps, axis=1)
+    assert np.ptp(out) < 1e-5 < out[0] - OUT
+    outward = clasps[0] / out[0]
+    legs = units(np.stack([drones[0, 0], drones[2, 1]]) - clasps[0])
+    legs_half = math.acos(float(np.mean(legs @ outward)))
+    edges_half = 0.5 * math.pi - math.acos(RADIUS / out[0])
+    least = math.exp(-FRICTION * (legs_half + edges_half) * math.sqrt(0.5))
+    assert math.cos(legs_half) == pytest.approx(least * math.cos(edges_half), rel=1e-4)
+
+
+def test_clasps_of_a_box_are_in_balance_where_it_is_closed_and_lifted() -> None:
+    history = GripHistory(BOX, TENSION, FRICTION, cable_density=0.01)
+    clasps = history.closed(planned(BOX, RHOMBUS), RHOMBUS)
+    weight = 0.6
+    grip = history.lifted(clasps, lifting(BOX, RHOMBUS, weight, 8), weight)
+    assert grip.imbalance < 1e-3
+    rises = np.stack([grip.vertices, np.roll(grip.vertices, -1, axis=0)], axis=1) - grip.departures
+    lifted = np.sum(grip.tensions[:, None] * units(rises)[..., 2])
+    assert lifted == pytest.approx(weight, abs=1e-3)
+
+
+def test_stuck_edges_around_a_box_keep_their_length() -> None:
+    history = GripHistory(BOX, TENSION, FRICTION)
+    clasps = history.closed(planned(BOX, RHOMBUS), RHOMBUS)
+    grip = history.lifted(clasps, lifting(BOX, RHOMBUS, 0.4, 4), 0.4)
+    onward = np.roll(clasps, -1, axis=0)
+    corners = grip.departures[:, 0, :2]
+    np.testing.assert_allclose(np.abs(corners), np.tile([0.2, 0.15], (4, 1)))
+    np.testing.assert_allclose(grip.departures[:, 1, :2], corners)  # each turns about one
+    np.testing.assert_allclose(grip.departures[..., 2], 0.0, atol=1e-12)
+    flat = [np.linalg.norm(each[:, :2] - corners, axis=1) for each in (clasps, onward)]
+    ends = np.stack([grip.vertices, np.roll(grip.vertices, -1, axis=0)], axis=1)
+    sloping = np.sum(np.linalg.norm(ends - grip.departures, axis=-1), axis=1)
+    np.testing.assert_allclose(sloping, np.sum(flat, axis=0), atol=1e-7)
+    assert np.all(np.linalg.norm(grip.vertices[:, :2], axis=1) < np.linalg.norm(clasps, axis=1))
+
+
+def test_stuck_clasps_at_a_disc_follow_their_differential_equation() -> None:
+    """Cable is laid on a disc with its slope, and ``cos φ_slope sin φ dρ + sin φ_slope dz = 0``."""
+    history = GripHistory(DISC, TENSION, clasp_friction=0.2)
+    first = history.closed(planned(DISC, triangle(OUT)), triangle(OUT))
+    grips = {
+        parts: history.lifted(first, lifting(DISC, triangle(OUT), 1.5, parts), 1.5)
+        for parts in (8, 32)
+    }
+
+    def rates(z: float, state: Array) -> list[float]:
+        out, laid = state
+        tangent = math.sqrt(out**2 - RADIUS**2)
+        slope = (z - laid) / tangent
+        inward = slope / (tangent / out)
+        return [-inward, slope * inward * RADIUS**2 / (out * tangent)]
+
+    begin = [float(np.linalg.norm(first[0])), 0.0]
+    errors = []
+    for grip in grips.values():
+        high = float(np.mean(grip.vertices[:, 2]))
+        followed = solve_ivp(rates, (0.0, high), begin, rtol=1e-9, atol=1e-12).y[:, -1]
+        out = float(np.mean(np.linalg.norm(grip.vertices[:, :2], axis=1)))
+        laid = float(np.mean(grip.departures[..., 2]))
+        assert begin[0] - out > 0.005
+        assert np.all(grip.wraps.angles > 0.5)
+        errors.append(max(abs(out - followed[0]), abs(laid - followed[1])))
+    assert errors[1] < 0.5 * errors[0] < 0.5 * 2e-3
+
+
+def test_cables_that_do_not_rub_pull_as_hard_as_legs() -> None:
+    history = GripHistory(DISC, TENSION, clasp_friction=0.0)
+    clasps = history.closed(planned(DISC, triangle(OUT)), triangle(OUT))
+    np.testing.assert_allclose(clasps[:, :2], triangle(OUT), atol=1e-4)
+    grip = history.lifted(clasps, lifting(DISC, triangle(OUT), 1.0, 8), 1.0)
+    np.testing.assert_allclose(grip.tensions, TENSION, rtol=1e-3)
+    assert grip.slip_load(0.5) == pytest.approx(0.5 * TENSION * np.sum(grip.wraps.angles), rel=1e-3)
+
+
+def test_thick_cables_are_farther_out_and_bend_round_a_grown_disc() -> None:
+    thin, thick = (
+        GripHistory(DISC, TENSION, FRICTION, thickness=thickness) for thickness in (0.0, 0.012)
+    )
+    drones = planned(DISC, triangle(OUT))
+    outs = [
+        np.linalg.norm(each.closed(drones, triangle(1.1 * OUT)), axis=1) for each in (thin, thick)
+    ]
+    assert np.all(outs[1] > outs[0] + 0.006)
+
+
+def test_friction_between_two_sliding_cables_acts_at_half_a_right_angle() -> None:
+    """Coulomb friction opposes the relative velocity of two perpendicular, alike fast cables."""
+    along, other = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    relative = along - other
+    assert units(relative) @ along == pytest.approx(BOTH_SLIDE)
