@@ -452,3 +452,21 @@ def test_legs_open_a_grip_to_less_than_half_of_the_weight(motion: Motion) -> Non
         angle.append(2.0 * math.pi / 3.0 - 2.0 * math.acos(RADIUS / x[here]))
     left = FRICTION * float(np.sum(np.max(legs[-1], axis=-1) * np.maximum(angle, 0.0)))
     assert left < 0.5 * MASS * GRAVITY
+
+
+def test_a_heavy_drum_that_is_lowered_far_stays_in_balance() -> None:
+    """Its edges slope steeply, and the longest part of the way down has one speed."""
+    table = {"outline": [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]], "to": 0.5}
+    place = [2.41, 1.67]
+    heavy = {"circle": 0.24, "to": 0.26, "mass": 0.177, "friction": 0.888, "at": [*place, 0.5]}
+    polygon = [[1.96, 2.008], [2.928, 1.89], [2.342, 1.111]]
+    problem = {
+        "team": {"robots": 3, "cable_length": 1.68, "tension": 0.8},
+        "limits": {"tilt_deg": 60.0},
+        "objects": {"drum": heavy, "table": {**table, "at": [*place, 0], "fixed": True}},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.43}},
+        "mission": [{"transport_object": {"object": "drum", "to": [-0.08, 0.27, 0.0]}}],
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert plan.certificate.certified
+    assert plan.certificate["equilibrium"].worst < 2e-3

@@ -13,7 +13,7 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.planners.optimise import ipopt_steps, search_task
 from hitchopt.planners.optimise.knot_path import KnotPath
 from hitchopt.planners.optimise.morph_program import MorphProgram
-from hitchopt.planners.optimise.search_task import SMALL, Effort
+from hitchopt.planners.optimise.search_task import SMALL, Effort, work_for
 from hitchopt.planners.path.leg_law import STEEPEST, rolled_more
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.requirements import Requirements
@@ -108,11 +108,20 @@ def test_work_counts_rows_beyond_those_of_small_programs() -> None:
     assert effort.over
 
 
+def test_small_teams_are_searched_longer_and_so_are_routes_that_are_asked_for() -> None:
+    counts = [3, 12, 20, 36, 40, 200]
+    works = np.array([work_for(n, asked=False) for n in counts])
+    assert np.all(np.diff(works) <= 0.0)
+    assert works[1] > 1.5e6  # what hard morphs of 12 robots have needed
+    assert works[4] == works[5] == search_task.WORK
+    assert [work_for(n, asked=True) for n in counts] == np.maximum(works, 5.0 * works[5]).tolist()
+
+
 def test_a_search_without_a_route_ends_when_its_work_is_done(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Level legs of a cable cannot pass one another, and the optimiser cannot know."""
-    n, clearance = 30, 0.02
+    n, clearance = 36, 0.02
     spent: list[int] = []
     solve = ipopt_steps.solve_program
 
@@ -125,7 +134,6 @@ def test_a_search_without_a_route_ends_when_its_work_is_done(
     work = 6e4
     monkeypatch.setattr(ipopt_steps, "solve_program", counting)
     monkeypatch.setattr(search_task, "WORK", work)
-    monkeypatch.setattr("hitchopt.planners.optimise.candidates.WORK", work)
     separation = ho.Separation(cable=clearance, crossing=clearance)
     legs = {"sharing": "spread", "roll_deg": 0.0}
     start = ho.Hitch.spread(

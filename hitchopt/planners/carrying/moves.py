@@ -23,6 +23,10 @@ SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
 LONGEST = 0.5
 """[s] Longest piece while what is held turns or tensions change."""
 
+STEADY = 2.5
+"""[s] Longest piece while it goes straight on. Second derivatives at a piece's ends err by some 0.01
+of how fast loads change before it, which moves clasps by that times the square of its duration."""
+
 SHARE = 0.8
 """Share of what friction and supports allow that is used."""
 
@@ -158,7 +162,7 @@ def held_flight(held: Held, move: Move) -> HeldFlight:
     turns = move.start[3] != move.end[3]
     changes = bool(np.any(move.tension[0] != move.tension[1])) or move.borne[0] != move.borne[1]
     changes |= move.closed[0] != move.closed[1] or move.lean[0] != move.lean[1]
-    longest = LONGEST if turns or changes or not moves else np.inf
+    longest = LONGEST if turns or changes or not moves else STEADY
     breaks = move.law.breaks(longest)
     t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
     values = held.curves(move, t)

@@ -26,12 +26,11 @@ from hitchopt.planners.optimise.screening import (
     sound,
 )
 from hitchopt.planners.optimise.search_task import (
-    ASKED_WORK,
-    WORK,
     Effort,
     Judge,
     Search,
     SolverStep,
+    work_for,
 )
 from hitchopt.planners.path.shape_path import ShapePath
 from hitchopt.planners.timing.flight_curves import Flight
@@ -150,7 +149,7 @@ class OptimisedMorph:
         ):
             return []
         margins = end_margins(self.start, self.end, self.requirements)
-        effort = Effort(ASKED_WORK if self.asked else WORK)
+        effort = Effort(work_for(self.start.team.robots, asked=self.asked))
         search = Search(self.requirements, self.judge, self.tension, margins, effort=effort)
         # With wider polygons half way, legs have more room to pass one another.
         wide = ((guess.name, widened(guess.polygons, WIDER)) for guess in self.guesses[1:])

@@ -35,8 +35,12 @@ WORK = 2.5e5
 """Rows that count times iterations of IPOPT, for all programs of a search: some 4 s of large ones.
 To turn a regular 100-gon takes 1.8e5."""
 
-ASKED_WORK = 5.0 * WORK
-"""The same where the problem asks for an optimised route."""
+ASKED_SHARE = 5.0
+"""Factor on it where the problem asks for an optimised route."""
+
+FEW_SHARE, FEW = 8.0, 36
+"""Factor on it for 12 robots and fewer, and from how many on there is none: between them it falls
+with the square of their number. Hard morphs of 12 robots take up to 1.5e6, in some 30 s."""
 
 FEWEST_ITERATIONS = 3
 """Least number of iterations that is worth building a program for."""
@@ -71,6 +75,12 @@ class SolverStep:
     def reach(self) -> float:
         """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
         return 2.0 * math.sqrt(2.0) * self.near * self.stride + 0.02
+
+
+def work_for(robots: int, *, asked: bool) -> float:
+    """Return how much work a search for so many robots may do."""
+    few = min(FEW_SHARE, (FEW / robots) ** 2)
+    return WORK * max(few, ASKED_SHARE if asked else 1.0)
 
 
 @dataclass
