@@ -24,8 +24,8 @@ LONGEST = 0.5
 """[s] Longest piece while what is held turns or tensions change."""
 
 STEADY = 2.5
-"""[s] Longest piece while it goes straight on. Second derivatives at a piece's ends err by some 0.01
-of how fast loads change before it, which moves clasps by that times the square of its duration."""
+"""[s] Longest piece while it goes straight on. Second derivatives at its ends err by some 0.01 of
+how fast loads change before it, which moves clasps by that times the square of its duration."""
 
 SHARE = 0.8
 """Share of what friction and supports allow that is used."""
