@@ -18,6 +18,10 @@ MIN_SAMPLES, MAX_SAMPLES = 60, 600
 """Number of times; more are finer than a picture's pixels."""
 
 
+ROUNDING = 1e-9
+"""By which a bound of scaled distances is raised, relatively and absolutely."""
+
+
 @dataclass(frozen=True, eq=False)
 class Curves:
     """The team's worst values over time.
@@ -74,6 +78,10 @@ def smallest_separations(positions: Array, scale: Array) -> Array:
     apart = 1.0 + 2.0 * float(np.linalg.norm(np.ptp(scaled, axis=(0, 1))))
     sheets = np.repeat(apart * np.arange(samples), drones)
     points = np.column_stack([scaled.reshape(-1, 3), sheets])
-    distances = np.asarray(cKDTree(points).query(points, k=[2])[0])
+    # No smallest distance is above the largest of those along the drones' order.
+    along = np.linalg.norm(np.diff(scaled, axis=1), axis=-1)
+    bound = float(np.max(np.min(along, axis=1, initial=np.inf))) * (1.0 + ROUNDING) + ROUNDING
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    distances = np.asarray(tree.query(points, k=[2], distance_upper_bound=bound)[0])
     smallest: Array = np.min(distances.reshape(samples, drones), axis=1)
     return smallest

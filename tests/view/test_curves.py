@@ -33,6 +33,9 @@ def test_separations_are_those_over_all_pairs(seed: int, samples: int, drones: i
 def test_drones_in_one_place_have_no_separation() -> None:
     positions = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 0, 0]], [[0, 0, 0], [1, 0, 0], [3, 0, 0]]])
     np.testing.assert_allclose(smallest_separations(positions, np.ones(3)), [0.0, 1.0])
+    everywhere = np.broadcast_to([40.0, -7.0, 2.0], (3, 4, 3))
+    np.testing.assert_array_equal(smallest_separations(everywhere, np.ones(3)), np.zeros(3))
+    assert np.all(np.isinf(smallest_separations(everywhere[:, :1], np.ones(3))))
 
 
 def test_curves_are_the_plan_s_worst_values() -> None:
