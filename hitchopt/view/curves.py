@@ -19,7 +19,7 @@ MIN_SAMPLES, MAX_SAMPLES = 60, 600
 
 
 ROUNDING = 1e-9
-"""By which a bound of scaled distances is raised, relatively and absolutely."""
+"""Relative and absolute margin of a bound of scaled distances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +75,14 @@ def smallest_separations(positions: Array, scale: Array) -> Array:
     """
     scaled = positions * scale
     samples, drones, _ = scaled.shape
+    if drones == 1:
+        return np.full(samples, np.inf)
     apart = 1.0 + 2.0 * float(np.linalg.norm(np.ptp(scaled, axis=(0, 1))))
     sheets = np.repeat(apart * np.arange(samples), drones)
     points = np.column_stack([scaled.reshape(-1, 3), sheets])
     # No smallest distance is above the largest of those along the drones' order.
     along = np.linalg.norm(np.diff(scaled, axis=1), axis=-1)
-    bound = float(np.max(np.min(along, axis=1, initial=np.inf))) * (1.0 + ROUNDING) + ROUNDING
+    bound = float(np.max(np.min(along, axis=1))) * (1.0 + ROUNDING) + ROUNDING
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     distances = np.asarray(tree.query(points, k=[2], distance_upper_bound=bound)[0])
     smallest: Array = np.min(distances.reshape(samples, drones), axis=1)
