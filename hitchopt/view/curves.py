@@ -17,7 +17,6 @@ POINTS = 150_000
 MIN_SAMPLES, MAX_SAMPLES = 60, 600
 """Number of times; more are finer than a picture's pixels."""
 
-
 ROUNDING = 1e-9
 """Relative and absolute margin of a bound of scaled distances."""
 

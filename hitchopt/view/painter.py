@@ -116,16 +116,22 @@ class Painter:
             body.circumradius / 2**SPLITS if body.fixed else -2.0 * self.width for body in bodies
         ]
         self.fills = to_rgba_array(object_colours(scene.motion))
-        self.parts = ((shape.frame, frame), (shape.rotors, fills), (shape.rims, own))
+        self.parts = (
+            (shape.frame, frame, True), (shape.rotors, fills, False), (shape.rims, own, False)
+        )  # fmt: skip
 
     def painted(self, moment: Moment) -> Painting:
         """Return a moment: shadows on the ground, then everything else, the farthest first."""
         turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
         layers = []
-        for part, shades in self.parts:
+        for part, shades, solid in self.parts:
             corners = np.einsum("dij,vj->dvi", turns, part.vertices) + moment.drones[:, None]
             quads = self.camera.seen(corners)[:, part.quads].reshape(-1, 4, 3)
-            layers.append((quads, np.repeat(shades, len(part.quads), axis=0), 0.0))
+            colours = np.repeat(shades, len(part.quads), axis=0)
+            if solid:
+                shown = normals(quads)[:, 2] > 0.0
+                quads, colours = quads[shown], colours[shown]
+            layers.append((quads, colours, 0.0))
         layers += self._objects(moment)
         cables = moment.cables[:, :: self.step]
         shades = np.repeat(self.cables, cables.shape[1] - 1, axis=0)

@@ -9,7 +9,9 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from matplotlib.colors import to_rgba_array
 from pictured import make_motion
+from scipy.spatial.transform import Rotation
 
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError, UnsupportedError
@@ -19,7 +21,7 @@ from hitchopt.view import film as films
 from hitchopt.view.cable_curves import CLASPS
 from hitchopt.view.film import check_film, frames, save_film
 from hitchopt.view.ghost_scene import ghost_scene, recorded_scene
-from hitchopt.view.painter import Camera, Painter
+from hitchopt.view.painter import FRAME, Camera, Painter
 from hitchopt.view.scene import scene_of
 
 
@@ -67,6 +69,30 @@ def test_what_is_nearer_is_painted_later() -> None:
         order.append((int(np.argmin(np.where(same, apart, np.inf))), cables[cable, point, 2]))
     order.sort()
     assert order[0][1] <= order[1][1] + 1e-9
+
+
+def test_frames_are_painted_on_the_sides_toward_the_viewer() -> None:
+    scene, camera = scene_of(short_motion()), Camera.toward(-115.0, 38.0)
+    moment = scene.at(0.1)
+    painter = Painter(scene, camera)
+    frame, rotors, rims = (part for part, *_ in painter.parts)
+    turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
+    corners = np.einsum("dij,fvj->dfvi", turns, frame.vertices[frame.quads])
+    boxes = corners.reshape(len(turns), 3, 6, 4, 3)
+    outward = np.mean(boxes, axis=3) - np.mean(boxes, axis=(2, 3))[:, :, None]
+    shown = outward @ camera.axes[2] > 0.0
+    assert np.all(np.sum(shown, axis=2) == 3)
+    expected = camera.seen(boxes[shown] + np.repeat(moment.drones, 9, axis=0)[:, None])[..., :2]
+    painting = painter.painted(moment)
+    dark = np.all(painting.colours == to_rgba_array(FRAME), axis=1)
+    found = painting.polygons[dark]
+    assert len(found) == len(expected) == 9 * len(turns)
+    apart = np.max(np.abs(found[:, None] - expected[None]), axis=(2, 3))
+    assert np.all(np.min(apart, axis=1) < 1e-12)
+    assert np.all(np.min(apart, axis=0) < 1e-12)
+    drawn = len(turns) * (9 + len(rotors.quads) + len(rims.quads))
+    robots, points = moment.cables.shape[:2]
+    assert len(painting.polygons) == drawn + 3 * robots * (points - 1)
 
 
 def test_the_camera_s_axes_are_a_rotation() -> None:
