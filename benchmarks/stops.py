@@ -22,7 +22,6 @@ import numpy as np
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion
@@ -84,13 +83,13 @@ def broken(plan: ho.Plan, jets: Array) -> float:
     )
 
 
-def stopped(plan: ho.Plan, moments: Array, table: StopTable) -> tuple[float, float]:
+def stopped(plan: ho.Plan, moments: Array, first: Player) -> tuple[float, float]:
     """Return the largest value over its limit in stops at plan times, and the longest stop [s]."""
     worst = longest = 0.0
     for block in np.array_split(moments, -(-len(moments) // BLOCK)):
         clocks = []
         for moment in block.tolist():
-            player = Player(plan, moment, stops=table)
+            player = Player(plan, moment, like=first)
             longest = max(longest, player.pause())
             if len(player.ahead):
                 clocks.append(sampled(player.ahead))
@@ -186,7 +185,7 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     rng = np.random.default_rng(1)
     common = Aborts(plan.motion)
     moments = rng.uniform(0.0, plan.duration, stops)
-    worst, longest = stopped(plan, moments, common.player.stops)
+    worst, longest = stopped(plan, moments, common.player)
     counts = {how: Count() for how in WAYS}
     largest = aborted(stem, common, rng.uniform(0.0, plan.duration, aborts), counts)
     reported = plan.certificate["stoppable"].bound

@@ -39,11 +39,11 @@ class Player(OneLine):
     plan: a plan or its motion.
     time: plan time to start at [s].
     rate: of the clock at the start, from -1 to 1.
-    stops: of this plan, where they are known from another player.
+    like: another player of this plan: what it has computed is not computed again.
 
     Raises
     ------
-    InputError: a time outside the plan, or a rate out of its range.
+    InputError: a time outside the plan, a rate out of its range, or a player of another plan.
     """
 
     def __init__(
@@ -52,20 +52,22 @@ class Player(OneLine):
         time: float = 0.0,
         rate: float = 1.0,
         *,
-        stops: StopTable | None = None,
+        like: Player | None = None,
     ) -> None:
         motion = getattr(plan, "motion", plan)
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
-        if stops is not None and not isinstance(stops, StopTable):
-            raise InputError("stops", stops, "those of a Player", "leave it out")
-        self.motion = motion
-        self.limits = ClockLimits(motion)
-        self._search = ChangeSearch(self.limits)
-        self._sampler = Sampler(motion.drones)
+        other: object = like
+        if other is not None and not (isinstance(other, Player) and other.motion is motion):
+            raise InputError("like", like, "a Player of this plan", "leave it out")
+        self.motion: Motion = motion
+        self._like = like
+        self.limits: ClockLimits = ClockLimits(motion) if like is None else like.limits
+        self._search: ChangeSearch = ChangeSearch(self.limits) if like is None else like._search
+        self._sampler: Sampler = Sampler(motion.drones) if like is None else like._sampler
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_within("time", time)
-        self._stops = stops
+        self._stops: StopTable | None = None
         self._now = 0.0
         self._schedule(np.array([[time, _checked_rate(rate), 0.0, 0.0]]), np.zeros(1))
 
@@ -77,7 +79,8 @@ class Player(OneLine):
     def stops(self) -> StopTable:
         """The stops from full rate; ``stoppable`` is the longest time until one of them rests."""
         if self._stops is None:
-            self._stops = stop_table(self.motion, self.limits)
+            like = self._like
+            self._stops = stop_table(self.motion, self.limits) if like is None else like.stops
         return self._stops
 
     @property
