@@ -11,8 +11,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.checks.bounds.stop_rows import SWITCH
+from hitchopt.checks.bounds.verified_stops import stop_phases
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests

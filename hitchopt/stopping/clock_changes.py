@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
+from hitchopt.checks.bounds.verified_stops import start_phases
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
 from hitchopt.stopping.one_way_spans import leaning_pieces
 from hitchopt.trajectory.clock_phases import ClockPhases, together
@@ -37,7 +38,13 @@ class ChangeSearch:
         self._leaning = leaning_pieces(limits.motion)
 
     def first(
-        self, bases: Sequence[ClockPhases], here: Array, change: Change, rate: float
+        self,
+        bases: Sequence[ClockPhases],
+        here: Array,
+        change: Change,
+        rate: float,
+        *,
+        also: Sequence[float] = (),
     ) -> ClockPhases | None:
         """Return the first change that keeps all limits; None if there is none.
 
@@ -49,8 +56,9 @@ class ChangeSearch:
         here: (3,) plan time [s], rate and its derivative now.
         change: gives the changes.
         rate: at their end.
+        also: durations that are tried besides the usual ones [s].
         """
-        for durations in (LADDER, SLOW_DURATIONS):
+        for durations in ((*LADDER, *also), SLOW_DURATIONS):
             for before in bases:
                 begin = before.ends[-1, :3] if len(before) else here
                 made = [change(begin, duration) for duration in durations]
@@ -74,15 +82,22 @@ class ChangeSearch:
         return None
 
     def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
-        """Return the run at a constant rate that follows; the plan's own rate needs no look."""
-        if abs(rate) in (0.0, 1.0) or not len(made):
+        """Return what follows: a run at a constant rate, or from a rest the start from there.
+
+        The plan's own rate needs no look, nor does a rest where nothing is carried.
+        """
+        if abs(rate) == 1.0 or not len(made):
             return NOTHING
         begin, end = self.motion.drones.breaks[[0, -1]]
-        time = made.ends[-1, 0]
-        left = end - time if rate > 0.0 else time - begin
+        time = made.ends[-1, :1]
+        if rate == 0.0:
+            carried = self.limits.inertia is not None and self.limits.inertia.during(time, time)[0]
+            return start_phases(time, 2.0 * made.duration[-1:]) if carried else NOTHING
+        left = end - time[0] if rate > 0.0 else time[0] - begin
         if left <= 0.0:
             return NOTHING
-        return phases_of(np.array([time, rate, 0.0]), np.array([left / abs(rate)]), np.zeros(1))
+        jet = np.array([time[0], rate, 0.0])
+        return phases_of(jet, np.array([left / abs(rate)]), np.zeros(1))
 
     def _may_fly(self, made: ClockPhases) -> bool:
         """Whether no cable slides back where legs lean."""

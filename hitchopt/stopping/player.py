@@ -31,8 +31,8 @@ class Player(OneLine):
 
     Paths, separations, clearances and crossings are the plan's at every rate. Every change of the
     rate is verified for all of its time before it begins: acceleration, jerk, thrust, tilt and
-    body rates keep their limits. Where a change cannot begin at once, the clock runs on until it
-    can.
+    body rates keep their limits, and what is carried its balance. Where a change cannot begin at
+    once, the clock runs on until it can.
 
     Parameters
     ----------
@@ -211,7 +211,8 @@ class Player(OneLine):
     def _first(self, change: Change, rate: float) -> ClockPhases | None:
         """Return the first change to a rate that keeps all limits; None if there is none."""
         here = np.array(self._jet()[:3])
-        return self._search.first(list(self._bases()), here, change, rate)
+        also = 2.0 * np.diff(self._begins[-2:])  # a clock that has stopped can start as slowly
+        return self._search.first(list(self._bases()), here, change, rate, also=also.tolist())
 
     def _bases(self) -> Iterator[ClockPhases]:
         """Yield what the clock does before a change: nothing, the present one's end, or waiting."""

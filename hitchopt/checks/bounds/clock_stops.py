@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
+from hitchopt.checks.bounds.stop_bounds import StopBounds
+from hitchopt.checks.bounds.verified_stops import balanced, shown
 from hitchopt.motion.cutting import REST
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.values import Array, Indices
 
 USUAL_DURATIONS = (0.1, 0.2, 0.3, 0.4, 0.52, 0.68, 0.88)
@@ -27,7 +27,8 @@ LONG_DURATIONS = (1.15, 1.5, 1.9, 2.5)
 DURATIONS = USUAL_DURATIONS + LONG_DURATIONS
 
 SLOW_DURATIONS = (5.0, 10.0, 20.0)
-"""[s] Longer ones, for plans with a reserve: a small one allows no shorter stops."""
+"""[s] Longer ones, for plans with a reserve: a small one allows no shorter stops. Slow ones leave
+less unbalanced of what is carried, too."""
 
 CUTS = 6
 """Parts, equal in logarithms, of the interval in which the shortest duration lies: it is found to
@@ -62,18 +63,6 @@ ROUNDS = 4
 FEW = 60
 """Pairs of a stop and a drone up to which all durations left are tried in one go, once the shortest
 of each stop have been."""
-
-
-def stop_phases(start: Array, duration: Array) -> ClockPhases:
-    """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
-    start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
-    jerk = 4.0 / duration**2
-    zero = np.zeros_like(start)
-    first = np.stack([start, zero + 1.0, zero, -jerk], axis=-1)
-    second = advanced(first, 0.5 * duration)
-    second[..., 3] = jerk
-    jets = np.stack([first, second], axis=1).reshape(-1, 4)
-    return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +183,14 @@ def _most(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, bool]:
     None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
     a reserve lets stops begin at any time.
     """
-    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
-    return np.full(len(starts), np.inf) if slow else LATEST * (rest - starts), slow
+    anywhere = bounds.limits.motion.requirements.limits.reserve < 1.0
+    most = np.full(len(starts), np.inf) if anywhere else LATEST * (rest - starts)
+    return most, slow_stops(bounds.limits)
+
+
+def slow_stops(limits: ClockLimits) -> bool:
+    """Return whether long stops are tried: with a reserve, or with something that is carried."""
+    return limits.motion.requirements.limits.reserve < 1.0 or limits.inertia is not None
 
 
 def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, Array]:
@@ -258,6 +253,8 @@ def _first(
     may = tried < most[:, None]
     stop, which = np.nonzero(may)
     may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
+    stop, which = np.nonzero(may)
+    may[stop, which] = balanced(bounds.limits, starts[stop], tried[stop, which])
     first = np.full(len(starts), tried.shape[1])
     left = np.flatnonzero(np.any(may, axis=1))
     drones, begun = len(bounds.limits.hover[0]), False
@@ -276,13 +273,3 @@ def _first(
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     row = np.arange(len(starts))
     return steps[row, first], steps[row, first + 1]
-
-
-def shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops are shown to keep all limits."""
-    kept = bounds.show(starts, durations)
-    if bounds.limits.motion.requirements.limits.body_rate is not None:
-        left = np.flatnonzero(kept)
-        clocks = stop_phases(starts[left], durations[left])
-        kept[left] = bounds.limits.keep(clocks, len(left))
-    return kept
