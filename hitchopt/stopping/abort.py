@@ -20,6 +20,7 @@ from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import JOINT, CableState
 from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
+from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.stopping.grounding import descended, released
 from hitchopt.stopping.player import Player
@@ -168,7 +169,11 @@ class Aborts:
         whole, time = until_stop(motion, start, duration, HOLD)
         whole = replace(whole.untimed, assignment=motion.assignment)
         if whole.phases[-1].formed:
-            off = whole.tensions.coefficients[-1, :, -1] - motion.team.tension
+            tension, least = whole.tensions.coefficients[-1, :, -1], motion.team.tension
+            most = least
+            if whole.phases[-1].hold is not None:  # which may ask for another tension
+                least, most = stated_tensions(whole)[-1].T
+            off = tension - np.clip(tension, least, most)
             if np.max(np.abs(off)) > RULE_OF["tension"].limit_of(motion):
                 return None
         if whole.phases[-1].state in PASSING:

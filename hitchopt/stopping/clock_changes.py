@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
 from hitchopt.checks.bounds.verified_stops import start_phases
+from hitchopt.motion.cutting import rests
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
 from hitchopt.stopping.one_way_spans import leaning_pieces
 from hitchopt.trajectory.clock_phases import ClockPhases, together
@@ -16,6 +17,15 @@ from hitchopt.values import Array
 
 LADDER = tuple(np.geomspace(DURATIONS[0], DURATIONS[-1], 18).tolist())
 """[s] Durations of a change of the rate by 1 that are tried first."""
+
+WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""[s] Times that a change may wait for."""
+
+RESTS = 2
+"""Number of the plan's own rests that a change is tried at while something is carried."""
+
+CLOSE = 0.03
+"""[s] Changes at a rest begin so much earlier: the shortest stop is almost symmetric to it then."""
 
 STEADY = 1e-9
 """Rates closer than this are the same."""
@@ -38,13 +48,7 @@ class ChangeSearch:
         self._leaning = leaning_pieces(limits.motion)
 
     def first(
-        self,
-        bases: Sequence[ClockPhases],
-        here: Array,
-        change: Change,
-        rate: float,
-        *,
-        also: Sequence[float] = (),
+        self, here: Array, left: ClockPhases, change: Change, rate: float, also: Array
     ) -> ClockPhases | None:
         """Return the first change that keeps all limits; None if there is none.
 
@@ -52,14 +56,15 @@ class ChangeSearch:
 
         Parameters
         ----------
-        bases: what the clock may do before, the soonest first.
         here: (3,) plan time [s], rate and its derivative now.
+        left: what is left of the present change.
         change: gives the changes.
         rate: at their end.
-        also: durations that are tried besides the usual ones [s].
+        also: durations that are tried as well [s].
         """
-        for durations in ((*LADDER, *also), SLOW_DURATIONS):
-            for before in bases:
+        longer = also[(also > DURATIONS[0]) & (also < SLOW_DURATIONS[-1])].tolist()
+        for durations in ((*LADDER, *longer), SLOW_DURATIONS):
+            for before in self._bases(here, left):
                 begin = before.ends[-1, :3] if len(before) else here
                 made = [change(begin, duration) for duration in durations]
                 options = [before.followed_by(each) for each in made if each is not None]
@@ -67,6 +72,22 @@ class ChangeSearch:
                 if found is not None:
                     return found
         return None
+
+    def _bases(self, here: Array, left: ClockPhases) -> Iterator[ClockPhases]:
+        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
+        yield NOTHING
+        if len(left):
+            yield left
+        elif abs(here[1]) > STEADY:
+            for wait in (*WAITS, *self._until_rests(here)):
+                yield phases_of(here, np.array([wait]), np.zeros(1))
+
+    def _until_rests(self, here: Array) -> list[float]:
+        """Return the times until the plan almost rests by itself [s], where it carries anything."""
+        if self.limits.inertia is None:
+            return []
+        waits = (self.motion.drones.breaks[rests(self.motion)] - here[0]) / here[1] - CLOSE
+        return sorted(waits[waits > WAITS[0]].tolist())[:RESTS]
 
     def _shortest(self, options: Sequence[ClockPhases], rate: float) -> ClockPhases | None:
         """Return the shortest of these that keeps all limits, with what follows it."""

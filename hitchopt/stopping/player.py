@@ -19,9 +19,6 @@ from hitchopt.stopping.sampler import Sampler, Setpoints
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array, finite, not_negative
 
-WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""[s] Times that a change may wait for."""
-
 RATES = (1.0, 0.9, 0.7, 0.5)
 """Largest rates that are tried on the way to a plan time."""
 
@@ -210,19 +207,9 @@ class Player(OneLine):
 
     def _first(self, change: Change, rate: float) -> ClockPhases | None:
         """Return the first change to a rate that keeps all limits; None if there is none."""
+        stopped = 2.0 * np.diff(self._begins[-2:])  # as long, the clock can start again
         here = np.array(self._jet()[:3])
-        also = 2.0 * np.diff(self._begins[-2:])  # a clock that has stopped can start as slowly
-        return self._search.first(list(self._bases()), here, change, rate, also=also.tolist())
-
-    def _bases(self) -> Iterator[ClockPhases]:
-        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
-        yield NOTHING
-        left = self.ahead
-        if len(left):
-            yield left
-        elif abs(self.clock_rate) > STEADY:
-            for wait in WAITS:
-                yield phases_of(np.array(self._jet()[:3]), np.array([wait]), np.zeros(1))
+        return self._search.first(here, self.ahead, change, rate, also=stopped)
 
     def _sooner_stop(self, found: ClockPhases | None) -> ClockPhases | None:
         """Return the stop of the table, or the run to the end, if it comes to rest sooner."""
