@@ -275,3 +275,27 @@ def test_a_hold_begins_where_the_balance_allows(kind: str, plans: dict[str, ho.P
     found = Aborts(motion).found(lift.end - 1.0, "hold")
     assert found.certified.certificate.certified
     assert found.rest < lift.end + 0.2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_clock_can_start_again_wherever_it_stops(kind: str, plans: dict[str, ho.Plan]) -> None:
+    motion = plans[kind].motion
+    player = Player(motion)
+    limits, table = player.limits, player.stops
+    assert limits.inertia is not None
+    rests = table.starts + 0.5 * table.durations
+    own = np.isfinite(rests) & limits.inertia.during(rests, rests)
+    assert np.sum(own) > 10
+    starts = start_phases(rests[own], table.durations[own])
+    assert np.all(limits.keep(starts, int(np.sum(own))))
+    lift = next(p for p in motion.phases if p.name == "lift")
+    sought = 0
+    for target in np.linspace(lift.start + 2.0, lift.end, 15):
+        player = Player(motion, lift.start + 1.5, like=player)
+        try:
+            player.step(player.seek(float(target)))
+        except ho.InfeasibleError:
+            continue
+        sought += 1
+        assert player.resume() < 10.0
+    assert sought
