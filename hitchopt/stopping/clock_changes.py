@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
+from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS, slow_durations
 from hitchopt.checks.bounds.verified_stops import start_phases
 from hitchopt.motion.cutting import rests
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
@@ -63,7 +63,8 @@ class ChangeSearch:
         also: durations that are tried as well [s].
         """
         longer = also[(also > DURATIONS[0]) & (also < SLOW_DURATIONS[-1])].tolist()
-        for durations in ((*LADDER, *longer), SLOW_DURATIONS):
+        slow = slow_durations(self.limits) or SLOW_DURATIONS
+        for durations in ((*LADDER, *longer), slow):
             for before in self._bases(here, left):
                 begin = before.ends[-1, :3] if len(before) else here
                 made = [change(begin, duration) for duration in durations]

@@ -27,8 +27,11 @@ LONG_DURATIONS = (1.15, 1.5, 1.9, 2.5)
 DURATIONS = USUAL_DURATIONS + LONG_DURATIONS
 
 SLOW_DURATIONS = (5.0, 10.0, 20.0)
-"""[s] Longer ones, for plans with a reserve: a small one allows no shorter stops. Slow ones leave
-less unbalanced of what is carried, too."""
+"""[s] Longer ones, for plans with a reserve: a small one allows no shorter stops."""
+
+CARRYING_DURATIONS = (3.0, 3.6, 4.3, 5.0, 7.0, 10.0, 14.0, 20.0)
+"""[s] The same for plans that carry objects: slow ones leave less unbalanced, but have to fit into
+steady motion."""
 
 CUTS = 6
 """Parts, equal in logarithms, of the interval in which the shortest duration lies: it is found to
@@ -177,20 +180,23 @@ def rest_of(motion: Motion) -> float:
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
 
 
-def _most(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, bool]:
-    """Return durations (m,) [s] from which on none is looked for, and whether long ones are tried.
+def _most(bounds: StopBounds, starts: Array, rest: float) -> Array:
+    """Return durations (m,) [s] from which on none is looked for.
 
     None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
     a reserve lets stops begin at any time.
     """
-    anywhere = bounds.limits.motion.requirements.limits.reserve < 1.0
-    most = np.full(len(starts), np.inf) if anywhere else LATEST * (rest - starts)
-    return most, slow_stops(bounds.limits)
+    if bounds.limits.motion.requirements.limits.reserve < 1.0:
+        return np.full(len(starts), np.inf)
+    most: Array = LATEST * (rest - starts)
+    return most
 
 
-def slow_stops(limits: ClockLimits) -> bool:
-    """Return whether long stops are tried: with a reserve, or with something that is carried."""
-    return limits.motion.requirements.limits.reserve < 1.0 or limits.inertia is not None
+def slow_durations(limits: ClockLimits) -> tuple[float, ...]:
+    """Return long durations that are tried [s], with a reserve or something that is carried."""
+    if limits.inertia is not None:
+        return CARRYING_DURATIONS
+    return SLOW_DURATIONS if limits.motion.requirements.limits.reserve < 1.0 else ()
 
 
 def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, Array]:
@@ -201,8 +207,8 @@ def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, A
     """
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
-    most, slow = _most(bounds, starts, rest)
-    for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
+    most = _most(bounds, starts, rest)
+    for group in (USUAL_DURATIONS, LONG_DURATIONS, slow_durations(bounds.limits)):
         left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
         if len(left):
             tried = np.tile(group, (len(left), 1))
@@ -223,7 +229,7 @@ def _narrowed(
         ratio = (high[left] / low[left])[:, None]
         tried = low[left, None] * ratio ** (np.arange(1, CUTS + 1) / CUTS)
         tried[:, -1] = high[left]
-        most, _ = _most(bounds, starts[left], rest)
+        most = _most(bounds, starts[left], rest)
         found = _first(bounds, starts[left], low[left], tried[:, :-1], most)[1]
         low[left] = high[left] = np.fmin(high[left], found)
     return StopTable(rest, starts, high)

@@ -12,10 +12,9 @@ import numpy as np
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import (
     DURATIONS,
-    SLOW_DURATIONS,
     StopTable,
     rest_of,
-    slow_stops,
+    slow_durations,
     spaced_starts,
 )
 from hitchopt.checks.bounds.compiled_stops import compiled_stops
@@ -54,9 +53,9 @@ def quick_stop_table(motion: Motion) -> StopTable:
     """Return stops that keep all limits of a motion, by a few per cent longer than need be."""
     bounds = StopBounds(ClockLimits(motion), WIDTH)
     starts, limits = spaced_starts(motion), motion.requirements.limits
-    slow = slow_stops(bounds.limits)
-    span = np.array([DURATIONS[0], SLOW_DURATIONS[-1] if slow else DURATIONS[-1]])
-    rounds = BISECTIONS + 2 * slow
+    slow = slow_durations(bounds.limits)
+    span = np.array([DURATIONS[0], slow[-1] if slow else DURATIONS[-1]])
+    rounds = BISECTIONS + 2 * bool(slow)
     if kernels_on() and limits.body_rate is None and bounds.limits.inertia is None:
         samples = np.stack([each.ravel() for each in (_PLAN, _S, _A, _J)])
         durations = compiled_stops(bounds, starts, samples, span, rounds, np.array(LONGER))
