@@ -93,7 +93,7 @@ class Player(OneLine):
     @property
     def resting(self) -> bool:
         """Whether the clock stands still and is not about to move."""
-        return self._now >= self._begins[-1] and abs(self._jet()[1]) <= STEADY
+        return self._now >= self._begins[-1] and abs(self.clock_rate) <= STEADY
 
     @property
     def ahead(self) -> ClockPhases:

@@ -80,7 +80,7 @@ class ClockLimits:
         self.tilt = motion.requirements.limits.tilt
         self.beyond = self.static.beyond_cone(self.tilt)
         self.inertia = CarriedInertia.of(motion)
-        """Of what is carried; None where nothing is."""
+        """What is carried; None where nothing is."""
 
     def keep(self, phases: ClockPhases, owners: int, *, sampled: bool = False) -> Flags:
         """Return (owners,) whether the phases of each clock keep all limits.
