@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from hitchopt.checks.rule import Finding
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import retimed
+from hitchopt.objects import SolidObject
 from hitchopt.stopping.abort import Aborts
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
@@ -97,13 +99,16 @@ def test_checks_hold_of_the_plan_on_clocks_that_are_kept(
     assert refused > 15
 
 
+def replaced(body: SolidObject, **changes: Any) -> SolidObject:
+    names = ("section", "lower", "upper", "mass", "friction", "at", "yaw", "rim", "fixed")
+    return SolidObject(**{name: getattr(body, name) for name in names} | changes)
+
+
 def rubbed(motion: Motion, friction: float) -> Motion:
     """The motion with another friction of what is carried."""
     objects = dict(motion.requirements.objects)
     name, body = next(iter(objects.items()))
-    names = ("section", "lower", "upper", "mass", "at", "yaw", "rim", "fixed")
-    given = {each: getattr(body, each) for each in names}
-    objects[name] = ho.SolidObject(**given, friction=friction)
+    objects[name] = replaced(body, friction=friction)
     return replace(motion, requirements=replace(motion.requirements, objects=objects))
 
 
@@ -299,3 +304,16 @@ def test_the_clock_can_start_again_wherever_it_stops(kind: str, plans: dict[str,
         sought += 1
         assert player.resume() < 10.0
     assert sought
+
+
+def test_an_object_without_a_rim_that_is_said_to_rest_is_no_error(
+    plans: dict[str, ho.Plan],
+) -> None:
+    motion = plans["tray"].motion
+    objects = dict(motion.requirements.objects)
+    objects["tray"] = replaced(objects["tray"], rim=None)
+    rimless = replace(motion, requirements=replace(motion.requirements, objects=objects))
+    assert CarriedInertia.of(rimless) is None
+    found = RULE_OF["support"].check(rimless)
+    assert found is not None
+    assert not found.holds

@@ -60,8 +60,9 @@ class CarriedInertia:
         """(pieces, items), how large the norms of additional accelerations may be."""
         for run, path, slack in parts:
             count = path.shape[1]
-            paths[run, :count, : path.shape[2]] = bernstein.elevate(path, order)
-            self.slack[run, :count] = np.maximum(slack, 0.0)
+            known = np.all(np.isfinite(path), axis=(2, 3))
+            paths[run, :count] = np.nan_to_num(bernstein.elevate(path, order))
+            self.slack[run, :count] = np.where(known, np.maximum(slack, 0.0), 0.0)
         self.breaks = motion.drones.breaks
         whole = PiecewisePolynomial(self.breaks, paths)
         derivatives = [whole.differentiated(k).coefficients for k in (1, 2, 3, 4)]
@@ -159,6 +160,8 @@ def _parts(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
             edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
             for first, last in edges.reshape(-1, 2).tolist():
                 run = slice(first, last)
+                if by is HoldBy.REST and body.rim is None:  # which check support refuses
+                    continue
                 span = motion.taken(run, motion.overlapping(breaks[first], breaks[last]))
                 yield run, *parts(span, index, body)
 
