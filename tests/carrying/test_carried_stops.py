@@ -306,7 +306,7 @@ def test_the_clock_can_start_again_wherever_it_stops(kind: str, plans: dict[str,
     assert sought
 
 
-def test_an_object_without_a_rim_that_is_said_to_rest_is_no_error(
+def test_an_object_without_a_rim_that_is_to_rest_is_no_error(
     plans: dict[str, ho.Plan],
 ) -> None:
     motion = plans["tray"].motion
