@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 import hitchopt as ho
+from benchmarks.clock_balance import derivatives, unbalanced
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion
@@ -30,7 +30,6 @@ from hitchopt.motion.retiming import before, followed, resting
 from hitchopt.stopping.abort import HOLD, WAYS, Aborts, How, Stopped
 from hitchopt.stopping.clock_changes import STEADY
 from hitchopt.stopping.player import Player
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.values import Array
 
@@ -59,38 +58,30 @@ def sampled(clock: ClockPhases) -> Array:
     return advanced(clock.jets[phase], t - (ends - clock.duration)[phase])
 
 
-def derivatives(drones: PiecewisePolynomial, times: Array) -> list[Array]:
-    """Return the first three derivatives (samples, drones, 3) at plan times, piece by piece."""
-    piece = np.clip(np.searchsorted(drones.breaks, times, side="right") - 1, 0, drones.pieces - 1)
-    x = np.clip((times - drones.breaks[piece]) / drones.durations[piece], 0.0, 1.0)
-    found = [np.empty((len(times), *drones.shape)) for _ in range(3)]
-    for each in np.unique(piece).tolist():
-        here = piece == each
-        for order, values in enumerate(found, 1):
-            c = drones.differentiated(order).coefficients[each]
-            weights = bernstein.basis(x[here], c.shape[-1] - 1)
-            values[here] = (weights @ c.reshape(-1, c.shape[-1]).T).reshape(-1, *drones.shape)
-    return found
-
-
 def broken(plan: ho.Plan, jets: Array) -> float:
-    """Return the largest acceleration or jerk over its limit on a clock with jets (samples, 4)."""
+    """Return the largest acceleration, jerk or lack of balance over its limit on a clock.
+
+    Parameters
+    ----------
+    jets: (samples, 4), of the clock.
+    """
     limits = plan.motion.requirements.limits
     first, second, third = derivatives(plan.motion.drones, jets[:, 0])
     s, a, j = jets[:, 1:, None, None].transpose(1, 0, 2, 3)
     return max(
         over(s**2 * second + a * first, limits.acceleration),
         over(s**3 * third + 3.0 * s * a * second + j * first, limits.jerk),
+        unbalanced(plan.motion, jets),
     )
 
 
-def stopped(plan: ho.Plan, moments: Array, table: StopTable) -> tuple[float, float]:
+def stopped(plan: ho.Plan, moments: Array, first: Player) -> tuple[float, float]:
     """Return the largest value over its limit in stops at plan times, and the longest stop [s]."""
     worst = longest = 0.0
     for block in np.array_split(moments, -(-len(moments) // BLOCK)):
         clocks = []
         for moment in block.tolist():
-            player = Player(plan, moment, stops=table)
+            player = Player(plan, moment, like=first)
             longest = max(longest, player.pause())
             if len(player.ahead):
                 clocks.append(sampled(player.ahead))
@@ -186,7 +177,7 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     rng = np.random.default_rng(1)
     common = Aborts(plan.motion)
     moments = rng.uniform(0.0, plan.duration, stops)
-    worst, longest = stopped(plan, moments, common.player.stops)
+    worst, longest = stopped(plan, moments, common.player)
     counts = {how: Count() for how in WAYS}
     largest = aborted(stem, common, rng.uniform(0.0, plan.duration, aborts), counts)
     reported = plan.certificate["stoppable"].bound

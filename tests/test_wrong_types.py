@@ -129,7 +129,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
         {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None, "clock": [1, 0, 0]},
     ),
     (ho.Replanner, {"team": TEAM, "start": START, **REST}),
-    (ho.Player, {"plan": PLAN, "time": 0.0, "rate": 1.0, "stops": None}),
+    (ho.Player, {"plan": PLAN, "time": 0.0, "rate": 1.0, "like": None}),
     (PLAYER.step, {"seconds": 0.01}),
     (PLAYER.rate, {"rate": 1.0}),
     (PLAYER.seek, {"time": 0.5}),

@@ -56,22 +56,7 @@ def _find(motion: Motion, _: float) -> Finding:
     tensions share cancels, also where it rises from zero as a hitch is pulled tight: residual and
     tension are compared coefficient by coefficient, and where both vanish nothing is unbalanced.
     """
-    legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
-    layout = motion.team.layout
-    ahead, behind = layout.ahead, layout.behind
-    meeting = [
-        legs[:, 2 * ahead],
-        leaving[:, ahead],
-        legs[:, 2 * behind + 1],
-        arriving[:, behind],
-    ]
-    rows = concatenated(meeting, axis=2)
-    blocks = [rows, _pulls(motion)]
-    pressed = pressed_loads(motion)
-    if motion.team.loaded or pressed is not None:
-        blocks += clasp_weights(motion)
-    if pressed is not None:
-        blocks.append(pressed)
+    blocks, layout = _blocks(motion), motion.team.layout
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
     count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
@@ -92,6 +77,44 @@ def _find(motion: Motion, _: float) -> Finding:
     if gripped.worst > worst:
         return gripped
     return Finding(worst, time, (f"p{point}",))
+
+
+def _blocks(motion: Motion) -> list[Array]:
+    """Return what meets at clasps, per piece and clasp: vectors, pulls, weights and loads."""
+    legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
+    layout = motion.team.layout
+    ahead, behind = layout.ahead, layout.behind
+    meeting = [
+        legs[:, 2 * ahead],
+        leaving[:, ahead],
+        legs[:, 2 * behind + 1],
+        arriving[:, behind],
+    ]
+    rows = concatenated(meeting, axis=2)
+    blocks = [rows, _pulls(motion)]
+    pressed = pressed_loads(motion)
+    if motion.team.loaded or pressed is not None:
+        blocks += clasp_weights(motion)
+    if pressed is not None:
+        blocks.append(pressed)
+    return blocks
+
+
+def spare_forces(motion: Motion) -> Array:
+    """Return which loads may be added at clasps (pieces, clasps) [N] with all forces balanced.
+
+    Half of what is added to a clasp enters the products of ``contact_bound``.
+    """
+    blocks = _blocks(motion)
+    spare = LIMIT - _find(motion, LIMIT).worst
+    if len(blocks) > 2:
+        bound = partial(contact_bound, noise=position_margin(motion))
+        pressing = -largest(Cells.over(motion.drones.breaks, blocks), bound).worst
+        spare = min(spare, 2.0 * pressing)
+    pulls = blocks[1]
+    tension = pulls if pulls.shape[2] == 2 else pulls[:, :, 1::2]
+    weakest: Array = np.min(tension, axis=(2, 3))
+    return spare * weakest
 
 
 def _pulls(motion: Motion) -> Array:

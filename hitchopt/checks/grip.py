@@ -60,7 +60,8 @@ def _ratio(motion: Motion, index: int, body: SolidObject, pieces: Indices, limit
     rows = concatenated(parts, axis=2)
     rows = rows.reshape(len(rows), 1, -1, rows.shape[-1])
     pulls = np.minimum(*np.moveaxis(_pulls(motion)[pieces], 2, 0))[:, None, :, None]
-    blocks = [rows, pulls, _loads(motion, index, body, pieces)]
+    loads = gripped_loads(motion, index, body, pieces)[:, None, None, None]
+    blocks = [rows, pulls, loads]
     cells = Cells.over(motion.drones.breaks, blocks, pieces=pieces)
     bound = partial(
         _bound,
@@ -78,8 +79,8 @@ def _pulls(motion: Motion) -> Array:
     return least.reshape(len(least), -1, 2)
 
 
-def _loads(motion: Motion, index: int, body: SolidObject, pieces: Indices) -> Array:
-    """Return the largest load on every piece (pieces, 1, 1, 1) [N]."""
+def gripped_loads(motion: Motion, index: int, body: SolidObject, pieces: Indices) -> Array:
+    """Return the largest load on every piece (pieces,) [N]."""
     pose = motion.object_poses
     durations = motion.drones.durations[pieces]
     pushed = bernstein.differentiate(
@@ -90,13 +91,17 @@ def _loads(motion: Motion, index: int, body: SolidObject, pieces: Indices) -> Ar
     share = np.max(motion.object_shares.coefficients[pieces, index], axis=-1)
     heading = bernstein.differentiate(bernstein.differentiate(pose.coefficients[pieces, index, 3:]))
     turned = np.max(np.linalg.norm(heading, axis=1), axis=-1) / durations**2
+    load: Array = body.mass * (share * (GRAVITY + upward) + turned * turning_reach(body))
+    return load
+
+
+def turning_reach(body: SolidObject) -> float:
+    """Return the load over mass and angular acceleration of an object that is turned [m]."""
     section = body.section
     away = np.linalg.norm(section.core - section.centroid, axis=-1)
     arm = section.rounding or float(np.min(away))
     reach = float(np.max(away)) + section.rounding
-    load = body.mass * (share * (GRAVITY + upward) + turned * reach**2 / arm)
-    loads: Array = load[:, None, None, None]
-    return loads
+    return reach**2 / arm
 
 
 def _bound(blocks: tuple[Array, ...], friction: float, clasps: float, noise: float) -> Estimate:

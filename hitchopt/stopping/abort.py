@@ -11,14 +11,16 @@ from typing import Literal, get_args
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases
+from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.checks.bounds.stop_rows import SWITCH
+from hitchopt.checks.bounds.verified_stops import stop_phases
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import JOINT, CableState
 from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
+from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.stopping.grounding import descended, released
 from hitchopt.stopping.player import Player
@@ -167,7 +169,11 @@ class Aborts:
         whole, time = until_stop(motion, start, duration, HOLD)
         whole = replace(whole.untimed, assignment=motion.assignment)
         if whole.phases[-1].formed:
-            off = whole.tensions.coefficients[-1, :, -1] - motion.team.tension
+            tension, least = whole.tensions.coefficients[-1, :, -1], motion.team.tension
+            most = least
+            if whole.phases[-1].hold is not None:  # which may ask for another tension
+                least, most = stated_tensions(whole)[-1].T
+            off = tension - np.clip(tension, least, most)
             if np.max(np.abs(off)) > RULE_OF["tension"].limit_of(motion):
                 return None
         if whole.phases[-1].state in PASSING:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS
+from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS, slow_durations
+from hitchopt.checks.bounds.verified_stops import start_phases
+from hitchopt.motion.cutting import rests
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
 from hitchopt.stopping.one_way_spans import leaning_pieces
 from hitchopt.trajectory.clock_phases import ClockPhases, together
@@ -15,6 +17,15 @@ from hitchopt.values import Array
 
 LADDER = tuple(np.geomspace(DURATIONS[0], DURATIONS[-1], 18).tolist())
 """[s] Durations of a change of the rate by 1 that are tried first."""
+
+WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""[s] Times that a change may wait for."""
+
+RESTS = 2
+"""Number of the plan's own rests that a change is tried at while something is carried."""
+
+CLOSE = 0.03
+"""[s] Changes at a rest begin so much earlier: the shortest stop is almost symmetric to it then."""
 
 STEADY = 1e-9
 """Rates closer than this are the same."""
@@ -37,7 +48,7 @@ class ChangeSearch:
         self._leaning = leaning_pieces(limits.motion)
 
     def first(
-        self, bases: Sequence[ClockPhases], here: Array, change: Change, rate: float
+        self, here: Array, left: ClockPhases, change: Change, rate: float, also: Array
     ) -> ClockPhases | None:
         """Return the first change that keeps all limits; None if there is none.
 
@@ -45,13 +56,16 @@ class ChangeSearch:
 
         Parameters
         ----------
-        bases: what the clock may do before, the soonest first.
         here: (3,) plan time [s], rate and its derivative now.
+        left: what is left of the present change.
         change: gives the changes.
         rate: at their end.
+        also: durations that are tried as well [s].
         """
-        for durations in (LADDER, SLOW_DURATIONS):
-            for before in bases:
+        longer = also[(also > DURATIONS[0]) & (also < SLOW_DURATIONS[-1])].tolist()
+        slow = slow_durations(self.limits) or SLOW_DURATIONS
+        for durations in ((*LADDER, *longer), slow):
+            for before in self._bases(here, left):
                 begin = before.ends[-1, :3] if len(before) else here
                 made = [change(begin, duration) for duration in durations]
                 options = [before.followed_by(each) for each in made if each is not None]
@@ -59,6 +73,22 @@ class ChangeSearch:
                 if found is not None:
                     return found
         return None
+
+    def _bases(self, here: Array, left: ClockPhases) -> Iterator[ClockPhases]:
+        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
+        yield NOTHING
+        if len(left):
+            yield left
+        elif abs(here[1]) > STEADY:
+            for wait in (*WAITS, *self._until_rests(here)):
+                yield phases_of(here, np.array([wait]), np.zeros(1))
+
+    def _until_rests(self, here: Array) -> list[float]:
+        """Return the times until the plan almost rests by itself [s], where it carries anything."""
+        if self.limits.inertia is None:
+            return []
+        waits = (self.motion.drones.breaks[rests(self.motion)] - here[0]) / here[1] - CLOSE
+        return sorted(waits[waits > WAITS[0]].tolist())[:RESTS]
 
     def _shortest(self, options: Sequence[ClockPhases], rate: float) -> ClockPhases | None:
         """Return the shortest of these that keeps all limits, with what follows it."""
@@ -74,15 +104,22 @@ class ChangeSearch:
         return None
 
     def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
-        """Return the run at a constant rate that follows; the plan's own rate needs no look."""
-        if abs(rate) in (0.0, 1.0) or not len(made):
+        """Return what follows: a run at a constant rate, or from a rest the start from there.
+
+        The plan's own rate needs no look, nor does a rest where nothing is carried.
+        """
+        if abs(rate) == 1.0 or not len(made):
             return NOTHING
         begin, end = self.motion.drones.breaks[[0, -1]]
-        time = made.ends[-1, 0]
-        left = end - time if rate > 0.0 else time - begin
+        time = made.ends[-1, :1]
+        if rate == 0.0:
+            carried = self.limits.inertia is not None and self.limits.inertia.during(time, time)[0]
+            return start_phases(time, 2.0 * made.duration[-1:]) if carried else NOTHING
+        left = end - time[0] if rate > 0.0 else time[0] - begin
         if left <= 0.0:
             return NOTHING
-        return phases_of(np.array([time, rate, 0.0]), np.array([left / abs(rate)]), np.zeros(1))
+        jet = np.array([time[0], rate, 0.0])
+        return phases_of(jet, np.array([left / abs(rate)]), np.zeros(1))
 
     def _may_fly(self, made: ClockPhases) -> bool:
         """Whether no cable slides back where legs lean."""

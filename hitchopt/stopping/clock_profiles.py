@@ -50,14 +50,18 @@ def to_time(
 
 
 def _profile(task: object, jet: Array, acceleration: float, jerk: float) -> ClockPhases | None:
-    from ruckig import Result, Ruckig, Trajectory
+    from ruckig import Result, Ruckig, RuckigError, Trajectory
 
     place, rate, slope = (float(value) for value in jet[:3])
     task.current_position, task.current_velocity = [place], [rate]  # type: ignore[attr-defined]
     task.current_acceleration = [slope]  # type: ignore[attr-defined]
     task.max_acceleration, task.max_jerk = [acceleration], [jerk]  # type: ignore[attr-defined]
     trajectory = Trajectory(1)
-    if Ruckig(1).calculate(task, trajectory) not in {Result.Working, Result.Finished}:
+    try:
+        result = Ruckig(1).calculate(task, trajectory)
+    except RuckigError:  # bounds far below what the clock does now
+        return None
+    if result not in {Result.Working, Result.Finished}:
         return None
     profile = trajectory.profiles[0][0]
     seconds = np.array([*profile.brake.t, *profile.t], dtype=np.float64)

@@ -19,9 +19,6 @@ from hitchopt.stopping.sampler import Sampler, Setpoints
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array, finite, not_negative
 
-WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""[s] Times that a change may wait for."""
-
 RATES = (1.0, 0.9, 0.7, 0.5)
 """Largest rates that are tried on the way to a plan time."""
 
@@ -31,19 +28,19 @@ class Player(OneLine):
 
     Paths, separations, clearances and crossings are the plan's at every rate. Every change of the
     rate is verified for all of its time before it begins: acceleration, jerk, thrust, tilt and
-    body rates keep their limits. Where a change cannot begin at once, the clock runs on until it
-    can.
+    body rates keep their limits, and what is carried its balance. Where a change cannot begin at
+    once, the clock runs on until it can.
 
     Parameters
     ----------
     plan: a plan or its motion.
     time: plan time to start at [s].
     rate: of the clock at the start, from -1 to 1.
-    stops: of this plan, where they are known from another player.
+    like: another player of this plan: what it has computed is not computed again.
 
     Raises
     ------
-    InputError: a time outside the plan, or a rate out of its range.
+    InputError: a time outside the plan, a rate out of its range, or a player of another plan.
     """
 
     def __init__(
@@ -52,20 +49,22 @@ class Player(OneLine):
         time: float = 0.0,
         rate: float = 1.0,
         *,
-        stops: StopTable | None = None,
+        like: Player | None = None,
     ) -> None:
         motion = getattr(plan, "motion", plan)
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
-        if stops is not None and not isinstance(stops, StopTable):
-            raise InputError("stops", stops, "those of a Player", "leave it out")
-        self.motion = motion
-        self.limits = ClockLimits(motion)
-        self._search = ChangeSearch(self.limits)
-        self._sampler = Sampler(motion.drones)
+        other: object = like
+        if other is not None and not (isinstance(other, Player) and other.motion is motion):
+            raise InputError("like", like, "a Player of this plan", "leave it out")
+        self.motion: Motion = motion
+        self._like = like
+        self.limits: ClockLimits = ClockLimits(motion) if like is None else like.limits
+        self._search: ChangeSearch = ChangeSearch(self.limits) if like is None else like._search
+        self._sampler: Sampler = Sampler(motion.drones) if like is None else like._sampler
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_within("time", time)
-        self._stops = stops
+        self._stops: StopTable | None = None
         self._now = 0.0
         self._schedule(np.array([[time, _checked_rate(rate), 0.0, 0.0]]), np.zeros(1))
 
@@ -77,7 +76,8 @@ class Player(OneLine):
     def stops(self) -> StopTable:
         """The stops from full rate; ``stoppable`` is the longest time until one of them rests."""
         if self._stops is None:
-            self._stops = stop_table(self.motion, self.limits)
+            like = self._like
+            self._stops = stop_table(self.motion, self.limits) if like is None else like.stops
         return self._stops
 
     @property
@@ -93,7 +93,7 @@ class Player(OneLine):
     @property
     def resting(self) -> bool:
         """Whether the clock stands still and is not about to move."""
-        return self._now >= self._begins[-1] and abs(self._jet()[1]) <= STEADY
+        return self._now >= self._begins[-1] and abs(self.clock_rate) <= STEADY
 
     @property
     def ahead(self) -> ClockPhases:
@@ -207,18 +207,9 @@ class Player(OneLine):
 
     def _first(self, change: Change, rate: float) -> ClockPhases | None:
         """Return the first change to a rate that keeps all limits; None if there is none."""
+        stopped = 2.0 * np.diff(self._begins[-2:])  # as long, the clock can start again
         here = np.array(self._jet()[:3])
-        return self._search.first(list(self._bases()), here, change, rate)
-
-    def _bases(self) -> Iterator[ClockPhases]:
-        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
-        yield NOTHING
-        left = self.ahead
-        if len(left):
-            yield left
-        elif abs(self.clock_rate) > STEADY:
-            for wait in WAITS:
-                yield phases_of(np.array(self._jet()[:3]), np.array([wait]), np.zeros(1))
+        return self._search.first(here, self.ahead, change, rate, also=stopped)
 
     def _sooner_stop(self, found: ClockPhases | None) -> ClockPhases | None:
         """Return the stop of the table, or the run to the end, if it comes to rest sooner."""

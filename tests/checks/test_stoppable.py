@@ -16,11 +16,12 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.checks.bounds import derivative_grid
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_phases, stop_table
+from hitchopt.checks.bounds.clock_stops import StopTable, stop_table
 from hitchopt.checks.bounds.derivative_grid import DerivativeGrid
 from hitchopt.checks.bounds.quick_stops import quick_stop_table
 from hitchopt.checks.bounds.static_thrust import largest_static_thrust, largest_static_tilt
 from hitchopt.checks.bounds.stop_bounds import StopBounds
+from hitchopt.checks.bounds.verified_stops import stop_phases
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.stopping.clock_profiles import to_time
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
@@ -73,7 +72,7 @@ def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
     begin: float, commands: list[tuple[str, float]]
 ) -> None:
     plan = plan_of()
-    player = Player(plan, begin * plan.duration, stops=stops())
+    player = Player(plan, begin * plan.duration, like=first_player())
     for name, share in commands:
         target = share * plan.duration
         call: dict[str, Callable[[], float]] = {
@@ -85,7 +84,7 @@ def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
         }
         ran(player, share * call[name]())
     seconds = player.pause()
-    assert seconds <= max(np.max(stops().longest[0]) * 3.0, 3.0)
+    assert seconds <= max(np.max(first_player().stops.longest[0]) * 3.0, 3.0)
     last = ran(player, seconds)[-1]
     assert player.resting
     assert np.max(np.abs(last.velocities)) <= 1e-9
@@ -93,15 +92,15 @@ def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
 
 
 @cache
-def stops() -> StopTable:
-    return Player(plan_of()).stops
+def first_player() -> Player:
+    return Player(plan_of())
 
 
 def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
     plan = plan_of()
     most = plan.certificate["stoppable"].bound
     for time in np.random.default_rng(3).uniform(0.0, plan.duration, 12):
-        player = Player(plan, float(time), stops=stops())
+        player = Player(plan, float(time), like=first_player())
         assert player.pause() <= most + 1e-9
 
 

@@ -4,7 +4,7 @@ With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock make
 ``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``, and the thrust ``m (a + g ẑ)`` less
 the cable's force, which depends on the place alone. On a phase of constant s̈ within one piece all
 are polynomials of time; norms are convex, so that Bernstein coefficients bound them. Speeds fall
-with s, and nothing else changes.
+with s. Of what else there is only the balance of carried objects changes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.checks.bounds.carried_inertia import CarriedInertia
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.checks.bounds.static_thrust import ORDER, StaticThrust
 from hitchopt.checks.bounds.thrust_turning import turning
@@ -78,6 +79,8 @@ class ClockLimits:
         self.hover = self.static.largest
         self.tilt = motion.requirements.limits.tilt
         self.beyond = self.static.beyond_cone(self.tilt)
+        self.inertia = CarriedInertia.of(motion)
+        """What is carried; None where nothing is."""
 
     def keep(self, phases: ClockPhases, owners: int, *, sampled: bool = False) -> Flags:
         """Return (owners,) whether the phases of each clock keep all limits.
@@ -94,8 +97,12 @@ class ClockLimits:
         kept = np.ones(owners, dtype=np.bool_)
         for first in range(0, len(cells), BATCH):
             check_time()
-            part = slice(first, first + BATCH)
-            self._look(cells.taken(part), pieces[part], kept, sampled)
+            part, here = cells.taken(slice(first, first + BATCH)), pieces[first : first + BATCH]
+            self._look(part, here, kept, sampled)
+            if self.inertia is not None:
+                left = np.flatnonzero(kept[part.owner])
+                broken = self.inertia.broken(part.taken(left), here[left], sampled=sampled)
+                kept[part.owner[left[broken]]] = False
         return kept
 
     def _look(self, cells: ClockPhases, pieces: Indices, kept: Flags, sampled: bool) -> None:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
+from hitchopt.checks.bounds.stop_bounds import StopBounds
+from hitchopt.checks.bounds.verified_stops import balanced, shown
 from hitchopt.motion.cutting import REST
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.values import Array, Indices
 
 USUAL_DURATIONS = (0.1, 0.2, 0.3, 0.4, 0.52, 0.68, 0.88)
@@ -28,6 +28,10 @@ DURATIONS = USUAL_DURATIONS + LONG_DURATIONS
 
 SLOW_DURATIONS = (5.0, 10.0, 20.0)
 """[s] Longer ones, for plans with a reserve: a small one allows no shorter stops."""
+
+CARRYING_DURATIONS = (3.0, 3.6, 4.3, 5.0, 7.0, 10.0, 14.0, 20.0)
+"""[s] The same for plans that carry objects: slow ones leave less unbalanced, but have to fit into
+steady motion."""
 
 CUTS = 6
 """Parts, equal in logarithms, of the interval in which the shortest duration lies: it is found to
@@ -62,18 +66,6 @@ ROUNDS = 4
 FEW = 60
 """Pairs of a stop and a drone up to which all durations left are tried in one go, once the shortest
 of each stop have been."""
-
-
-def stop_phases(start: Array, duration: Array) -> ClockPhases:
-    """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
-    start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
-    jerk = 4.0 / duration**2
-    zero = np.zeros_like(start)
-    first = np.stack([start, zero + 1.0, zero, -jerk], axis=-1)
-    second = advanced(first, 0.5 * duration)
-    second[..., 3] = jerk
-    jets = np.stack([first, second], axis=1).reshape(-1, 4)
-    return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,14 +180,23 @@ def rest_of(motion: Motion) -> float:
     return float(motion.drones.breaks[-1]) if moving <= REST else np.inf
 
 
-def _most(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, bool]:
-    """Return durations (m,) [s] from which on none is looked for, and whether long ones are tried.
+def _most(bounds: StopBounds, starts: Array, rest: float) -> Array:
+    """Return durations (m,) [s] from which on none is looked for.
 
     None is looked for that would take far longer than running on to the plan's ``rest`` [s], unless
     a reserve lets stops begin at any time.
     """
-    slow = bounds.limits.motion.requirements.limits.reserve < 1.0
-    return np.full(len(starts), np.inf) if slow else LATEST * (rest - starts), slow
+    if bounds.limits.motion.requirements.limits.reserve < 1.0:
+        return np.full(len(starts), np.inf)
+    most: Array = LATEST * (rest - starts)
+    return most
+
+
+def slow_durations(limits: ClockLimits) -> tuple[float, ...]:
+    """Return long durations that are tried [s], with a reserve or something that is carried."""
+    if limits.inertia is not None:
+        return CARRYING_DURATIONS
+    return SLOW_DURATIONS if limits.motion.requirements.limits.reserve < 1.0 else ()
 
 
 def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, Array]:
@@ -206,8 +207,8 @@ def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, A
     """
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
-    most, slow = _most(bounds, starts, rest)
-    for group in (USUAL_DURATIONS, LONG_DURATIONS, SLOW_DURATIONS * slow):
+    most = _most(bounds, starts, rest)
+    for group in (USUAL_DURATIONS, LONG_DURATIONS, slow_durations(bounds.limits)):
         left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
         if len(left):
             tried = np.tile(group, (len(left), 1))
@@ -228,7 +229,7 @@ def _narrowed(
         ratio = (high[left] / low[left])[:, None]
         tried = low[left, None] * ratio ** (np.arange(1, CUTS + 1) / CUTS)
         tried[:, -1] = high[left]
-        most, _ = _most(bounds, starts[left], rest)
+        most = _most(bounds, starts[left], rest)
         found = _first(bounds, starts[left], low[left], tried[:, :-1], most)[1]
         low[left] = high[left] = np.fmin(high[left], found)
     return StopTable(rest, starts, high)
@@ -258,6 +259,8 @@ def _first(
     may = tried < most[:, None]
     stop, which = np.nonzero(may)
     may[stop, which] = bounds.may_keep(starts[stop], tried[stop, which])
+    stop, which = np.nonzero(may)
+    may[stop, which] = balanced(bounds.limits, starts[stop], tried[stop, which])
     first = np.full(len(starts), tried.shape[1])
     left = np.flatnonzero(np.any(may, axis=1))
     drones, begun = len(bounds.limits.hover[0]), False
@@ -276,13 +279,3 @@ def _first(
     steps = np.column_stack([np.minimum(low, tried[:, 0]), tried, np.full(len(starts), np.inf)])
     row = np.arange(len(starts))
     return steps[row, first], steps[row, first + 1]
-
-
-def shown(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops are shown to keep all limits."""
-    kept = bounds.show(starts, durations)
-    if bounds.limits.motion.requirements.limits.body_rate is not None:
-        left = np.flatnonzero(kept)
-        clocks = stop_phases(starts[left], durations[left])
-        kept[left] = bounds.limits.keep(clocks, len(left))
-    return kept

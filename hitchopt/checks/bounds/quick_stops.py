@@ -12,14 +12,14 @@ import numpy as np
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.clock_stops import (
     DURATIONS,
-    SLOW_DURATIONS,
     StopTable,
     rest_of,
-    shown,
+    slow_durations,
     spaced_starts,
 )
 from hitchopt.checks.bounds.compiled_stops import compiled_stops
 from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
+from hitchopt.checks.bounds.verified_stops import balanced, shown
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
 from hitchopt.time_limit import check_time
@@ -53,10 +53,10 @@ def quick_stop_table(motion: Motion) -> StopTable:
     """Return stops that keep all limits of a motion, by a few per cent longer than need be."""
     bounds = StopBounds(ClockLimits(motion), WIDTH)
     starts, limits = spaced_starts(motion), motion.requirements.limits
-    slow = limits.reserve < 1.0
-    span = np.array([DURATIONS[0], SLOW_DURATIONS[-1] if slow else DURATIONS[-1]])
-    rounds = BISECTIONS + 2 * slow
-    if kernels_on() and limits.body_rate is None:
+    slow = slow_durations(bounds.limits)
+    span = np.array([DURATIONS[0], slow[-1] if slow else DURATIONS[-1]])
+    rounds = BISECTIONS + 2 * bool(slow)
+    if kernels_on() and limits.body_rate is None and bounds.limits.inertia is None:
         samples = np.stack([each.ravel() for each in (_PLAN, _S, _A, _J)])
         durations = compiled_stops(bounds, starts, samples, span, rounds, np.array(LONGER))
         return StopTable(rest_of(motion), starts, durations)
@@ -75,7 +75,7 @@ def quick_stop_table(motion: Motion) -> StopTable:
 
 
 def _least(bounds: StopBounds, starts: Array, span: Array, rounds: int) -> Array:
-    """Return durations (m,) [s] below which samples break a limit of acceleration or jerk."""
+    """Return durations (m,) [s] below which samples break a limit that is sampled."""
     least = np.full(len(starts), span[0])
     left = np.flatnonzero(~_kept_at_samples(bounds, starts, least))
     low, high = (np.full(len(left), np.log(each)) for each in span)
@@ -89,12 +89,12 @@ def _least(bounds: StopBounds, starts: Array, span: Array, rounds: int) -> Array
 
 
 def _kept_at_samples(bounds: StopBounds, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops keep the limits of acceleration and jerk at samples."""
+    """Return (m,) whether stops keep the limits of acceleration and jerk, and a balance, there."""
     count = max(1, VECTORS // (len(_W) * len(bounds.limits.motion.team.mass)))
-    if len(starts) <= count:
-        return _kept(bounds, starts, durations)
-    parts = [slice(first, first + count) for first in range(0, len(starts), count)]
-    return np.concatenate([_kept(bounds, starts[part], durations[part]) for part in parts])
+    parts = [slice(first, first + count) for first in range(0, max(1, len(starts)), count)]
+    kept = np.concatenate([_kept(bounds, starts[part], durations[part]) for part in parts])
+    kept &= balanced(bounds.limits, starts, durations)
+    return kept
 
 
 def _kept(bounds: StopBounds, starts: Array, durations: Array) -> Flags:

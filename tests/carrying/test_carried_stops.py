@@ -1,0 +1,319 @@
+"""Stops while something is carried: the bounds against samples and against retimed plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from test_carried_tray import tray
+from test_gripped_drum import RADIUS, drum, ratios
+
+import hitchopt as ho
+from benchmarks.clock_balance import derivatives, unbalanced
+from benchmarks.stops import sampled
+from hitchopt.checks import support
+from hitchopt.checks.bounds.carried_inertia import CarriedInertia
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.quick_stops import quick_stop_table
+from hitchopt.checks.bounds.verified_stops import start_phases, stop_phases
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import Finding
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import retimed
+from hitchopt.objects import SolidObject
+from hitchopt.stopping.abort import Aborts
+from hitchopt.stopping.player import Player
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.clock_phases import ClockPhases
+from hitchopt.values import Array
+
+KINDS = ["tray", "drum"]
+
+
+@pytest.fixture(scope="module")
+def plans() -> dict[str, ho.Plan]:
+    problems = {"tray": tray(), "drum": drum()}
+    return {name: ho.solve(ho.problem_from_dict(each)) for name, each in problems.items()}
+
+
+def carried(motion: Motion) -> tuple[float, float]:
+    """When the object begins to move and when it stands again [s]."""
+    speeds = motion.object_poses.differentiated().coefficients[:, 0]
+    on = np.flatnonzero(np.any(np.abs(speeds) > 1e-6, axis=(1, 2)))
+    return float(motion.drones.breaks[on[0]]), float(motion.drones.breaks[on[-1] + 1])
+
+
+def random_stops(motion: Motion, seed: int, count: int) -> tuple[Array, Array]:
+    """Starts and durations of stops that rest before the object stands again."""
+    begin, end = carried(motion)
+    rng = np.random.default_rng(seed)
+    durations = np.geomspace(0.1, 6.0, count)[rng.permutation(count)]
+    return rng.uniform(begin, end - 0.5 * durations), durations
+
+
+def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
+    cells, pieces = clock.cut(inertia.breaks)
+    flown = pieces < len(inertia.breaks) - 1
+    return not np.any(inertia.broken(cells.taken(flown), pieces[flown], sampled=False))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("ramp", [stop_phases, start_phases])
+def test_clocks_that_are_kept_leave_no_more_than_the_limit(
+    kind: str, ramp: type, plans: dict[str, ho.Plan]
+) -> None:
+    """At 1 kHz; what is refused would come near it, or beyond."""
+    motion = plans[kind].motion
+    inertia = CarriedInertia.of(motion)
+    assert inertia is not None
+    found: dict[bool, list[float]] = {True: [], False: []}
+    for start, duration in zip(*random_stops(motion, 4, 150), strict=True):
+        clock = ramp(np.array([start]), np.array([duration]))
+        found[kept(inertia, clock)].append(unbalanced(motion, sampled(clock)))
+    assert len(found[True]) >= 10
+    assert max(found[True]) <= 1.0
+    assert max(found[True]) > 0.3
+    assert min(found[False]) > 0.6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_checks_hold_of_the_plan_on_clocks_that_are_kept(
+    kind: str, plans: dict[str, ho.Plan]
+) -> None:
+    motion = plans[kind].motion
+    inertia = CarriedInertia.of(motion)
+    assert inertia is not None
+    refused = 0
+    for start, duration in zip(*random_stops(motion, 9, 40), strict=True):
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        flown = retimed(motion, clock)
+        checks = [RULE_OF[name].check(flown) for name in ("equilibrium", "support", "grip")]
+        holds = all(check is None or check.holds for check in checks)
+        assert holds or not kept(inertia, clock)
+        refused += not holds
+    assert refused > 15
+
+
+def replaced(body: SolidObject, **changes: Any) -> SolidObject:
+    names = ("section", "lower", "upper", "mass", "friction", "at", "yaw", "rim", "fixed")
+    return SolidObject(**{name: getattr(body, name) for name in names} | changes)
+
+
+def rubbed(motion: Motion, friction: float) -> Motion:
+    """The motion with another friction of what is carried."""
+    objects = dict(motion.requirements.objects)
+    name, body = next(iter(objects.items()))
+    objects[name] = replaced(body, friction=friction)
+    return replace(motion, requirements=replace(motion.requirements, objects=objects))
+
+
+def on_clock(part: PiecewisePolynomial, jets: Array) -> Array:
+    """Second derivatives by time (samples, *shape) on a clock."""
+    first, second = derivatives(part, jets[:, 0], 2)
+    s, a = jets[:, 1, None, None], jets[:, 2, None, None]
+    found: Array = s**2 * second + a * first
+    return found
+
+
+def sliding(motion: Motion, jets: Array) -> float:
+    """The friction that carries the rim along, over what there is."""
+    a = on_clock(motion.vertices, jets)
+    needed = np.linalg.norm(a[..., :2], axis=-1) / (GRAVITY + a[..., 2])
+    return float(np.max(needed)) / 0.032
+
+
+def tipping(motion: Motion, jets: Array) -> float:
+    """How far the force line moves from where it is at the plan's own rate, over 4 mm."""
+    own = np.column_stack([jets[:, 0], np.ones(len(jets)), np.zeros((len(jets), 2))])
+    lines = []
+    for each in (jets, own):
+        a = on_clock(motion.object_poses, each)[:, 0]
+        lines.append(0.1 * a[:, :2] / (GRAVITY + a[:, 2:3]))  # its centre is so far below the rim
+    return float(np.max(np.linalg.norm(lines[0] - lines[1], axis=-1))) / 0.004
+
+
+def slipping(motion: Motion, jets: Array) -> float:
+    """The least ratio of slip load to load that there has to be, over that there is."""
+    a = on_clock(motion.object_poses, jets)[:, 0]
+    own = motion.object_poses.differentiated(2).at(jets[:, 0])[:, 0]
+    load = GRAVITY + a[:, 2] + RADIUS * np.linalg.norm(a[:, 3:], axis=-1)
+    slip = ratios(motion, jets[:, 0]) * (GRAVITY + own[:, 2])
+    return float(np.max(1.5 * load / slip))
+
+
+@pytest.mark.parametrize(
+    ("kind", "friction", "items", "measure"),
+    [
+        ("tray", 0.032, slice(3, 6), sliding),
+        ("tray", 0.5, slice(6, 7), tipping),
+        ("drum", 0.402, slice(1, 2), slipping),
+    ],
+)
+def test_friction_the_force_line_and_grip_bind_by_themselves(
+    kind: str,
+    friction: float,
+    items: slice,
+    measure: Callable[[Motion, Array], float],
+    plans: dict[str, ho.Plan],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    finder = replace(support.RULE.finders[0], find=lambda *_: Finding(0.004, 0.0))
+    monkeypatch.setattr(support, "RULE", replace(support.RULE, finders=(finder,)))
+    motion = rubbed(plans[kind].motion, friction)
+    inertia = CarriedInertia.of(motion)
+    assert inertia is not None
+    own = inertia.slack[:, items].copy()
+    inertia.slack[:] = np.inf
+    inertia.slack[:, items] = own
+    found: dict[bool, list[float]] = {True: [], False: []}
+    for start, duration in zip(*random_stops(motion, 2, 150), strict=True):
+        clock = stop_phases(np.array([start]), np.array([duration]))
+        found[kept(inertia, clock)].append(measure(motion, sampled(clock)))
+    assert max(found[True]) <= 1.0
+    assert max(found[True]) > 0.7
+    assert max(found[False]) > 1.0
+
+
+def pausing(plan: ho.Plan, time: float) -> tuple[Player, float]:
+    """A player that has just been paused, and what its stop leaves unbalanced."""
+    player = Player(plan, time)
+    player.pause()
+    return player, unbalanced(plan.motion, sampled(player.ahead))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pause_waits_until_what_is_carried_stays_in_balance(
+    kind: str, plans: dict[str, ho.Plan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From where it gathers speed; and the clock can start again from there."""
+    plan = plans[kind]
+    carry = next(p for p in plan.motion.phases if p.name == "carry")
+    time = carry.start + 0.2 * (carry.end - carry.start)
+    player, left = pausing(plan, time)
+    assert 0.0 < left <= 1.0
+    seconds = float(np.sum(player.ahead.duration))
+    assert 0.5 < seconds <= plan.certificate["stoppable"].bound
+    player.step(seconds)
+    assert player.resting
+    player.resume()
+    assert unbalanced(plan.motion, sampled(player.ahead)) <= 1.0
+    monkeypatch.setattr(CarriedInertia, "of", lambda _: None)
+    sooner, left = pausing(plan, time)
+    assert float(np.sum(sooner.ahead.duration)) < 0.8 * seconds
+    assert left > 2.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_commands_keep_the_balance(kind: str, plans: dict[str, ho.Plan]) -> None:
+    motion = plans[kind].motion
+    first, (begin, end) = Player(motion), carried(motion)
+    rng, done = np.random.default_rng(12), 0
+    for _ in range(8):
+        player = Player(motion, rng.uniform(begin, end), like=first)
+        for command in rng.choice(["pause", "resume", "back", "slow", "seek"], 4):
+            call = {
+                "slow": partial(player.rate, 0.5),
+                "seek": partial(player.seek, rng.uniform(begin, end)),
+            }.get(command) or getattr(player, command)
+            try:
+                seconds = call()
+            except ho.InfeasibleError:
+                assert command not in {"pause", "resume"}
+                continue
+            done += 1
+            clock = player.ahead
+            if command == "slow" and len(clock):
+                jet = clock.ends[-1].copy()
+                jet[2:] = 0.0
+                left = np.array([2.0 * (motion.duration - jet[0])])
+                clock = clock.followed_by(ClockPhases(np.zeros(1, int), jet[None], left))
+            if len(clock):
+                assert unbalanced(motion, sampled(clock)) <= 1.0
+            player.step(rng.uniform(0.3, 1.0) * seconds)
+    assert done > 15
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_longest_time_to_rest_is_that_of_samples(kind: str, plans: dict[str, ho.Plan]) -> None:
+    """From the command that is reported, no stop that samples allow rests a tenth sooner."""
+    motion, reported = plans[kind].motion, plans[kind].certificate["stoppable"]
+    limits = ClockLimits(motion)
+    starts, durations = (
+        each.ravel()
+        for each in np.meshgrid(
+            reported.time + np.arange(0.05, 0.9 * reported.bound, 0.05), np.geomspace(0.1, 6.0, 25)
+        )
+    )
+    soon = starts + durations < reported.time + 0.9 * reported.bound
+    starts, durations = starts[soon], durations[soon]
+    fine = limits.keep(stop_phases(starts, durations), len(starts), sampled=True)
+    rests = starts + 0.5 * durations
+    fine &= limits.keep(start_phases(rests, durations), len(starts), sampled=True)
+    assert len(starts) > 300
+    assert not np.any(fine)
+    quick = quick_stop_table(motion)
+    assert np.max(quick.longest[0]) >= 0.95 * reported.bound
+    found = np.flatnonzero(np.isfinite(quick.durations))
+    clocks = stop_phases(quick.starts[found], quick.durations[found])
+    assert np.all(limits.keep(clocks, len(found)))
+
+
+def test_a_slower_rate_is_refused_while_something_is_to_be_carried(
+    plans: dict[str, ho.Plan],
+) -> None:
+    player = Player(plans["drum"], 0.5)
+    with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
+        player.rate(0.5)
+    assert player.clock_rate == 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hold_begins_where_the_balance_allows(kind: str, plans: dict[str, ho.Plan]) -> None:
+    """In the lift; its certificate is that of polynomials of its own."""
+    motion = plans[kind].motion
+    lift = next(p for p in motion.phases if p.name == "lift")
+    found = Aborts(motion).found(lift.end - 1.0, "hold")
+    assert found.certified.certificate.certified
+    assert found.rest < lift.end + 0.2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_clock_can_start_again_wherever_it_stops(kind: str, plans: dict[str, ho.Plan]) -> None:
+    motion = plans[kind].motion
+    player = Player(motion)
+    limits, table = player.limits, player.stops
+    assert limits.inertia is not None
+    rests = table.starts + 0.5 * table.durations
+    own = np.isfinite(rests) & limits.inertia.during(rests, rests)
+    assert np.sum(own) > 10
+    starts = start_phases(rests[own], table.durations[own])
+    assert np.all(limits.keep(starts, int(np.sum(own))))
+    lift = next(p for p in motion.phases if p.name == "lift")
+    sought = 0
+    for target in np.linspace(lift.start + 2.0, lift.end, 15):
+        player = Player(motion, lift.start + 1.5, like=player)
+        try:
+            player.step(player.seek(float(target)))
+        except ho.InfeasibleError:
+            continue
+        sought += 1
+        assert player.resume() < 10.0
+    assert sought
+
+
+def test_an_object_without_a_rim_that_is_to_rest_is_no_error(
+    plans: dict[str, ho.Plan],
+) -> None:
+    motion = plans["tray"].motion
+    objects = dict(motion.requirements.objects)
+    objects["tray"] = replaced(objects["tray"], rim=None)
+    rimless = replace(motion, requirements=replace(motion.requirements, objects=objects))
+    assert CarriedInertia.of(rimless) is None
+    found = RULE_OF["support"].check(rimless)
+    assert found is not None
+    assert not found.holds
