@@ -22,12 +22,11 @@ import numpy as np
 from benchmarks.carrying import SIDES, add_row, rows
 from benchmarks.carrying_loads import task_of
 from benchmarks.environment import busy, environment
-from benchmarks.grip_history import GripHistory, LoadedGrip
+from benchmarks.grip_prediction import held_grip
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.plan import Plan
 from hitchopt.planning import solve
-from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.rope_flight import _Run
 from hitchopt.simulation.simulation_settings import PRESETS, Settings
 from hitchopt.values import Array
@@ -48,9 +47,6 @@ FALL = 0.03
 
 LOOSE, FALLING = 0.06, 0.01
 """Depth [m] at which an object has slipped, and the speed [m/s] beyond which it slips."""
-
-PARTS = 16
-"""Parts in which the weight passes to the clasps of a prediction."""
 
 
 @dataclass(frozen=True)
@@ -200,44 +196,14 @@ def simulated(plan: Plan, case: Case, settings: Settings) -> float:
     return float("nan")
 
 
-def predicted(plan: Plan, case: Case, thickness: float) -> LoadedGrip:
-    """Return the state of a grip while it holds, by its history at the clasps."""
-    task = task_of(plan)
-    grasp, lift, hold = (
-        next(each for each in plan.motion.phases if each.name == name)
-        for name in ("grasp", "lift", "hold")
-    )
-    held = task.index(lift.start)
-    places = task.vertices[held]
-    level = places[:, 2].mean() - task.cargo.poses[held, 0, 2]
-    away = np.max(np.linalg.norm(task.vertices - places, axis=-1), axis=-1)
-    there = (task.t >= grasp.start) & (away < 1e-3)
-    lifting = np.flatnonzero((task.t >= lift.start) & (task.t <= hold.start))
-    borne = task.cargo.borne[lifting, 0]
-    parts = [lifting[np.argmax(borne >= i / PARTS)] for i in range(1, PARTS)]
-    history = GripHistory(
-        task.cargo.objects["held"].section, case.tension, case.clasps, 0.01, thickness
-    )
-    near = (1.0 + thickness / case.tied) * (places - task.cargo.poses[held, 0, :3])[:, :2]
-    closed = history.closed(_drones(task, int(np.argmax(there)), level), near)
-    drones = [_drones(task, int(i), level) for i in (*parts, task.index(hold.start + 0.1))]
-    return history.lifted(closed, drones, GRAVITY * case.mass)
-
-
-def _drones(task: Task, index: int, level: float) -> Array:
-    """Return drones (n, 2, 3) [m] about the object, above the plane where cables meet it."""
-    base = task.cargo.poses[index, 0, :3] + [0.0, 0.0, level]
-    drones: Array = task.setpoints.positions[index].reshape(-1, 2, 3) - base
-    return drones
-
-
 def fly(name: str, settings: Settings) -> None:
     """Fly a case once, and add it to the table."""
     case = CASES[name]
     plan = solve(problem_from_dict(case.problem()))
     friction = simulated(plan, case, settings)
     weight = GRAVITY * case.mass
-    history = predicted(plan, case, settings.preset.diameter).slip_load(friction)
+    ropes = case.tied, case.clasps, settings.preset.diameter
+    history = held_grip(plan, task_of(plan), *ropes).slip_load(friction)
     smooth = replace(case, clasps=0.0)
     grips = [
         plan.certificate["grip"] for plan in (solve(problem_from_dict(smooth.problem())), plan)
