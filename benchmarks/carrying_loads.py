@@ -73,7 +73,8 @@ CASES = (*HELD, *SLIPPING)
 SLIPPED = 0.03
 """[m] Objects that slip so far are not held."""
 
-DRUM, BOX = {"circle": 0.2, "friction": 0.5}, {"outline": SIDES, "friction": 0.8}
+DRUM: dict[str, Any] = {"circle": 0.2, "friction": 0.5}
+BOX: dict[str, Any] = {"outline": SIDES, "friction": 0.8}
 """What is gripped, and its coefficient of friction."""
 
 ROUGHER = 3.0
@@ -199,8 +200,8 @@ def slip_load(case: str) -> float:
     mass, thickness = 0.2, PRESETS["accurate"].diameter
     for _ in range(TURNS):
         plan = solve(problem_from_dict(problem(case, mass, ROUGHER)))
-        grip = held_grip(plan, task_of(plan), TIED_AROUND[4], FRICTION, thickness)
-        mass = grip.slip_load(BOX["friction"]) / GRAVITY
+        held = held_grip(plan, task_of(plan), TIED_AROUND[4], FRICTION, thickness)
+        mass = held.slip_load(BOX["friction"]) / GRAVITY
     return mass
 
 

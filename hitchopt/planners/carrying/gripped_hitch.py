@@ -26,14 +26,16 @@ from hitchopt.planners.carrying.clasp_lean import edge_ratios
 from hitchopt.planners.carrying.edge_balance import (
     balanced,
     contacts_of,
-    lifting_heights,
     straight_parts,
 )
 from hitchopt.planners.carrying.moves import Move, courses
 from hitchopt.values import Array
 
-PASSES = 6
-"""Times that heights and places of clasps are computed from each other: to 1e-9 m."""
+PASSES = 20
+"""Most steps of Newton's that places and heights of clasps take."""
+
+SETTLED = 1e-12
+"""[m] Steps that are smaller end the search for clasps in balance."""
 
 TOGETHER, BEYOND = 1e-6, 3e-6
 """Shares of the path that are nearer to each other are one event; so far from one it is over."""
@@ -225,16 +227,17 @@ class GrippedHitch:
         contacts = contacts_of(polygon, wraps, section.core)
         centre = self.body.centre_of_mass[:2]
         z = np.zeros(polygon.shape[:-1])
-        for _ in range(PASSES):
-            leaving, arriving = straight_parts(polygon, contacts, z)
-            z = lifting_heights(T, leaving, arriving, contacts - centre, weight)
-            if pulled is not None and np.any(pulled[1]):
-                force, borne = pulled
-                parts, arms = (leaving, arriving), contacts - centre
-                even = centre + balanced(polygon - centre, T, parts, arms, force)
-                polygon = planned + borne[..., None, None] * (even - planned)
+        if pulled is not None and np.any(pulled[1]):
+            force, borne = pulled
+            load = np.concatenate([force, weight[..., None]], axis=-1)
+            for _ in range(PASSES):
+                before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
+                after = balanced(before, T, contacts - centre, load, (planned - centre, borne))
+                polygon, z = centre + after[..., :2], after[..., 2]
                 wraps = wraps_around(section, polygon, bends)
                 contacts = contacts_of(polygon, wraps, section.core)
+                if np.max(np.abs(after - before)) < SETTLED:
+                    break
         leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
