@@ -16,10 +16,9 @@ from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.clasp_opening import grip_left
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
-from hitchopt.planners.carrying.moves import Move, held_flight
+from hitchopt.planners.carrying.moves import Move, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
-from hitchopt.requirements import Separation
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
     PRELOAD,
@@ -46,8 +45,8 @@ but the more their weight brings drones together."""
 LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
 
-KEPT, NEAREST, SAMPLES = 1.02, 1.0005, 65
-"""Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+KEPT, NEAREST = 1.02, 1.0005
+"""Separation of drones that is kept while legs lean, or at all."""
 
 LEFT = 0.5
 """Share of the weight below which has to be what a hitch that has opened still grips with."""
@@ -167,9 +166,7 @@ def _passing(
         )
         moves = [*first, *_closing(lax, *closed), *last]
         even = held.largest_seam(between) <= SEAM
-        if even and all(
-            _apart(held, move, task.requirements.separation, NEAREST) for move in moves
-        ):
+        if even and all(_apart(task, move, NEAREST) for move in moves):
             return moves
         found.append((even, moves))
     if not found:
@@ -216,7 +213,7 @@ def _closing(task: StepTask, start: float, end: float) -> list[Move]:
     sign = math.copysign(1.0, end - start)
     for share in LEANS if held.team.cable_friction else ():
         moves = list(_leaning(task, start, end, sign * share))
-        if all(_apart(held, move, task.requirements.separation) for move in moves):
+        if all(_apart(task, move, KEPT) for move in moves):
             return moves
     return list(_leaning(task, start, end, 0.0))
 
@@ -256,12 +253,11 @@ def _remarked_lean(motion: Motion, moves: list[Move]) -> Motion:
     )
 
 
-def _apart(held: GrippedHitch, move: Move, separation: Separation, least: float = KEPT) -> bool:
-    """Return whether drones keep off each other at samples of a move."""
-    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
-    one, other = np.triu_indices(drones.shape[1], 1)
-    ratios = np.linalg.norm((drones[:, one] - drones[:, other]) * separation.scale, axis=-1)
-    return bool(np.min(ratios) >= least)
+def _apart(task: StepTask, move: Move, least: float) -> bool:
+    """Return whether drones keep that many times their separation at samples of a move."""
+    held = task.holding.held
+    assert held is not None
+    return bool(np.min(separation_ratios(held, move, task.requirements.separation)) >= least)
 
 
 def check_grip(task: StepTask) -> None:
