@@ -88,7 +88,7 @@ def balanced(
 
 @dataclass(frozen=True, eq=False)
 class _Raised:
-    """By how much clasps rise in a step of Newton's, by how they are moved.
+    """Rises of clasps in a step of Newton's, by how they are moved.
 
     Attributes
     ----------
