@@ -497,3 +497,17 @@ def test_a_square_whose_clasps_turn_easily_is_carried_gently() -> None:
     x = plan.motion.object_poses.at(t)[:, 0, :2]
     fastest = np.linalg.norm(np.diff(x, 2, axis=0), axis=1).max() / (t[1] - t[0]) ** 2
     assert 0.05 < fastest < 0.4  # m/s², and not 1.0
+
+
+def test_a_weight_that_no_edges_carry_is_refused_with_what_to_change() -> None:
+    """Six straight parts with 1.3 N each lift 7.8 N at most, were they upright."""
+    drum = {"circle": 0.2, "mass": 0.82, "friction": 20.0, "at": [1.5, 0.0, 0.0]}
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.15, "tension": 1.0},
+        "limits": {"tilt_deg": 70},
+        "objects": {"drum": drum},
+        "start": {"hitch": {"polygon": [[2.05, 0], [1.2, -0.5], [1.2, 0.5]], "altitude": 1.0}},
+        "mission": [{"transport_object": {"object": "drum", "to": [1.5, 1.5, 0], "tension": 1.3}}],
+    }
+    with pytest.raises(ho.InfeasibleError, match=r"equilibrium.*lower objects.drum.mass to"):
+        ho.solve(ho.problem_from_dict(problem))

@@ -13,6 +13,10 @@ from hitchopt.values import Array
 SOFT = 1e-2
 """Damping over stiffness: clasps do not turn about objects that are nearly round."""
 
+FARTHEST = 0.5
+"""Longest step of a clasp over the shorter of its straight parts, at most as far as which edges
+pull nearly as their derivatives say."""
+
 
 def contacts_of(polygon: Array, wraps: Wraps, core: Array) -> Array:
     """Return where edges meet and leave the section (…, n, 2, 2) [m].
@@ -40,10 +44,10 @@ def balanced(
 ) -> Array:
     """Return clasps (…, n, 3) [m], moved and turned together and raised, whose edges bear a load.
 
-    One damped step of Newton's for places and heights together: moved across itself a straight part
-    of length t turns, and pulls with ``T / t`` more per metre. No edge turns a disc. Clasp k lifts
-    with ``f_k``, what both of its edges do. Of all ``f`` that bear the weight without a moment
-    about level axes the nearest to equal ones is taken.
+    One damped step of Newton's, shortened where it is long, for places and heights together: moved
+    across itself a straight part of length t turns, and pulls with ``T / t`` more per metre. No
+    edge turns a disc. Clasp k lifts with ``f_k``, what both of its edges do. Of all ``f`` that bear
+    the weight without a moment about level axes the nearest to equal ones is taken.
 
     Parameters
     ----------
@@ -81,9 +85,12 @@ def balanced(
         planned, share = back
         step = planned - polygon + share[..., None, None] * (polygon + step - planned)
     rise = np.einsum("...mi,...mi->...m", stiff[..., 2, :2], _of_ends(step))[..., None]
-    up = raised.first[..., None] + raised.by(rise)
-    moved_clasps: Array = clasps + np.concatenate([step, up], axis=-1)
-    return moved_clasps
+    step = np.concatenate([step, raised.first[..., None] + raised.by(rise)], axis=-1)
+    ahead, behind = np.split(length(parts), 2, axis=-1)
+    reach = FARTHEST * np.minimum(ahead, np.roll(behind, 1, axis=-1))
+    part = np.min(reach / np.maximum(length(step), reach), axis=-1)
+    stepped: Array = clasps + part[..., None, None] * step
+    return stepped
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from hitchopt.checks.equilibrium import LIMIT
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
@@ -238,6 +240,8 @@ class GrippedHitch:
                 contacts = contacts_of(polygon, wraps, section.core)
                 if np.max(np.abs(after - before)) < SETTLED:
                     break
+            else:
+                _check_balance(straight_parts(polygon, contacts, z), T, load, borne)
         leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
@@ -268,6 +272,24 @@ class GrippedHitch:
             "leg_tensions": pulls,
             "contacts": np.concatenate([contacts, level], axis=-1),
         }
+
+
+def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:
+    """Raise InfeasibleError for edges that do not bear a load (…, 3) [N] where it is off support.
+
+    Parameters
+    ----------
+    parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
+    borne: (…), the share of the object that they bear; of level forces friction bears some below 1.
+    """
+    leaving, arriving = parts
+    lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
+    lacking[..., :2] *= (borne == 1.0)[..., None]
+    worst = float(np.max(length(lacking) / np.min(T, axis=-1)))
+    if worst > LIMIT:
+        remedy = "lower the object's mass, raise the tension, or use more robots"
+        when = "where edges bear the object"
+        raise InfeasibleError([Violation("equilibrium", worst, LIMIT, "max", "", (), when, remedy)])
 
 
 def _span(leaving: Array, arriving: Array) -> Array:
