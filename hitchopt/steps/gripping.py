@@ -57,6 +57,9 @@ PUSHED = 0.9
 SEAM = 0.8 * LIMIT
 """Largest relative error of cable lengths where edges meet other corners."""
 
+OTHER_BENDS = "smooth the outline: edges come to bend otherwise as they take the weight"
+"""What to change where a grip that could hold an object at first is out of balance with it."""
+
 APART = 1.15
 """Distance of neighbouring drones while legs lean, over the least one."""
 
@@ -268,20 +271,20 @@ def check_grip(task: StepTask) -> None:
     body, words = held.body, f"with objects.{holding.name} off its support"
     bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
 
-    def suggested() -> str:
+    def suggested(otherwise: str) -> str:
         from hitchopt.planners.carrying.grip_polygon import grip_suggestion
 
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
         capacity, remedies = grip_suggestion(*given)
         if capacity.mass >= body.mass:
-            return "smooth the outline: edges come to bend otherwise as they take the weight"
+            return otherwise
         return f"{remedies} ({capacity.binding} binds)"
 
     try:
         flight = held_flight(held, resting_move(bearing, 1.0))
     except InfeasibleError as error:
-        broken = [replace(v, when=words, remedy=suggested()) for v in error.violations]
+        broken = [replace(v, when=words, remedy=suggested(v.remedy)) for v in error.violations]
         raise InfeasibleError(broken) from None
     found = certified(held_motion(bearing, [flight], "hold"))
     if found.certificate.certified:
@@ -290,7 +293,7 @@ def check_grip(task: StepTask) -> None:
     weighty = {"thrust", "tilt", "equilibrium", "grip"}
     raise InfeasibleError(
         [
-            replace(v, remedy=suggested()) if v.constraint in weighty else v
+            replace(v, remedy=suggested(OTHER_BENDS)) if v.constraint in weighty else v
             for v in refusal.violations
         ]
     )
