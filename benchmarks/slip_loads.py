@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.carrying import SIDES, add_row, rows
+from benchmarks.carrying import SIDES, add_row, rounded_sides, rows
 from benchmarks.carrying_loads import task_of
 from benchmarks.environment import busy, environment
 from benchmarks.grip_prediction import held_grip
@@ -101,22 +101,6 @@ class Case:
 
 DISC, BOX = {"circle": 0.2}, {"outline": SIDES}
 
-ROUNDING, POINTS = 0.02, 5
-"""Radius of the corners of the rounded box [m], and points of its outline at each."""
-
-
-def _rounded() -> list[list[float]]:
-    """Return the outline [m] of a box with round corners, counter-clockwise."""
-    half = np.abs(SIDES[0]) - ROUNDING
-    turns = np.linspace(0.0, 0.5 * np.pi, POINTS)
-    starts = np.repeat(0.5 * np.pi * np.arange(4), POINTS)
-    angles = starts + np.tile(turns, 4)
-    middles = half * np.sign(np.column_stack([np.cos(starts + 0.1), np.sin(starts + 0.1)]))
-    arcs = ROUNDING * np.column_stack([np.cos(angles), np.sin(angles)])
-    found: list[list[float]] = (middles + arcs).tolist()
-    return found
-
-
 CASES = {
     "drum-3": Case(DISC, 3, 1.6, 0.56, 0.15, 0.25, 0.445),
     "drum-3-rough": Case(DISC, 3, 1.6, 0.56, 0.25, 0.1453, 0.45),
@@ -125,7 +109,7 @@ CASES = {
     "drum-3-medium": Case({"circle": 0.17}, 3, 1.5, 0.5, 0.15, 0.2, 0.45),
     "drum-3-wide": Case({"circle": 0.23}, 3, 1.75, 0.62, 0.15, 0.279, 0.45),
     "box-4": Case(BOX, 4, 1.3, 0.46, 0.15, 0.1784, 0.7),
-    "box-4-round": Case({"outline": _rounded()}, 4, 1.3, 0.46, 0.15, 0.165, 0.7),
+    "box-4-round": Case({"outline": rounded_sides()}, 4, 1.3, 0.46, 0.15, 0.165, 0.7),
 }
 """The first one is that by which the law was found; the others were chosen before they were flown,
 and their masses such that the prediction for the friction is met."""
