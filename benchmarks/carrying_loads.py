@@ -93,8 +93,8 @@ BESIDES = """
 
 The certificate's slip load, that with the worst friction at the clasps, is 167 g by a light
 object's plan, 172 g by a heavy one's: a lower bound. A drum of 251 g (accurate, seed 6000) was held
-for 10 s, slipped by 1.2 cm. Slip loads measured (calm, accurate, one flight each): planned with a rough object, whose friction
-then falls by 0.03 a second while it is held.
+for 10 s, slipped by 1.2 cm. Slip loads measured (calm, accurate, one flight each): planned with a
+rough object, whose friction then falls by 0.03 a second while it is held.
 
 - Cables that do not rub on each other: the object of 235 g begins to slip at a friction of 0.50,
   between 0.489 and 0.506. `μ Σ T θ` of the plan is 242 g at rest, 234 g while it is lifted.
@@ -110,7 +110,6 @@ then falls by 0.03 a second while it is held.
   (283 g, object of 240 g), and were not kept.
 
 A load that grows beyond the plan's draws the hitch down, and tightens it: another measure.
-
 Why heavy trays hung low, by calm flights (fast) of tray-4 with 424 g: drones neither sank (0.04 cm)
 nor did ropes stretch (0.05 %), so the load is fed forward in full. Plans took legs to be straight,
 but cables run level below the rim up to its edge, which takes 1.4 cm a leg less. The tray hung 0.85
@@ -133,8 +132,8 @@ each of drum-3, drum-3-slips, box-4, box-4-slips, tray-3 and tray-4, then the ne
 box-4-slips, whose sharp corners press too hard (slip_loads.md), was held; box-4-round-slips was
 added for this, its seeds from 6300 on.
 
-drum-3-smooth-1.5 was stopped after 9 of 20 flights, for want of time. Accurate flights of drum-3 and
-drum-3-slips with seed 6000 were flown with the ropes that were too short.
+drum-3-smooth-1.5 was stopped after 9 of 20 flights, for want of time. Accurate flights of drum-3
+and drum-3-slips with seed 6000 were flown with the ropes that were too short.
 """
 """What other flights found."""
 
