@@ -148,8 +148,8 @@ tables have this too.
 
 It is an artefact of sharp corners and coarse ropes (`python -m benchmarks.rope_corners`, three
 places of nodes each). A rope that bends by 34° about the corner of a fixed box presses with 0.98 to
-1.39 times `T θ` with segments of 10 mm, 0.98 to 1.10 with 5 mm and 1.02 to 1.03 with 2.5 mm; with 10
-mm about corners of 10, 20 and 40 mm radius with 0.98 to 1.04, 1.00 to 1.01 and 1.00 to 1.01 times.
+1.39 times `T θ` with segments of 10 mm, 0.98 to 1.10 with 5 mm and 1.02 to 1.03 with 2.5 mm; with
+10 mm about corners of 10, 20 and 40 mm radius with 0.98 to 1.04, 1.00 to 1.01 and 1.00 to 1.01.
 box-4-round, the box with corners of 20 mm radius (arcs of five points), was added for this, its
 mass such that the prediction for a friction of 0.7 is met, before it was flown: there the
 prediction is within 5 %.

@@ -275,12 +275,12 @@ class GrippedHitch:
 
 
 def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:
-    """Raise InfeasibleError for edges that do not bear a load (…, 3) [N] where it is off support.
+    """Raise InfeasibleError where edges do not bear a load (…, 3) [N].
 
     Parameters
     ----------
     parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
-    borne: (…), the share of the object that they bear; of level forces friction bears some below 1.
+    borne: (…), the share of the object that they bear; below 1 its support bears level forces too.
     """
     leaving, arriving = parts
     lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
