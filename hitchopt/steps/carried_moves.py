@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hitchopt.errors import InfeasibleError
 from hitchopt.planners.carrying.moves import Move, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
@@ -20,8 +21,12 @@ CARRY_ACCELERATION = 1.0
 LIFT_ACCELERATION = 0.3
 """[m/s²] The same where it is lifted or set down."""
 
-APART = 1.001
-"""Least distance of drones at rest, over that asked, that inertia may lessen."""
+SLOWER = 1.5
+"""How much longer a move takes that is tried where edges do not bear weight and inertia."""
+
+NEAREST, APART = 1.001, 1.002
+"""Distances of drones over those asked: the least one in curves, whose polynomials are nearer by up
+to 4e-4, and the least one at rest that inertia may lessen."""
 
 
 def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
@@ -53,11 +58,16 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
         top = min(speed, limits.speed, limits.vertex_speed)
         law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
     lifted = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
-    for _ in range(STRETCHES):
+    for left in reversed(range(STRETCHES)):
         move = replace(changed_move(lifted, law, to=to), start=start)
-        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
-        if factor <= 1.0:
-            factor = _slower(separation_ratios(held, move, task.requirements.separation))
+        try:
+            factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
+            if factor <= 1.0:
+                factor = _slower(separation_ratios(held, move, task.requirements.separation))
+        except InfeasibleError:
+            if left == 0:
+                raise
+            factor = SLOWER
         if not 1.0 < factor < math.inf:
             break
         law = law.slowed(1.01 * factor)
@@ -74,6 +84,6 @@ def _slower(ratios: Array) -> float:
     ratios: (samples,) distances over those asked, at rest first.
     """
     rest, least = float(ratios[0]), float(np.min(ratios))
-    if least >= 1.0 or rest < APART:
+    if least >= NEAREST or rest < APART:
         return 1.0
-    return math.sqrt((rest - least) / (rest - 1.0))
+    return math.sqrt((rest - least) / (rest - NEAREST))
