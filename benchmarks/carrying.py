@@ -55,6 +55,9 @@ PULL, FRICTION = 1.3, 0.15
 SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
 """Outline of the box [m]."""
 
+ROUNDING, POINTS = 0.02, 5
+"""Radius of the corners of the rounded box [m], and points of its outline at each."""
+
 FOOT = 0.08
 """Radius of the foot on which trays stand [m]: a tray of 0.6 m on a foot of 0.16 m leaves clasps of
 three cables 4.7 cm on both sides."""
@@ -174,6 +177,18 @@ def carried(n: int, cable: float, body: dict[str, Any], tied: float = TIED) -> d
             {"land": {}},
         ],
     }
+
+
+def rounded_sides() -> list[list[float]]:
+    """Return the outline [m] of a box with round corners, counter-clockwise."""
+    half = np.abs(SIDES[0]) - ROUNDING
+    turns = np.linspace(0.0, 0.5 * np.pi, POINTS)
+    starts = np.repeat(0.5 * np.pi * np.arange(4), POINTS)
+    angles = starts + np.tile(turns, 4)
+    middles = half * np.sign(np.column_stack([np.cos(starts + 0.1), np.sin(starts + 0.1)]))
+    arcs = ROUNDING * np.column_stack([np.cos(angles), np.sin(angles)])
+    found: list[list[float]] = (middles + arcs).tolist()
+    return found
 
 
 CASES = {

@@ -19,15 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.carrying import SIDES, add_row, rows
+from benchmarks.carrying import SIDES, add_row, rounded_sides, rows
 from benchmarks.carrying_loads import task_of
 from benchmarks.environment import busy, environment
-from benchmarks.grip_history import GripHistory, LoadedGrip
+from benchmarks.grip_prediction import held_grip
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.plan import Plan
 from hitchopt.planning import solve
-from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.rope_flight import _Run
 from hitchopt.simulation.simulation_settings import PRESETS, Settings
 from hitchopt.values import Array
@@ -48,9 +47,6 @@ FALL = 0.03
 
 LOOSE, FALLING = 0.06, 0.01
 """Depth [m] at which an object has slipped, and the speed [m/s] beyond which it slips."""
-
-PARTS = 16
-"""Parts in which the weight passes to the clasps of a prediction."""
 
 
 @dataclass(frozen=True)
@@ -113,17 +109,19 @@ CASES = {
     "drum-3-medium": Case({"circle": 0.17}, 3, 1.5, 0.5, 0.15, 0.2, 0.45),
     "drum-3-wide": Case({"circle": 0.23}, 3, 1.75, 0.62, 0.15, 0.279, 0.45),
     "box-4": Case(BOX, 4, 1.3, 0.46, 0.15, 0.1784, 0.7),
+    "box-4-round": Case({"outline": rounded_sides()}, 4, 1.3, 0.46, 0.15, 0.165, 0.7),
 }
 """The first one is that by which the law was found; the others were chosen before they were flown,
 and their masses such that the prediction for the friction is met."""
 
 
 BESIDES = """
-The last three are predicted over simulated slip loads. drum-3 led to the law; its flight began with
-a friction of 0.62, not 0.60. The other cases were written down, and predicted, before they were
-flown, drum-3-medium and drum-3-wide when the rest had been. A box on four cables with a friction of
-0.05 was to be another, and was not planned (separation, 0.996). The certificate's slip load is a
-lower bound, no prediction.
+The last three columns are predicted over simulated slip loads. drum-3 led to the law; its flight
+began with a friction of 0.62, not 0.60. The other cases were written down, and predicted, before
+they were flown, drum-3-medium and drum-3-wide when the rest had been, box-4-round last. These three
+were flown by the command above, the other five by a script with the same protocol. A box on four
+cables with a friction of 0.05 was to be another, and was not planned (separation, 0.996). The
+certificate's slip load is a lower bound, no prediction.
 
 States as predicted, and simulated, at the slip: wraps of 75° and 75° (drum-3), 60° and 58°
 (drum-3-rough), 66° and 67° (drum-3-small), 34° and 34° (box-4); edges pull with 1.05 and 1.09,
@@ -147,6 +145,14 @@ sides of a corner press on its faces, not on its edge. A rope of 10 mm segments 
 74° about a corner of a fixed box, pulled by 1.3 N, pressed in all with 0.96 to 1.38 times `T θ`, by
 where its nodes were (1.00 on a disc); in the flight with 1.32 times. Rows of gripped boxes in other
 tables have this too.
+
+It is an artefact of sharp corners and coarse ropes (`python -m benchmarks.rope_corners`, three
+places of nodes each). A rope that bends by 34° about the corner of a fixed box presses with 0.98 to
+1.39 times `T θ` with segments of 10 mm, 0.98 to 1.10 with 5 mm and 1.02 to 1.03 with 2.5 mm; with
+10 mm about corners of 10, 20 and 40 mm radius with 0.98 to 1.04, 1.00 to 1.01 and 1.00 to 1.01.
+box-4-round, the box with corners of 20 mm radius (arcs of five points), was added for this, its
+mass such that the prediction for a friction of 0.7 is met, before it was flown: there the
+prediction is within 5 %.
 """
 """What the flights showed besides."""
 
@@ -200,44 +206,14 @@ def simulated(plan: Plan, case: Case, settings: Settings) -> float:
     return float("nan")
 
 
-def predicted(plan: Plan, case: Case, thickness: float) -> LoadedGrip:
-    """Return the state of a grip while it holds, by its history at the clasps."""
-    task = task_of(plan)
-    grasp, lift, hold = (
-        next(each for each in plan.motion.phases if each.name == name)
-        for name in ("grasp", "lift", "hold")
-    )
-    held = task.index(lift.start)
-    places = task.vertices[held]
-    level = places[:, 2].mean() - task.cargo.poses[held, 0, 2]
-    away = np.max(np.linalg.norm(task.vertices - places, axis=-1), axis=-1)
-    there = (task.t >= grasp.start) & (away < 1e-3)
-    lifting = np.flatnonzero((task.t >= lift.start) & (task.t <= hold.start))
-    borne = task.cargo.borne[lifting, 0]
-    parts = [lifting[np.argmax(borne >= i / PARTS)] for i in range(1, PARTS)]
-    history = GripHistory(
-        task.cargo.objects["held"].section, case.tension, case.clasps, 0.01, thickness
-    )
-    near = (1.0 + thickness / case.tied) * (places - task.cargo.poses[held, 0, :3])[:, :2]
-    closed = history.closed(_drones(task, int(np.argmax(there)), level), near)
-    drones = [_drones(task, int(i), level) for i in (*parts, task.index(hold.start + 0.1))]
-    return history.lifted(closed, drones, GRAVITY * case.mass)
-
-
-def _drones(task: Task, index: int, level: float) -> Array:
-    """Return drones (n, 2, 3) [m] about the object, above the plane where cables meet it."""
-    base = task.cargo.poses[index, 0, :3] + [0.0, 0.0, level]
-    drones: Array = task.setpoints.positions[index].reshape(-1, 2, 3) - base
-    return drones
-
-
 def fly(name: str, settings: Settings) -> None:
     """Fly a case once, and add it to the table."""
     case = CASES[name]
     plan = solve(problem_from_dict(case.problem()))
     friction = simulated(plan, case, settings)
     weight = GRAVITY * case.mass
-    history = predicted(plan, case, settings.preset.diameter).slip_load(friction)
+    ropes = case.tied, case.clasps, settings.preset.diameter
+    history = held_grip(plan, task_of(plan), *ropes).slip_load(friction)
     smooth = replace(case, clasps=0.0)
     grips = [
         plan.certificate["grip"] for plan in (solve(problem_from_dict(smooth.problem())), plan)
@@ -262,7 +238,7 @@ def summarise() -> None:
         "",
         environment(("mujoco",)),
         "- goal: predicted within 10 % of what is simulated",
-        "- limitations: one calm flight a case; drums on three cables and a box on four",
+        "- limitations: one calm flight a case; drums on three cables and boxes on four",
         "- history: as friction leaves the clasps, cables sliding as the grip closes and sticking "
         "as it lifts; without friction: `μ Σ T θ` of the plan of cables that do not rub; "
         "certified: with the worst friction at the clasps",

@@ -40,7 +40,8 @@ class Carry(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
-        from hitchopt.steps.carrying import carried_move, held_plan, lasting_moves, place_of
+        from hitchopt.steps.carried_moves import carried_move
+        from hitchopt.steps.carrying import held_plan, lasting_moves, place_of
 
         start = place_of(task.requirements.objects[self.object])
         to = np.append(self.to, start[3] + self.yaw)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -21,7 +20,6 @@ from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
 from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import check_duration
-from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certified, infeasible
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
@@ -36,12 +34,6 @@ AROUND_SPEED = 0.15
 
 PRELOAD = 1.5
 """[s] The weight passes from support to clasps, or back, in this time."""
-
-CARRY_ACCELERATION = 1.0
-"""[m/s²] Largest acceleration of what is carried."""
-
-LIFT_ACCELERATION = 0.3
-"""[m/s²] The same where it is lifted or set down."""
 
 STRETCHES = 5
 """So often a move is slowed down until no limit of motion is broken."""
@@ -133,44 +125,6 @@ def changed_move(
 def transferred(task: StepTask, before: float, after: float) -> Move:
     """Return the move in which weight passes to the clasps or back."""
     return changed_move(task, SmoothLaw(0.5 * PRELOAD), borne=(before, after))
-
-
-def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
-    """Return the fastest move of a carried object within all limits.
-
-    Parameters
-    ----------
-    start, to: (4,) x, y, z [m] and yaw [rad], in a straight line.
-    speed: largest one of the object and of drones about it [m/s]
-
-    Raises
-    ------
-    InfeasibleError: the weight cannot be carried.
-    """
-    holding, limits = task.holding, task.requirements.limits
-    held = holding.held
-    assert held is not None
-    turned = abs(float(to[3] - start[3])) * held.reach
-    length = float(np.linalg.norm((to - start)[:3])) + turned
-    upright = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
-    acceleration = min(
-        LIFT_ACCELERATION if upright else CARRY_ACCELERATION,
-        limits.acceleration,
-        held.largest_acceleration,
-    )
-    if length == 0.0 or acceleration == 0.0:
-        law = SmoothLaw(0.5)
-    else:
-        top = min(speed, limits.speed, limits.vertex_speed)
-        law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
-    lifted = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
-    for _ in range(STRETCHES):
-        move = replace(changed_move(lifted, law, to=to), start=start)
-        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
-        if not 1.0 < factor < math.inf:
-            break
-        law = law.slowed(1.01 * factor)
-    return move
 
 
 def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> list[Move]:

@@ -16,10 +16,9 @@ from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.clasp_opening import grip_left
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
-from hitchopt.planners.carrying.moves import Move, held_flight
+from hitchopt.planners.carrying.moves import Move, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
-from hitchopt.requirements import Separation
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
     PRELOAD,
@@ -46,8 +45,8 @@ but the more their weight brings drones together."""
 LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
 
-KEPT, NEAREST, SAMPLES = 1.02, 1.0005, 65
-"""Separation of drones that is kept while legs lean, or at all, and samples at which it is seen."""
+KEPT, NEAREST = 1.02, 1.0005
+"""Separation of drones that is kept while legs lean, or at all."""
 
 LEFT = 0.5
 """Share of the weight below which has to be what a hitch that has opened still grips with."""
@@ -57,6 +56,9 @@ PUSHED = 0.9
 
 SEAM = 0.8 * LIMIT
 """Largest relative error of cable lengths where edges meet other corners."""
+
+OTHER_BENDS = "smooth the outline: edges come to bend otherwise as they take the weight"
+"""What to change where a grip that could hold an object at first is out of balance with it."""
 
 APART = 1.15
 """Distance of neighbouring drones while legs lean, over the least one."""
@@ -167,9 +169,7 @@ def _passing(
         )
         moves = [*first, *_closing(lax, *closed), *last]
         even = held.largest_seam(between) <= SEAM
-        if even and all(
-            _apart(held, move, task.requirements.separation, NEAREST) for move in moves
-        ):
+        if even and all(_apart(task, move, NEAREST) for move in moves):
             return moves
         found.append((even, moves))
     if not found:
@@ -216,7 +216,7 @@ def _closing(task: StepTask, start: float, end: float) -> list[Move]:
     sign = math.copysign(1.0, end - start)
     for share in LEANS if held.team.cable_friction else ():
         moves = list(_leaning(task, start, end, sign * share))
-        if all(_apart(held, move, task.requirements.separation) for move in moves):
+        if all(_apart(task, move, KEPT) for move in moves):
             return moves
     return list(_leaning(task, start, end, 0.0))
 
@@ -256,12 +256,11 @@ def _remarked_lean(motion: Motion, moves: list[Move]) -> Motion:
     )
 
 
-def _apart(held: GrippedHitch, move: Move, separation: Separation, least: float = KEPT) -> bool:
-    """Return whether drones keep off each other at samples of a move."""
-    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
-    one, other = np.triu_indices(drones.shape[1], 1)
-    ratios = np.linalg.norm((drones[:, one] - drones[:, other]) * separation.scale, axis=-1)
-    return bool(np.min(ratios) >= least)
+def _apart(task: StepTask, move: Move, least: float) -> bool:
+    """Return whether drones keep that many times their separation at samples of a move."""
+    held = task.holding.held
+    assert held is not None
+    return bool(np.min(separation_ratios(held, move, task.requirements.separation)) >= least)
 
 
 def check_grip(task: StepTask) -> None:
@@ -272,20 +271,20 @@ def check_grip(task: StepTask) -> None:
     body, words = held.body, f"with objects.{holding.name} off its support"
     bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
 
-    def suggested() -> str:
+    def suggested(otherwise: str) -> str:
         from hitchopt.planners.carrying.grip_polygon import grip_suggestion
 
         tension = float(np.min(holding.tension))
         given = holding.name, body, held.closed, team, tension, requirements
         capacity, remedies = grip_suggestion(*given)
         if capacity.mass >= body.mass:
-            return "smooth the outline: edges come to bend otherwise as they take the weight"
+            return otherwise
         return f"{remedies} ({capacity.binding} binds)"
 
     try:
         flight = held_flight(held, resting_move(bearing, 1.0))
     except InfeasibleError as error:
-        broken = [replace(v, when=words, remedy=suggested()) for v in error.violations]
+        broken = [replace(v, when=words, remedy=suggested(v.remedy)) for v in error.violations]
         raise InfeasibleError(broken) from None
     found = certified(held_motion(bearing, [flight], "hold"))
     if found.certificate.certified:
@@ -294,7 +293,7 @@ def check_grip(task: StepTask) -> None:
     weighty = {"thrust", "tilt", "equilibrium", "grip"}
     raise InfeasibleError(
         [
-            replace(v, remedy=suggested()) if v.constraint in weighty else v
+            replace(v, remedy=suggested(OTHER_BENDS)) if v.constraint in weighty else v
             for v in refusal.violations
         ]
     )

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from hitchopt.steps.carried_moves import carried_move
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
-    carried_move,
     held_plan,
     lasting_moves,
     place_of,

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 from hitchopt.objects.placing import poses_of, surface_below
+from hitchopt.steps.carried_moves import carried_move
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
-    carried_move,
     held_plan,
     lasting_moves,
     place_of,

@@ -472,3 +472,42 @@ def test_a_heavy_drum_that_is_lowered_far_stays_in_balance() -> None:
     worst = plan.certificate["equilibrium"].worst
     assert worst is not None
     assert worst < 2e-3
+
+
+def test_a_square_whose_clasps_turn_easily_is_carried_gently() -> None:
+    """Clasps are 2.7 cm from its corners; as they turn with inertia, legs bring drones together."""
+    half, depth, place = 0.18, 0.1789254703500502, [2.04, 1.88]
+    outline = [[-half, -depth], [half, -depth], [half, depth], [-half, depth]]
+    box = {"outline": outline, "to": 0.3, "mass": 0.088, "friction": 0.67, "at": [*place, 0.0]}
+    polygon = [[1.711, 2.237], [2.514, 1.986], [1.895, 1.417]]
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.15, "tension": 1.3},
+        "limits": {"tilt_deg": 60.0},
+        "objects": {"box": box},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.1}},
+        "mission": [{"transport_object": {"object": "box", "to": [0.18, -0.18, 0.0]}}],
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert plan.certificate.certified
+    worst = plan.certificate["equilibrium"].worst
+    assert worst is not None
+    assert worst < 1e-3
+    carry = next(phase for phase in plan.motion.phases if phase.name == "carry")
+    t = np.linspace(carry.start, carry.end, 401)
+    x = plan.motion.object_poses.at(t)[:, 0, :2]
+    fastest = np.linalg.norm(np.diff(x, 2, axis=0), axis=1).max() / (t[1] - t[0]) ** 2
+    assert 0.05 < fastest < 0.4  # m/s², and not 1.0
+
+
+def test_a_weight_that_no_edges_carry_is_refused_with_what_to_change() -> None:
+    """Six straight parts with 1.3 N each lift 7.8 N at most, were they upright."""
+    drum = {"circle": 0.2, "mass": 0.82, "friction": 20.0, "at": [1.5, 0.0, 0.0]}
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.15, "tension": 1.0},
+        "limits": {"tilt_deg": 70},
+        "objects": {"drum": drum},
+        "start": {"hitch": {"polygon": [[2.05, 0], [1.2, -0.5], [1.2, 0.5]], "altitude": 1.0}},
+        "mission": [{"transport_object": {"object": "drum", "to": [1.5, 1.5, 0], "tension": 1.3}}],
+    }
+    with pytest.raises(ho.InfeasibleError, match=r"equilibrium.*raise the tension"):
+        ho.solve(ho.problem_from_dict(problem))

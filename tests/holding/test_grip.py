@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from hitchopt.holding.capacity import largest_mass
 from hitchopt.holding.grip_limits import broken_limit_of, grip_margins, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
-from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
+from hitchopt.planners.carrying.edge_balance import balanced, contacts_of
 from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
@@ -226,20 +227,37 @@ def test_edges_turn_least_before_they_meet_the_next_corner() -> None:
     assert least == pytest.approx(min(seen), abs=1e-9)
 
 
-@pytest.mark.parametrize("pulled", [[0.0, 0.0], [0.03, -0.05]])
-def test_moved_clasps_pull_with_the_force_and_no_moment(pulled: list[float]) -> None:
-    polygon = regular(3, 0.4, 0.3) * [1.02, 0.99]
-    tensions, none = np.array([1.0, 1.1, 0.95]), np.zeros(3)
-    for _ in range(8):
-        wraps = wraps_around(ODD, ODD.centroid + polygon)
-        arms = contacts_of(ODD.centroid + polygon, wraps, ODD.core) - ODD.centroid
-        parts = straight_parts(polygon, arms, none)
-        polygon = balanced(polygon, tensions, parts, arms, np.asarray(pulled))
-    ahead, behind = (part[:, :2] / np.linalg.norm(part[:, :2], axis=1)[:, None] for part in parts)
-    forces = np.stack([-ahead, behind], axis=1) * tensions[:, None, None]  # on the section
-    np.testing.assert_allclose(forces.sum(axis=(0, 1)), pulled, atol=1e-9)
-    moments = arms[..., 0] * forces[..., 1] - arms[..., 1] * forces[..., 0]
-    assert np.sum(moments) == pytest.approx(0.0, abs=1e-9)
+SQUARE = ho.Section([[0.18, 0.18], [0.18, -0.18], [-0.18, -0.18], [-0.18, 0.18]])
+NEAR_A_CORNER = np.array([[-0.164, 0.2], [0.255, 0.0], [-0.164, -0.2]])
+"""Clasps [m] of a grip of it: two are 2.6 cm from corners, and turn and rise about these."""
+
+
+@pytest.mark.parametrize("load", [[0.0, 0.0, 0.0], [0.03, -0.05, 0.0], [-0.06, -0.065, 0.86]])
+@pytest.mark.parametrize(
+    ("section", "polygon"),
+    [(ODD, regular(3, 0.4, 0.3) * [1.02, 0.99]), (SQUARE, NEAR_A_CORNER)],
+)
+def test_moved_clasps_bear_the_load_without_a_moment(
+    section: ho.Section, polygon: Array, load: list[float]
+) -> None:
+    tensions = np.array([1.3, 1.4, 1.25])
+    clasps, steps = np.pad(polygon, ((0, 0), (0, 1))), []
+    for _ in range(12):
+        places = section.centroid + clasps[:, :2]
+        arms = contacts_of(places, wraps_around(section, places), section.core) - section.centroid
+        before, clasps = clasps, balanced(clasps, tensions, arms, np.asarray(load))
+        steps.append(float(np.max(np.abs(clasps - before))))
+    assert all(later < 0.1 * step + 1e-14 for step, later in pairwise(steps[2:]))
+    places = section.centroid + clasps[:, :2]
+    arms = contacts_of(places, wraps_around(section, places), section.core) - section.centroid
+    forces, moments = np.zeros(3), np.zeros(3)
+    for i, end in enumerate((clasps, np.roll(clasps, -1, axis=0))):
+        at = np.pad(arms[:, i], ((0, 0), (0, 1)))  # in the plane of contact
+        pulls = tensions[:, None] * (end - at) / np.linalg.norm(end - at, axis=1)[:, None]
+        forces += pulls.sum(axis=0)
+        moments += np.cross(at, pulls).sum(axis=0)
+    np.testing.assert_allclose(forces, load, atol=1e-10)
+    np.testing.assert_allclose(moments, 0.0, atol=1e-10)
 
 
 def test_a_cylinder_of_100_g_needs_a_tension_of_1_3_n() -> None:

@@ -14,7 +14,7 @@ from hitchopt.holding.grip_limits import largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.edge_balance import balanced, contacts_of, straight_parts
+from hitchopt.planners.carrying.edge_balance import balanced, contacts_of
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
@@ -100,13 +100,13 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
     if section.outline is None:
         return closed
     larger = LARGER[:, None, None] * (closed - centre)
-    grips, pulls, none = larger, np.ones(larger.shape[:-1]), np.zeros((len(larger), 2))
+    grips, pulls, none = larger, np.ones(larger.shape[:-1]), np.zeros((len(larger), 3))
     for _ in range(BALANCING):
         wraps = wraps_around(section, centre + grips)
         contacts = contacts_of(centre + grips, wraps, section.core)
-        parts = straight_parts(centre + grips, contacts, np.zeros_like(pulls))
+        level = np.pad(grips, ((0, 0), (0, 0), (0, 1)))
         with np.errstate(divide="ignore", invalid="ignore"):  # clasps that have come to the section
-            grips = balanced(grips, pulls, parts, contacts - centre, none)
+            grips = balanced(level, pulls, contacts - centre, none)[..., :2]
     turns = wraps_around(section, centre + grips).least_turns(section)
     merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
     worth = np.nan_to_num(np.minimum(turns, TURN) * np.maximum(merits, 0.0))

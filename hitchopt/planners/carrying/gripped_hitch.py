@@ -14,6 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from hitchopt.checks.equilibrium import LIMIT
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
@@ -26,14 +28,16 @@ from hitchopt.planners.carrying.clasp_lean import edge_ratios
 from hitchopt.planners.carrying.edge_balance import (
     balanced,
     contacts_of,
-    lifting_heights,
     straight_parts,
 )
 from hitchopt.planners.carrying.moves import Move, courses
 from hitchopt.values import Array
 
-PASSES = 6
-"""Times that heights and places of clasps are computed from each other: to 1e-9 m."""
+PASSES = 20
+"""Most steps of Newton's that places and heights of clasps take."""
+
+SETTLED = 1e-12
+"""[m] Steps that are smaller end the search for clasps in balance."""
 
 TOGETHER, BEYOND = 1e-6, 3e-6
 """Shares of the path that are nearer to each other are one event; so far from one it is over."""
@@ -225,16 +229,19 @@ class GrippedHitch:
         contacts = contacts_of(polygon, wraps, section.core)
         centre = self.body.centre_of_mass[:2]
         z = np.zeros(polygon.shape[:-1])
-        for _ in range(PASSES):
-            leaving, arriving = straight_parts(polygon, contacts, z)
-            z = lifting_heights(T, leaving, arriving, contacts - centre, weight)
-            if pulled is not None and np.any(pulled[1]):
-                force, borne = pulled
-                parts, arms = (leaving, arriving), contacts - centre
-                even = centre + balanced(polygon - centre, T, parts, arms, force)
-                polygon = planned + borne[..., None, None] * (even - planned)
+        if pulled is not None and np.any(pulled[1]):
+            force, borne = pulled
+            load = np.concatenate([force, weight[..., None]], axis=-1)
+            for _ in range(PASSES):
+                before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
+                after = balanced(before, T, contacts - centre, load, (planned - centre, borne))
+                polygon, z = centre + after[..., :2], after[..., 2]
                 wraps = wraps_around(section, polygon, bends)
                 contacts = contacts_of(polygon, wraps, section.core)
+                if np.max(np.abs(after - before)) < SETTLED:
+                    break
+            else:
+                _check_balance(straight_parts(polygon, contacts, z), T, load, borne)
         leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
@@ -265,6 +272,24 @@ class GrippedHitch:
             "leg_tensions": pulls,
             "contacts": np.concatenate([contacts, level], axis=-1),
         }
+
+
+def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:
+    """Raise InfeasibleError where edges do not bear a load (…, 3) [N].
+
+    Parameters
+    ----------
+    parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
+    borne: (…), the share of the object that they bear; below 1 its support bears level forces too.
+    """
+    leaving, arriving = parts
+    lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
+    lacking[..., :2] *= (borne == 1.0)[..., None]
+    worst = float(np.max(length(lacking) / np.min(T, axis=-1)))
+    if worst > LIMIT:
+        remedy = "lower the object's mass, raise the tension, or use more robots"
+        when = "where edges bear the object"
+        raise InfeasibleError([Violation("equilibrium", worst, LIMIT, "max", "", (), when, remedy)])
 
 
 def _span(leaving: Array, arriving: Array) -> Array:

@@ -7,9 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
+from hitchopt.geometry.vectors import length
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.requirements import Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -26,6 +28,9 @@ LONGEST = 0.5
 STEADY = 2.5
 """[s] Longest piece while it goes straight on. Second derivatives at its ends err by some 0.01 of
 how fast loads change before it, which moves clasps by that times the square of its duration."""
+
+SAMPLES = 65
+"""Samples of a move at which distances of drones are looked at."""
 
 SHARE = 0.8
 """Share of what friction and supports allow that is used."""
@@ -119,6 +124,15 @@ class Held(Protocol):
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
+
+
+def separation_ratios(held: Held, move: Move, separation: Separation) -> Array:
+    """Return the least distances of drones over those asked at samples (samples,) of a move."""
+    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
+    one, other = np.triu_indices(drones.shape[1], 1)
+    ratios = length((drones[:, one] - drones[:, other]) * separation.scale)
+    least: Array = np.min(ratios, axis=-1)
+    return least
 
 
 @dataclass(frozen=True, eq=False)
