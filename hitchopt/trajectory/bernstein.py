@@ -76,7 +76,9 @@ def differentiate(coefficients: Array) -> Array:
     order = degree(coefficients)
     if order == 0:
         return np.zeros_like(coefficients)
-    return order * (coefficients[..., 1:] - coefficients[..., :-1])
+    slope: Array = coefficients[..., 1:] - coefficients[..., :-1]
+    slope *= order
+    return slope
 
 
 def elevate(coefficients: Array, order: int) -> Array:
