@@ -9,6 +9,7 @@ import numpy as np
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
@@ -53,7 +54,7 @@ class DerivativeGrid:
     def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
         drones = limits.motion.drones
         self.fourth, self.fifth = (
-            np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=2), axis=-1)
+            np.max(column_lengths(drones.differentiated(order).coefficients), axis=-1)
             + derivative_margin(drones, order)
             for order in (4, 5)
         )
@@ -77,8 +78,7 @@ class DerivativeGrid:
         self._functions = (*limits.derivatives, force)
         slope = _slope(force, drones.durations)
         self.slope, self.bend = (
-            np.max(np.linalg.norm(c, axis=2), axis=-1)
-            for c in (slope, _slope(slope, drones.durations))
+            np.max(column_lengths(c), axis=-1) for c in (slope, _slope(slope, drones.durations))
         )
         self.sizes = self._bounded(limits.margins)
         self.largest = np.max(self.sizes, axis=1)

@@ -67,7 +67,11 @@ def needed_stretch(
         pulled_to = team.layout.pulled_to[drone]
         x, p, pull = (
             np.moveaxis(
-                part.coefficients[piece, item] @ bernstein.basis(inner, part.degree).T, -1, 0
+                bernstein.combined(
+                    part.coefficients[piece, item], bernstein.basis(inner, part.degree)
+                ),
+                -1,
+                0,
             )
             for part, item in ((drones, drone), (vertices, pulled_to), (pulls, drone))
         )
@@ -166,7 +170,7 @@ def _rates(part: PiecewisePolynomial, piece: Indices, item: Indices, order: int)
     for _ in range(order):
         c = bernstein.differentiate(c)
     c = c / part.durations[piece, None, None] ** order
-    return np.moveaxis(c @ _spans(bernstein.degree(c)).T, -1, 0)
+    return np.moveaxis(bernstein.combined(c, _spans(bernstein.degree(c))), -1, 0)
 
 
 @lru_cache
