@@ -255,16 +255,30 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     if not team.has_cables:
         return np.zeros(drones.shape)
     spans = drones - vertices[..., team.layout.pulled_to, :]
-    # A leg without length has no direction: no force rather than nan (certified plans have none).
-    directions = unit(spans)
     if team.cable_density == 0.0:
-        return 0.0 - pulls[..., None] * directions  # no negative zeros
+        return taut_forces(spans, pulls)
     share = np.repeat(taut, 2, axis=-1)
-    half = 0.5 * GRAVITY * team.cable_density * share
-    forces: Array = 0.0 - (pulls + half * spans[..., 2])[..., None] * directions
-    forces[..., 2] -= half * length(spans)
+    forces = taut_forces(spans, pulls, 0.5 * GRAVITY * team.cable_density * share)
     if np.any(share < 1.0):
         forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
+    return forces
+
+
+def taut_forces(spans: Array, pulls: Array, half: Array | float = 0.0) -> Array:
+    """Return the forces (…, 3) [N] of taut cables on drones.
+
+    Parameters
+    ----------
+    spans: (…, 3) [m], from where each cable pulls to, to its drone.
+    pulls: (…) [N], tensions at the clasps.
+    half: (…) [N/m], half of the weight of a metre of cable.
+    """
+    # A leg without length has no direction: no force rather than nan (certified plans have none).
+    directions = unit(spans)
+    if not np.any(half):
+        return 0.0 - pulls[..., None] * directions  # no negative zeros
+    forces: Array = 0.0 - (pulls + half * spans[..., 2])[..., None] * directions
+    forces[..., 2] -= half * length(spans)
     return forces
 
 

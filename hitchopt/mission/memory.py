@@ -135,7 +135,10 @@ def _copies(outcome: object) -> Copies | None:
 
 
 def remembered(
-    work: Callable[Concatenate[Progress | None, P], T], memory: Memory = _MEMORY
+    work: Callable[Concatenate[Progress | None, P], T],
+    memory: Memory = _MEMORY,
+    *,
+    copied: bool = True,
 ) -> Callable[Concatenate[Progress | None, P], T]:
     """Return a function that does its work once for arguments of the same contents.
 
@@ -148,6 +151,7 @@ def remembered(
     work: a function whose outcome depends on its arguments alone, except for the first one, the
         progress callback.
     memory: where outcomes are stored.
+    copied: whether a new result is a copy too; not where its only user keeps it to itself.
     """
 
     @wraps(work)
@@ -164,10 +168,11 @@ def remembered(
                 raised.append(error)
                 raise
 
+        outcome: Any
         if known is not None:
             tell("planned before, taken from memory")
+            outcome = known.copy()
         else:
-            outcome: Any
             try:
                 outcome = work(None if progress is None else tell, *args, **kwargs), None
             except InfeasibleError as error:
@@ -177,8 +182,10 @@ def remembered(
             known = _copies(outcome)
             if known is not None and key is not None and not raised:
                 memory.store(key, known)
+            if copied and known is not None:
+                outcome = known.copy()
         result: T
-        result, refusal = outcome if known is None else known.copy()
+        result, refusal = outcome
         if refusal is not None:
             raise InfeasibleError(*refusal)
         return result

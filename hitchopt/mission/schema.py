@@ -31,11 +31,8 @@ MAX_TITLE = 200
 FAULT = "hitchopt"
 """Type of the errors that carry their own ``bound`` and ``remedy``."""
 
-ONE, EACH = "<one>", "<each>"
-"""Tags of the two forms of a value: once for all robots, or one per robot."""
-
-WORD, MAPPING = "<word>", "<mapping>"
-"""Tags of further forms of values."""
+ONE, EACH, WORD, MAPPING = "<one>", "<each>", "<word>", "<mapping>"
+"""Tags of the forms of a value: once for all robots, one per robot, as a word, as a mapping."""
 
 
 def one_or_each(value: object) -> str:
@@ -78,9 +75,11 @@ Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
 
 
 class Keys(BaseModel):
-    """A mapping of known keys."""
+    """A mapping of known keys; models are built when they are first used."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 def key(text: str, default: Any = ..., **options: Any) -> Any:

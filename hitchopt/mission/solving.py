@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 from hitchopt.checks import Certificate, merged
+from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
@@ -50,9 +52,11 @@ def solve_problem(
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     HitchoptError: a planner failed to find what may exist, and says so.
     """
-    return _solved(
-        progress, problem.team, problem.start, problem.mission, problem.requirements, optimiser
-    )
+    # The certificates of a single step and of the plan need the same values, if no other step's.
+    with shared_values() if len(problem.mission) == 1 else nullcontext():
+        return _solved(
+            progress, problem.team, problem.start, problem.mission, problem.requirements, optimiser
+        )
 
 
 @remembered
@@ -69,11 +73,13 @@ def _solved(
     begun = _begun(progress, team, start, first_form, planned)
     situation = begun.situation
     parts: list[Certified] = []
-    for first, group in _groups(steps):
+    groups = list(_groups(steps))
+    step_of = _step if len(groups) > 1 else _only_step
+    for first, group in groups:
         _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         here = situation.at_objects(planned)
         try:
-            part, situation = _step(progress, group, StepTask(situation, first, here, optimiser))
+            part, situation = step_of(progress, group, StepTask(situation, first, here, optimiser))
         except TimeLimitError:
             raise
         except HitchoptError as error:
@@ -83,7 +89,9 @@ def _solved(
                 raise
             raise _in_step(error, first, group) from None
         parts.append(part)
-    motion = replace(joined_motions([part.motion for part in parts]), requirements=requirements)
+    motion = joined_motions([part.motion for part in parts])
+    if motion.requirements is not requirements:
+        motion = replace(motion, requirements=requirements)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
         broken = infeasible(certificate, motion)
@@ -130,8 +138,7 @@ def _begun(
     return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
 
 
-@remembered
-def _step(
+def _new_step(
     progress: Progress | None, group: tuple[Step, ...], task: StepTask
 ) -> tuple[Certified, Situation]:
     """Return the certified motion of steps without a stop, and where it ends."""
@@ -147,6 +154,10 @@ def _step(
         _tell(progress, f"certifying step {task.index} ({step.name})")
         certificate = certified(planned.motion).certificate
     return Certified(planned.motion, certificate), planned.after
+
+
+_step = remembered(_new_step)
+_only_step = remembered(_new_step, copied=False)
 
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:

@@ -268,6 +268,8 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
 
     Objects stand in each where its own requirements say.
     """
+    if len(motions) == 1 and motions[0].poses is None and motions[0].borne is None:
+        return motions[0]
     phases: list[Phase] = []
     offset = 0.0
     for motion in motions:

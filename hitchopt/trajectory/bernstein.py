@@ -76,14 +76,30 @@ def differentiate(coefficients: Array) -> Array:
     order = degree(coefficients)
     if order == 0:
         return np.zeros_like(coefficients)
-    return order * (coefficients[..., 1:] - coefficients[..., :-1])
+    slope: Array = coefficients[..., 1:] - coefficients[..., :-1]
+    slope *= order
+    return slope
 
 
 def elevate(coefficients: Array, order: int) -> Array:
     """Return the same polynomials written in degree ``order``, at least their own."""
     if order == degree(coefficients):
         return coefficients
-    return coefficients @ elevation(degree(coefficients), order).T
+    return combined(coefficients, elevation(degree(coefficients), order))
+
+
+def combined(numbers: Array, rows: Array) -> Array:
+    """Return combinations (…, k) of numbers (…, m), by rows (k, m), few enough in one product."""
+    flat = numbers.reshape(-1, numbers.shape[-1])
+    count = max(1, MOST_ALONE // max(1, rows.size))
+    if len(flat) <= count:
+        found: Array = flat @ rows.T
+    else:
+        found = np.empty((len(flat), len(rows)))
+        for first in range(0, len(flat), count):
+            part = slice(first, first + count)
+            np.matmul(flat[part], rows.T, out=found[part])
+    return found.reshape(*numbers.shape[:-1], len(rows))
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -152,7 +168,7 @@ def _column(order: int, dims: int) -> Array:
 def halve(coefficients: Array) -> tuple[Array, Array]:
     """Return the coefficients on [0, ½] and on [½, 1]."""
     left, right = _halving(degree(coefficients))
-    return coefficients @ left.T, coefficients @ right.T
+    return combined(coefficients, left), combined(coefficients, right)
 
 
 def restrict(coefficients: Array, lower: Array | float, upper: Array | float) -> Array:
@@ -174,7 +190,7 @@ def restrict(coefficients: Array, lower: Array | float, upper: Array | float) ->
 
 def interpolate(values: Array) -> Array:
     """Return the coefficients of the polynomials through (…, m + 1) ``values`` at ``nodes(m)``."""
-    return values @ _interpolation(int(values.shape[-1]) - 1).T
+    return combined(values, _interpolation(int(values.shape[-1]) - 1))
 
 
 @lru_cache

@@ -23,6 +23,9 @@ HUGE = 1e60
 BLOCKS = 4
 """Number of blocks that compiled code takes."""
 
+DIRECTIONS = 4096
+"""Directions enclosed in one go, so that what that allocates stays within the caches."""
+
 LENGTHS = "lengths"
 """Kind of the bound that encloses lengths rather than directions."""
 
@@ -80,9 +83,14 @@ def enclosed_directions(vectors: Array, noise: float) -> Directions:
 
         weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
         return Directions(*directions(np.array(vectors, order="C"), weights, noise), place)
+    order = bernstein.degree(vectors) + DIRECTION_ORDER
+    coefficients, radius = np.empty((len(place), 3, order + 1)), np.empty(len(place))
     with np.errstate(all="ignore"):  # coefficients may be anything
-        found = enclosure.direction(vectors, noise)
-    return Directions(found.coefficients, found.radius, place)
+        for first in range(0, len(place), DIRECTIONS):
+            part = slice(first, first + DIRECTIONS)
+            found = enclosure.direction(vectors[part], noise)
+            coefficients[part], radius[part] = found.coefficients, found.radius
+    return Directions(coefficients, radius, place)
 
 
 NOTHING = Directions(np.empty((0, 3, 1)), np.empty(0), np.empty((0, 1), dtype=np.intp))

@@ -54,7 +54,7 @@ def reduced(part: Enclosure, order: int) -> Enclosure:
     if bernstein.degree(c) <= order:
         return part
     weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(c))
-    low = bernstein.interpolate(c @ weights.T)
+    low = bernstein.interpolate(bernstein.combined(c, weights))
     lost = bernstein.elevate(low, bernstein.degree(c)) - c
     return Enclosure(low, part.radius + largest_norm(lost))
 

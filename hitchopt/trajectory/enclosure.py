@@ -141,5 +141,4 @@ def _scaled(vectors: Array) -> tuple[Array, Array]:
 def _lengths(y: Array, order: int) -> Array:
     """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
     weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(y))
-    values = y.reshape(-1, y.shape[-1]) @ weights.T
-    return column_lengths(values.reshape(*y.shape[:-1], order + 1))
+    return column_lengths(bernstein.combined(y, weights))

@@ -193,7 +193,9 @@ class PiecewisePolynomial(OneLine):
             return kept[order]
         lower = self.differentiated(order - 1).coefficients
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
-        found = self._with(bernstein.differentiate(lower) / h)
+        slope = bernstein.differentiate(lower)
+        slope /= h
+        found = self._with(slope)
         if lower.size <= KEPT:
             kept[order] = found
         return found
@@ -288,6 +290,8 @@ def joined(
 
     ``like`` are other parts with the same breaks, joined before.
     """
+    if len(parts) == 1:
+        return parts[0]
     order = max(part.degree for part in parts)
     coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
     if like is not None:

@@ -1,6 +1,8 @@
 """Timing: jets, what limits allow, optima known in closed form."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,11 +14,12 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, LinearConstraint
 from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
-from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
+from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.planners.path import jets
 from hitchopt.planners.path.shape_path import ShapePath, drones_along
 from hitchopt.planners.timing import demands as timing_demands
+from hitchopt.planners.timing import stretch
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.planners.timing.fly_path import GRID, fly, time_mesh
@@ -390,3 +393,44 @@ def test_the_stretch_leaves_the_certificate_a_share_of_the_vertices_speed() -> N
     t = np.linspace(0.0, flight.duration, 40001)
     fastest = np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1))
     assert 0.099 < fastest < 0.09996
+
+
+WEAK = Quadrotor(mass=0.132, max_thrust=1.9)
+
+
+@pytest.mark.parametrize(
+    ("tight", "changed"),
+    [
+        (Limits(jerk=100.0), lambda team: team),
+        (Limits(speed=0.3, vertex_speed=100.0), lambda team: team),
+        (Limits(acceleration=9.0, jerk=500.0, tilt=0.6), lambda team: team),
+        (
+            Limits(acceleration=20.0, jerk=500.0, tilt=1.5),
+            lambda team: replace(team, quadrotor=WEAK),
+        ),
+        (Limits(jerk=40.0), lambda team: replace(team, cable_density=0.01)),
+        (Limits(vertex_speed=0.1), lambda team: team),
+    ],
+    ids=["jerk", "speed", "tilt", "thrust", "weight", "vertices"],
+)
+def test_the_stretch_is_that_of_all_drones_on_all_pieces(
+    tight: Limits, changed: Callable[[Team], Team], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None is ruled out that would have to be slower: each needs no more than its bound."""
+    easy = Limits(tilt=1.5)
+    path = straight(10, 3, easy, (1.0, 0.5))
+    flight = fly(path, easy)
+    team = changed(path.team)
+    parts = (flight.drones, flight.vertices, flight.pulls)
+    alone = []
+
+    def every(bounds: np.ndarray, known: float, exact: Callable[..., float]) -> float:
+        for piece, item in np.ndindex(*bounds.shape):
+            alone.append(exact(np.array([piece]), np.array([item])))
+            assert alone[-1] <= bounds[piece, item]
+        return known
+
+    found = needed_stretch(team, tight, *parts)
+    monkeypatch.setattr(stretch, "_largest", every)
+    needed_stretch(team, tight, *parts)
+    assert 1e-3 < found == pytest.approx(max(alone), rel=1e-12)

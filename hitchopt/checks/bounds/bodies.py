@@ -111,9 +111,16 @@ def cable_parts(motion: Motion) -> CableParts:
             (bernstein.elevate(first, order), bernstein.elevate(last, order))
             for first, last in ends
         ]
-    parts = np.stack([np.stack(pair, axis=2) for pair in ends], axis=2)  # (pieces, n, …, 2, 3, N+1)
-    of = (3 * np.arange(layout.robots)[:, None] + kinds).ravel()[listed]
-    return CableParts(parts.reshape(len(parts), -1, *parts.shape[3:])[:, listed], of)
+    shape = ends[0][0].shape
+    parts = np.empty((*shape[:2], len(ends), 2, *shape[2:]))
+    for i, pair in enumerate(ends):
+        for j, end in enumerate(pair):
+            parts[:, :, i, j] = end
+    of = (3 * np.arange(layout.robots)[:, None] + kinds).ravel()
+    every = parts.reshape(len(parts), -1, *parts.shape[3:])
+    if len(listed) < len(of):
+        every = every[:, listed]
+    return CableParts(every, of[listed])
 
 
 def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:

@@ -9,6 +9,7 @@ import numpy as np
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
 from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
@@ -53,7 +54,7 @@ class DerivativeGrid:
     def __init__(self, limits: ClockLimits, width: float = WIDTH) -> None:
         drones = limits.motion.drones
         self.fourth, self.fifth = (
-            np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=2), axis=-1)
+            np.max(column_lengths(drones.differentiated(order).coefficients), axis=-1)
             + derivative_margin(drones, order)
             for order in (4, 5)
         )
@@ -77,8 +78,7 @@ class DerivativeGrid:
         self._functions = (*limits.derivatives, force)
         slope = _slope(force, drones.durations)
         self.slope, self.bend = (
-            np.max(np.linalg.norm(c, axis=2), axis=-1)
-            for c in (slope, _slope(slope, drones.durations))
+            np.max(column_lengths(c), axis=-1) for c in (slope, _slope(slope, drones.durations))
         )
         self.sizes = self._bounded(limits.margins)
         self.largest = np.max(self.sizes, axis=1)
@@ -97,7 +97,7 @@ class DerivativeGrid:
     @cached_property
     def values(self) -> list[Array]:
         """(nodes, drones, 3) each: derivatives of orders 1 to 3 by plan time, static thrusts."""
-        return [_at(c, self._pieces, self._places) for c in self._functions]
+        return [_at(c, self._pieces, self._places).transpose(2, 1, 0) for c in self._functions]
 
     def _bounded(self, margins: list[Array]) -> Array:
         """Return the bounds on all cells, for each drone."""
@@ -117,8 +117,9 @@ class DerivativeGrid:
         for begin in range(0, len(fourth), count):
             part = slice(begin, begin + count)
             for order, most in enumerate(sizes[:, part]):
-                size = lengths(self._at_nodes(order, part))
-                most[:] = np.maximum(size[self.left], size[self.left + 1]).T
+                size = axis_lengths(self._at_nodes(order, part))
+                here, there = (size.take(ends, axis=1) for ends in (self.left, self.left + 1))
+                np.maximum(here, there, out=most)
             V, A, J = sizes[:, part]
             J += bend * fifth[part].take(piece, axis=1) + third[part].take(piece, axis=1)
             A += bend * fourth[part].take(piece, axis=1) + second[part].take(piece, axis=1)
@@ -128,9 +129,9 @@ class DerivativeGrid:
     def _at_nodes(
         self, order: int, drones: Indices | slice, nodes: Indices | slice = slice(None)
     ) -> Array:
-        """Return one of ``values`` at some nodes, in order, of some drones."""
+        """Return one of ``values`` at some nodes, in order, of some drones, (3, drones, nodes)."""
         if self._stored:
-            return self.values[order][nodes, drones]
+            return self.values[order].transpose(2, 1, 0)[:, drones, nodes]
         pieces, places = self._pieces[nodes], self._places[nodes]
         return _at(self._functions[order], pieces, places, drones)
 
@@ -150,10 +151,7 @@ class DerivativeGrid:
             self._at_nodes(order, drones, nodes)
             for order in range(*orders.indices(len(self._functions)))
         ]
-        table = np.empty((len(found), 3, *found[0].shape[1::-1]))
-        for order, values in zip(table, found, strict=True):
-            order[...] = values.transpose(2, 1, 0)
-        return table.reshape(len(found), 3, -1)
+        return np.stack(found).reshape(len(found), 3, -1)
 
     def on_chord(self, orders: slice, drone: Indices, cell: Indices, tau: Array) -> Array:
         """Return some of ``values`` on the chords between nodes, by axis.
@@ -186,21 +184,20 @@ class DerivativeGrid:
 def _at(
     coefficients: Array, pieces: Indices, x: Array, drones: Indices | slice = slice(None)
 ) -> Array:
-    """Return (nodes, drones, 3): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces.
+    """Return (3, drones, nodes): polynomials (pieces, drones, 3, m) at x (nodes,) of pieces.
 
     Pieces are in order; of some drones only, if these are given.
     """
     if kernels_on():
         from hitchopt.compiled.grid_kernel import grid_values
 
-        return grid_values(coefficients[:, drones].copy(), pieces, x)
+        return grid_values(coefficients[:, drones].copy(), pieces, x).transpose(2, 1, 0)
     weights = bernstein.basis(x, bernstein.degree(coefficients))
-    axes, order = coefficients.shape[2:]
-    found = np.empty((len(x), len(coefficients[0, drones]), axes))
+    found = np.empty((coefficients.shape[2], len(coefficients[0, drones]), len(x)))
     starts = np.flatnonzero(np.diff(pieces, prepend=-1))
     for first, last in zip(starts, [*starts[1:], len(x)], strict=True):  # one product a piece
-        c = coefficients[pieces[first], drones].reshape(-1, order)
-        found[first:last] = (weights[first:last] @ c.T).reshape(-1, *found.shape[1:])
+        c = coefficients[pieces[first], drones]
+        found[..., first:last] = bernstein.combined(c, weights[first:last]).transpose(1, 0, 2)
     return found
 
 
@@ -208,12 +205,6 @@ def _slope(coefficients: Array, durations: Array) -> Array:
     """Return the derivative by time of polynomials (pieces, drones, 3, m)."""
     slope: Array = bernstein.differentiate(coefficients) / durations[:, None, None, None]
     return slope
-
-
-def lengths(vectors: Array) -> Array:
-    """Return the norms of vectors (…, 3)."""
-    length: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return length
 
 
 def axis_lengths(vectors: Array) -> Array:

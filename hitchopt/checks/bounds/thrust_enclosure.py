@@ -122,7 +122,9 @@ def thrust_enclosure(
         parts.append(weight.coefficients)
         radius = radius + weight.radius
     order = max(bernstein.degree(part) for part in parts)
-    thrust = np.sum([bernstein.elevate(part, order) for part in parts], axis=0)
+    thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)
+    for part in parts[2:]:
+        thrust += bernstein.elevate(part, order)
     return enclosure.Enclosure(thrust, radius)
 
 

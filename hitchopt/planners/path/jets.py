@@ -51,14 +51,14 @@ def chained(outer: Array, inner: Array) -> Array:
     outer: (…, 4), derivatives of f at g(t).
     inner: (…, 4), derivatives of g at t.
     """
+    return np.stack(np.broadcast_arrays(outer[..., 0], *chained_rates(outer, inner)), axis=-1)
+
+
+def chained_rates(outer: Array, inner: Array) -> tuple[Array, Array, Array]:
+    """Return the three derivatives of ``chained``, (…) each."""
     f1, f2, f3 = outer[..., 1], outer[..., 2], outer[..., 3]
     g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
-    return np.stack(
-        np.broadcast_arrays(
-            outer[..., 0], f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
-        ),
-        axis=-1,
-    )
+    return f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
 
 
 def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:

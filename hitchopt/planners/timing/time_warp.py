@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.errors import HitchoptError
-from hitchopt.planners.path.jets import chained
+from hitchopt.planners.path.jets import chained, chained_rates
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.fastest_rate import DEGREE, RateProgram, SplineBasis, fastest_rate
 from hitchopt.planners.timing.rate_rows import ClockedPath, RateRows
@@ -124,10 +124,10 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
 def _clocked(demands: Demands, progress: Array) -> ClockedPath:
     """Return the path by τ at the samples, for the jets (M, 4) of s by τ there."""
-    jets = chained(demands.drones, progress[:, None, None, :])
+    rates = chained_rates(demands.drones, progress[:, None, None, :])
     speed = np.maximum(progress[:, 1], 1e-12)
     most = demands.speed_bound / speed**2
-    return ClockedPath(demands, jets[..., 1], jets[..., 2], jets[..., 3], most)
+    return ClockedPath(demands, *rates, most)
 
 
 def _steady_rate(path: ClockedPath) -> float:
