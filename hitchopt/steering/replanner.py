@@ -228,7 +228,7 @@ class Replanner(OneLine):
         refusal: InfeasibleError | None = None
         refused: tuple[RetargetPath, float] | None = None
         given: Hitch | None = None
-        hopeless = False
+        hopeless: Hitch | None = None
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, fractions, chosen=chosen)
@@ -237,17 +237,17 @@ class Replanner(OneLine):
                 continue
             if given is not None and np.allclose(end.q_legs, given.q_legs, 0.0, SAME_STATE):
                 break  # the goal keeps all limits at rest: the path to it does not
-            if not chosen:
-                given, hopeless = end, clearly_too_close(end, need.separation)
-                if hopeless:
-                    continue
+            given = given if chosen else end
+            if clearly_too_close(end, need.separation):
+                hopeless = hopeless or end
+                continue
             path = RetargetPath.to(team, state, end, yaw)
             found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
                 return found, end
             if refusal is None:
                 refusal, refused = found, (path, brake)
-        if given is not None and hopeless:  # planned only to say what keeps it
+        if hopeless is not None and hopeless is given:  # planned only to say what keeps it
             path = RetargetPath.to(team, state, given, yaw)
             found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
