@@ -34,20 +34,14 @@ from hitchopt.steering.retarget import (
     braked_retarget,
     certified_retarget,
 )
-from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes, shortest_shift
+from hitchopt.steering.retarget_path import SAME_STATE, MovingState, RetargetPath
+from hitchopt.steering.retarget_timing import WAITS, brakes, shortest_shift, turning_slowly
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
-WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
-"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
-
 HOLD = 1.0
 """[s] Rest with which steering begins."""
-
-SAME_STATE = 1e-6
-"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
 
 
 class Replanner(OneLine):
@@ -196,9 +190,13 @@ class Replanner(OneLine):
         goal, team = self._goal, self.motion.team
         own = goal.polygon
         yaw = finite("yaw", yaw)
+        remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
         if (polygon is None) is (to is None):
-            remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
+        if polygon is not None and vertex is not None:
+            raise InputError("vertex", vertex, "left out where a polygon is given", remedy)
+        if yaw != 0.0 and (polygon is not None or vertex is not None):
+            raise InputError("yaw", yaw, "left out but with to alone", remedy)
         if polygon is not None:
             return fitting_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
@@ -221,7 +219,8 @@ class Replanner(OneLine):
         past = self._past(at)
         still = self._still(past)
         state, team, need = still.state, past.team, self.requirements
-        durations = tuple(islice(brakes(still, need.planned.limits), BRAKES))
+        limits = turning_slowly(need.planned.limits)
+        durations = tuple(islice(brakes(still, limits), BRAKES))
         if not durations:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         fractions = self._goal.fractions
@@ -288,10 +287,10 @@ class Replanner(OneLine):
         ------
         NotNowError: no hitch there with the team's tensions.
         """
-        state = MovingState.of(past, past.duration)
         when = f"at t = {past.duration:.4g} s"
         if not past.phases[-1].formed:
             raise NotNowError(f"{when} there is no hitch")
+        state = MovingState.of(past, past.duration)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]

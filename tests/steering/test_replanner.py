@@ -27,6 +27,7 @@ from hitchopt.values import Array
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
 HEXAGON = 1.3 * np.array([[np.cos(a), np.sin(a)] for a in -np.arange(6) * np.pi / 3.0])
 
+ROOT = Path(__file__).parents[2]
 
 START = ho.Hitch.spread(ho.Team(6, 2.4), HEXAGON, 1.0)
 
@@ -226,6 +227,27 @@ def test_a_plan_in_flight_is_taken_over_and_lasts_the_same_anywhere() -> None:
     assert durations[0] == pytest.approx(durations[1], rel=1e-6)
 
 
+def test_before_the_hitch_is_tied_nothing_is_accepted() -> None:
+    plan = ho.solve(ROOT / "problems" / "form_triangle.yaml")
+    replanner = ho.Replanner(plan.motion.team, plan)
+    for at in (0.0, 1e-7):
+        answer = replanner.retarget(to=[0.0, 0.0, 1.0], at=at)
+        assert not answer.accepted
+        assert "there is no hitch" in answer.reason
+    assert replanner.motion.duration == plan.duration
+
+
+def test_slow_drones_turn_slowly_enough() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
+    replanner = ho.Replanner(start.team, start, limits=ho.Limits(body_rate=0.6))
+    at = 0.5
+    for to in ([1.5, 2.3, 1.3], [0.8, 2.0, 1.2], [1.6, 1.5, 1.0]):
+        answer = replanner.retarget(to=to, at=at)
+        assert answer.accepted, answer.reason
+        assert answer.certificate["body_rate"].holds
+        at = answer.start + 0.5
+
+
 def test_no_hitch_no_retarget() -> None:
     outline = [[0.0, -0.9], [-0.72, 0.45], [0.72, 0.45]]
     start = ho.Hitch.spread(ho.Team(3, 2.4), outline)
@@ -238,6 +260,9 @@ def test_no_hitch_no_retarget() -> None:
     [
         {},
         {"polygon": TRIANGLE, "to": [0.0, 0.0, 1.0]},
+        {"polygon": TRIANGLE, "vertex": 1},
+        {"polygon": TRIANGLE, "yaw": 0.1},
+        {"vertex": 0, "to": [1.0, 0.9], "yaw": 0.1},
         {"polygon": TRIANGLE[::-1]},
         {"vertex": 3, "to": [0.0, 0.0]},
         {"vertex": 0, "to": [0.0, 0.0, 1.0]},
