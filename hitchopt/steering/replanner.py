@@ -288,8 +288,9 @@ class Replanner(OneLine):
         NotNowError: no hitch there with the team's tensions.
         """
         when = f"at t = {past.duration:.4g} s"
-        if not past.phases[-1].formed:
-            raise NotNowError(f"{when} there is no hitch")
+        if not past.phases[-1].formed or past.phases[-1].hold is not None:
+            why = "an object is held" if past.phases[-1].formed else "there is no hitch"
+            raise NotNowError(f"{when} {why}")
         state = MovingState.of(past, past.duration)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])

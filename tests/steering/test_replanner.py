@@ -15,6 +15,8 @@ from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
 from hitchopt.motion.motion import Phase
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering import replanner
 from hitchopt.steering.goal_distances import clearly_too_close
@@ -22,6 +24,7 @@ from hitchopt.steering.retarget import certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import BRAKES, _excesses
 from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
@@ -235,6 +238,33 @@ def test_before_the_hitch_is_tied_nothing_is_accepted() -> None:
         assert not answer.accepted
         assert "there is no hitch" in answer.reason
     assert replanner.motion.duration == plan.duration
+
+
+def test_objects_stay_where_they_were_carried() -> None:
+    pole = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.8, at=[9.0, 0.0, 0.0])
+    need = replace(Requirements(), objects={"pole": pole})
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
+    rest = rest_of(start, need, 1.0, Phase("hold", 0, 0.0, 1.0))
+    carried = np.array([[5.0, 2.0, 0.0, 1.0, 0.0]])
+    poses = PiecewisePolynomial.constant(rest.drones.breaks, carried)
+    motion = replace(rest, poses=poses)
+    replanner = ho.Replanner(start.team, Plan(motion, certify(motion)))
+    answer = replanner.retarget(to=[1.5, 2.0, 1.0], at=1.0)
+    assert answer.accepted, answer.reason
+    np.testing.assert_array_equal(answer.motion.object_poses.at(answer.motion.duration), carried)
+    answer = replanner.retarget(to=[5.6, 2.0, 1.0], at=answer.motion.duration)  # into the pole
+    assert not answer.accepted
+    assert "object_clearance" in answer.reason
+
+
+def test_while_an_object_is_held_nothing_is_accepted() -> None:
+    replanner = steered()
+    (phase,) = replanner.motion.phases
+    held = replace(phase, hold=Hold("box", HoldBy.REST, (0, 1, 2)))
+    replanner.motion = replace(replanner.motion, phases=(held,))
+    answer = replanner.retarget(to=[1.0, 2.0, 1.2], at=0.5)
+    assert not answer.accepted
+    assert "held" in answer.reason
 
 
 def test_slow_drones_turn_slowly_enough() -> None:
