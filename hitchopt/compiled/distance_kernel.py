@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import Found
+from hitchopt.compiled.polynomial_kernels import Found, basis_at, elevated, rows_elevated
 from hitchopt.values import Array
 
 Vector = tuple[float, float, float]
@@ -79,18 +79,44 @@ def _unit(a: Vector, size: float) -> Vector:
 
 
 @kernel
+def _squares(first: Vector, middle: Vector, last: Vector, order: int) -> Array:
+    """Return the square of a quadratic with three coefficients, in a degree of at least 4."""
+    square = np.empty(5)
+    square[0], square[4] = _dot(first, first), _dot(last, last)
+    square[1], square[3] = _dot(first, middle), _dot(middle, last)
+    square[2] = (_dot(first, last) + 2.0 * _dot(middle, middle)) / 3.0
+    return elevated(square, order)
+
+
+@kernel
 def distance(rows: Array) -> Found:
     """Return bound, value and place as ``distance_bound``."""
-    degree = rows.shape[1] - 1
-    first, last = shortest_offset(rows, 0), shortest_offset(rows, degree)
+    if rows.shape[1] < 3:
+        rows = rows_elevated(rows, 2)
+    order = rows.shape[1] + 1
+    half, there = basis_at(order - 2, 0.5), np.zeros((len(rows), 1))
+    for i in range(len(rows)):
+        for k in range(order - 1):
+            there[i, 0] += half[k] * rows[i, k]
+    first, last = shortest_offset(rows, 0), shortest_offset(rows, order - 2)
+    between = shortest_offset(there, 0)
     begin, end = np.sqrt(_dot(first, first)), np.sqrt(_dot(last, last))
-    u, v, least = _unit(first, begin), _unit(last, end), np.inf
+    middle = np.sqrt(_dot(between, between))
+    u, n, v = _unit(first, begin), _unit(between, middle), _unit(last, end)
+    n = _moved(_moved(_moved(n, 1.0, n), -0.5, u), -0.5, v)
+    squares, least = _squares(u, n, v, order), np.inf
     for i in range(len(rows) // 3):
-        before = 0.0
-        for k in range(degree + 2):
-            w, here = k / (degree + 1), (0.0, 0.0, 0.0)
-            if k <= degree:
-                here = _column(rows, i, k)
-            least = min(least, (1.0 - w) * _dot(u, here) + w * before)
-            before = _dot(v, here)
-    return max(least, 0.0), min(begin, end), 1.0 if end < begin else 0.0
+        by_n, by_v, before = 0.0, 0.0, 0.0
+        for k in range(order + 1):
+            here = _column(rows, i, k) if k < order - 1 else (0.0, 0.0, 0.0)
+            along = (order - k) * (order - k - 1) * _dot(u, here)
+            along += 2 * k * (order - k) * by_n + k * (k - 1) * before
+            along /= order * (order - 1)
+            least = min(least, along / (0.5 + 0.5 * max(squares[k], 0.0)))
+            by_n, before, by_v = _dot(n, here), by_v, _dot(v, here)
+    value, x = begin, 0.0
+    if end < value:
+        value, x = end, 1.0
+    if middle < value:
+        value, x = middle, 0.5
+    return max(least, 0.0), value, x

@@ -34,20 +34,14 @@ from hitchopt.steering.retarget import (
     braked_retarget,
     certified_retarget,
 )
-from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import brakes, shortest_shift
+from hitchopt.steering.retarget_path import SAME_STATE, MovingState, RetargetPath
+from hitchopt.steering.retarget_timing import WAITS, brakes, shortest_shift, turning_slowly
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
-WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
-"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
-
 HOLD = 1.0
 """[s] Rest with which steering begins."""
-
-SAME_STATE = 1e-6
-"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
 
 
 class Replanner(OneLine):
@@ -196,9 +190,13 @@ class Replanner(OneLine):
         goal, team = self._goal, self.motion.team
         own = goal.polygon
         yaw = finite("yaw", yaw)
+        remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
         if (polygon is None) is (to is None):
-            remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
+        if polygon is not None and vertex is not None:
+            raise InputError("vertex", vertex, "left out where a polygon is given", remedy)
+        if yaw != 0.0 and (polygon is not None or vertex is not None):
+            raise InputError("yaw", yaw, "left out but with to alone", remedy)
         if polygon is not None:
             return fitting_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
@@ -221,14 +219,15 @@ class Replanner(OneLine):
         past = self._past(at)
         still = self._still(past)
         state, team, need = still.state, past.team, self.requirements
-        durations = tuple(islice(brakes(still, need.planned.limits), BRAKES))
+        limits = turning_slowly(need.planned.limits)
+        durations = tuple(islice(brakes(still, limits), BRAKES))
         if not durations:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         fractions = self._goal.fractions
         refusal: InfeasibleError | None = None
         refused: tuple[RetargetPath, float] | None = None
         given: Hitch | None = None
-        hopeless = False
+        hopeless: Hitch | None = None
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, fractions, chosen=chosen)
@@ -237,17 +236,17 @@ class Replanner(OneLine):
                 continue
             if given is not None and np.allclose(end.q_legs, given.q_legs, 0.0, SAME_STATE):
                 break  # the goal keeps all limits at rest: the path to it does not
-            if not chosen:
-                given, hopeless = end, clearly_too_close(end, need.separation)
-                if hopeless:
-                    continue
+            given = given if chosen else end
+            if clearly_too_close(end, need.separation):
+                hopeless = hopeless or end
+                continue
             path = RetargetPath.to(team, state, end, yaw)
             found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
                 return found, end
             if refusal is None:
                 refusal, refused = found, (path, brake)
-        if given is not None and hopeless:  # planned only to say what keeps it
+        if hopeless is not None and hopeless is given:  # planned only to say what keeps it
             path = RetargetPath.to(team, state, given, yaw)
             found, brake = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
@@ -288,10 +287,11 @@ class Replanner(OneLine):
         ------
         NotNowError: no hitch there with the team's tensions.
         """
-        state = MovingState.of(past, past.duration)
         when = f"at t = {past.duration:.4g} s"
-        if not past.phases[-1].formed:
-            raise NotNowError(f"{when} there is no hitch")
+        if not past.phases[-1].formed or past.phases[-1].hold is not None:
+            why = "an object is held" if past.phases[-1].formed else "there is no hitch"
+            raise NotNowError(f"{when} {why}")
+        state = MovingState.of(past, past.duration)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]

@@ -25,8 +25,9 @@ from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering.retarget_path import RetargetPath
-from hitchopt.steering.retarget_timing import shortest_shift
+from hitchopt.steering.retarget_timing import shortest_shift, turning_slowly
 from hitchopt.steps.certified_motions import flying, infeasible
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 IN_FLIGHT = (QUICK,)
@@ -45,8 +46,17 @@ FEWEST = 4
 ROUNDS = 3
 """Certificates that are tried for one goal, each after a change for what the last one said."""
 
-SLOWER = {"speed": 1, "vertex_speed": 1, "acceleration": 2, "jerk": 3, "thrust": 2, "tilt": 2}
-"""Checks that a longer shift eases, and the power of the duration with which they fall."""
+SLOWER = {
+    "speed": 1,
+    "vertex_speed": 1,
+    "acceleration": 2,
+    "jerk": 3,
+    "thrust": 2,
+    "tilt": 2,
+    "body_rate": 1,
+}
+"""Checks that a longer shift eases, and the power of the duration with which they fall, at least.
+"""
 
 DISTANCES = ("separation", "cable_clearance", "crossing")
 """Checks of what neither eases: another path is tried where one is broken."""
@@ -138,7 +148,7 @@ def certified_retarget(
     requirements: what the plan must satisfy.
     complete: whether an error tells all that keeps it; else what is looked at first may do.
     """
-    shift = shortest_shift(path, requirements.planned.limits, brake)
+    shift = shortest_shift(path, turning_slowly(requirements.planned.limits), brake)
     if shift is None:
         return InfeasibleError([], "no duration keeps all limits on the way to the goal")
     finer, error = 1.0, None
@@ -146,7 +156,7 @@ def certified_retarget(
     for _ in range(ROUNDS):
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
         flight = path.flight(_breaks(brake, shift, finer, moving=path.state.moves), brake, shift)
-        fresh = flying(flight, path.team, requirements, [phase])
+        fresh = _beside_objects(past, flying(flight, path.team, requirements, [phase]))
         ahead = followed(recent, fresh)
         checked = ahead.untimed
         with shared_values():
@@ -176,6 +186,14 @@ def certified_retarget(
         finer *= 0.5 if broken.keys() & FINER else 1.0
     assert error is not None
     return error
+
+
+def _beside_objects(past: Motion, fresh: Motion) -> Motion:
+    """Return a motion in which objects stay where an earlier one has left them."""
+    if past.poses is None:
+        return fresh
+    left = past.poses.coefficients[-1, ..., -1]
+    return replace(fresh, poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))
 
 
 def _looked_at(motion: Motion, *, complete: bool) -> tuple[Findings, tuple[Check, ...]]:

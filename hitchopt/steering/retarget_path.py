@@ -24,6 +24,9 @@ from hitchopt.steering.smooth_change import JET, SmoothChange
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
+SAME_STATE = 1e-6
+"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
+
 SIDE = 1e-9
 """Share of a piece by which one-sided derivatives are taken inside of it."""
 

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.hitch import GRAVITY
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.smooth_change import PEAK_ACCELERATION, PEAK_JERK, PEAK_SPEED
 from hitchopt.values import Array
+
+WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
+"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
 
 BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
 """[s] Durations of the brake that are tried."""
@@ -37,6 +42,13 @@ GROWTH = 1.04
 
 ROUNDING = 1e-6
 """Relative difference of durations that rounding may make of equal states."""
+
+
+def turning_slowly(limits: Limits) -> Limits:
+    """Return limits whose jerk is at most what turns a hovering drone at ``body_rate``."""
+    if limits.body_rate is None:
+        return limits
+    return replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
 
 
 def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: float) -> float:

@@ -2,8 +2,13 @@
 
 Two bodies are given by the *differences* of their ends, as in ``hitchopt.geometry.segments``. For
 any vector of length at most one, its product with all the differences bounds the distance from
-below, as all points of the bodies lie between their ends. Taken along the shortest connections at
-both ends of a cell, the bound comes closer with the square of the cell's length.
+below, as all points of the bodies lie between their ends. Of a vector n of any length, distances
+are at least the product over ``|n|``, which is at most ``(1 + |n|²) / 2``.
+
+Here n is the quadratic through the directions of the shortest connections at both ends of a cell
+and in its middle, which turns as they do: where all coefficients of the products are at least β
+times those of ``(1 + |n|²) / 2``, no distance is smaller than β. Bodies that turn about each other
+are bounded within the third power of a cell's length.
 """
 
 from __future__ import annotations
@@ -12,8 +17,12 @@ import numpy as np
 
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import length
+from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
+
+PLACES = np.array([0.0, 0.5, 1.0])
+"""Places on a cell where shortest connections are taken."""
 
 
 def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
@@ -24,18 +33,24 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     blocks: one, (cells, 3 · 1, 2 or 4, degree + 1): the differences' coordinates.
     """
     (rows,) = blocks
-    degree = rows.shape[-1] - 1
-    differences = rows.reshape(len(rows), rows.shape[1] // 3, 3, degree + 1)
-    offsets = shortest_offset(differences[..., [0, -1]].transpose(3, 0, 1, 2))  # at both ends
+    rows = bernstein.elevate(rows, max(bernstein.degree(rows), 2))
+    order = bernstein.degree(rows) + 2  # of the products
+    differences = rows.reshape(len(rows), rows.shape[1] // 3, 3, order - 1)
+    there = differences @ bernstein.basis(PLACES, order - 2).T
+    offsets = shortest_offset(np.moveaxis(there, -1, 0))
     lengths = length(offsets)
-    # A vector that turns with time, from one end's shortest connection to the other end's:
-    # the product with a polynomial is one degree higher. Where bodies touch it is zero.
+    # Where bodies touch there is no direction: the vector is zero.
     units = offsets / np.where(lengths > 0.0, lengths, np.inf)[..., None]
-    towards_first, towards_last = np.matmul(units[:, :, None, None], differences)[..., 0, :]
-    weight = np.arange(degree + 2) / (degree + 1)
-    coefficients = np.zeros((*towards_first.shape[:-1], degree + 2))
-    coefficients[..., :-1] = (1.0 - weight[:-1]) * towards_first
-    coefficients[..., 1:] += weight[1:] * towards_last
-    bound = np.maximum(np.min(coefficients, axis=(-2, -1)), 0.0)
-    x = np.argmin(lengths, axis=0)
-    return Estimate(bound, np.min(lengths, axis=0), x.astype(np.float64))
+    units[1] = 2.0 * units[1] - 0.5 * (units[0] + units[2])  # the quadratic's coefficient
+    towards = np.matmul(units[:, :, None, None], differences)[..., 0, :]
+    coefficients = np.zeros((*towards.shape[1:-1], order + 1))
+    k = np.arange(order - 1)
+    for j, factor in enumerate(
+        ((order - k) * (order - k - 1), 2 * (k + 1) * (order - k - 1), (k + 1) * (k + 2))
+    ):
+        coefficients[..., j : order - 1 + j] += factor / (order * (order - 1)) * towards[j]
+    squares = bernstein.elevate(bernstein.dot(*[np.moveaxis(units, 0, -1)] * 2), order)
+    sizes = 0.5 + 0.5 * np.maximum(squares, 0.0)
+    bound = np.maximum(np.min(np.min(coefficients, axis=-2) / sizes, axis=-1), 0.0)
+    nearest = np.argmin(lengths[[0, 2, 1]], axis=0)
+    return Estimate(bound, np.min(lengths, axis=0), PLACES[[0, 2, 1]][nearest])

@@ -15,6 +15,8 @@ from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
 from hitchopt.motion.motion import Phase
+from hitchopt.motion.phases import Hold, HoldBy
+from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering import replanner
 from hitchopt.steering.goal_distances import clearly_too_close
@@ -22,11 +24,13 @@ from hitchopt.steering.retarget import certified_retarget
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import BRAKES, _excesses
 from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
 HEXAGON = 1.3 * np.array([[np.cos(a), np.sin(a)] for a in -np.arange(6) * np.pi / 3.0])
 
+ROOT = Path(__file__).parents[2]
 
 START = ho.Hitch.spread(ho.Team(6, 2.4), HEXAGON, 1.0)
 
@@ -226,6 +230,54 @@ def test_a_plan_in_flight_is_taken_over_and_lasts_the_same_anywhere() -> None:
     assert durations[0] == pytest.approx(durations[1], rel=1e-6)
 
 
+def test_before_the_hitch_is_tied_nothing_is_accepted() -> None:
+    plan = ho.solve(ROOT / "problems" / "form_triangle.yaml")
+    replanner = ho.Replanner(plan.motion.team, plan)
+    for at in (0.0, 1e-7):
+        answer = replanner.retarget(to=[0.0, 0.0, 1.0], at=at)
+        assert not answer.accepted
+        assert "there is no hitch" in answer.reason
+    assert replanner.motion.duration == plan.duration
+
+
+def test_objects_stay_where_they_were_carried() -> None:
+    pole = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.8, at=[9.0, 0.0, 0.0])
+    need = replace(Requirements(), objects={"pole": pole})
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
+    rest = rest_of(start, need, 1.0, Phase("hold", 0, 0.0, 1.0))
+    carried = np.array([[5.0, 2.0, 0.0, 1.0, 0.0]])
+    poses = PiecewisePolynomial.constant(rest.drones.breaks, carried)
+    motion = replace(rest, poses=poses)
+    replanner = ho.Replanner(start.team, Plan(motion, certify(motion)))
+    answer = replanner.retarget(to=[1.5, 2.0, 1.0], at=1.0)
+    assert answer.accepted, answer.reason
+    np.testing.assert_array_equal(answer.motion.object_poses.at(answer.motion.duration), carried)
+    answer = replanner.retarget(to=[5.6, 2.0, 1.0], at=answer.motion.duration)  # into the pole
+    assert not answer.accepted
+    assert "object_clearance" in answer.reason
+
+
+def test_while_an_object_is_held_nothing_is_accepted() -> None:
+    replanner = steered()
+    (phase,) = replanner.motion.phases
+    held = replace(phase, hold=Hold("box", HoldBy.REST, (0, 1, 2)))
+    replanner.motion = replace(replanner.motion, phases=(held,))
+    answer = replanner.retarget(to=[1.0, 2.0, 1.2], at=0.5)
+    assert not answer.accepted
+    assert "held" in answer.reason
+
+
+def test_slow_drones_turn_slowly_enough() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
+    replanner = ho.Replanner(start.team, start, limits=ho.Limits(body_rate=0.6))
+    at = 0.5
+    for to in ([1.5, 2.3, 1.3], [0.8, 2.0, 1.2], [1.6, 1.5, 1.0]):
+        answer = replanner.retarget(to=to, at=at)
+        assert answer.accepted, answer.reason
+        assert answer.certificate["body_rate"].holds
+        at = answer.start + 0.5
+
+
 def test_no_hitch_no_retarget() -> None:
     outline = [[0.0, -0.9], [-0.72, 0.45], [0.72, 0.45]]
     start = ho.Hitch.spread(ho.Team(3, 2.4), outline)
@@ -238,6 +290,9 @@ def test_no_hitch_no_retarget() -> None:
     [
         {},
         {"polygon": TRIANGLE, "to": [0.0, 0.0, 1.0]},
+        {"polygon": TRIANGLE, "vertex": 1},
+        {"polygon": TRIANGLE, "yaw": 0.1},
+        {"vertex": 0, "to": [1.0, 0.9], "yaw": 0.1},
         {"polygon": TRIANGLE[::-1]},
         {"vertex": 3, "to": [0.0, 0.0]},
         {"vertex": 0, "to": [0.0, 0.0, 1.0]},

@@ -79,9 +79,10 @@ def test_moving_bodies_against_samples(seed: int, ends: tuple[int, int], wide: f
     assert found.worst >= np.min(lengths) * (1.0 - 1e-2) - 2e-2 * wide  # of sampling
 
 
-def test_the_bound_closes_with_the_square_of_the_span() -> None:
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_the_bound_closes_with_the_third_power_of_the_span(power: int) -> None:
     """Point and segment turn together, so that the distance stays: a direction has to turn too."""
-    t = bernstein.nodes(9) * 1.2
+    t = 1.2 * bernstein.nodes(15) ** power
     c, s, zero = np.cos(t), np.sin(t), 0.0 * t
     turn = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1.0]])
     point, end = np.array([0.2, 0.7, 0.4]), np.array([1.0, 0.0, 0.0])
@@ -89,11 +90,11 @@ def test_the_bound_closes_with_the_square_of_the_span() -> None:
     rows = np.concatenate([bernstein.interpolate(offset) for offset in ends])[None]
     distance = float(np.hypot(0.7, 0.4))
     gaps = []
-    for _ in range(5):
+    for _ in range(6):
         gaps.append(distance - float(np.min(distance_bound((rows,)).bound)))
-        rows = np.concatenate(bernstein.halve(rows.reshape(-1, 10))).reshape(-1, 6, 10)
-    assert gaps[-1] > 1e-6
-    assert gaps[-1] < gaps[-4] / 40.0  # three halvings: a factor of 64
+        rows = np.concatenate(bernstein.halve(rows.reshape(-1, 16))).reshape(-1, 6, 16)
+    assert gaps[-1] > 1e-7
+    assert gaps[-1] < gaps[-4] / 250.0  # three halvings: a factor of 512 in the end
 
 
 def test_one_body_seen_from_both_sides() -> None:
