@@ -20,7 +20,7 @@ from hitchopt.checks.bounds.bodies import (
     part_points,
 )
 from hitchopt.checks.bounds.hanging_links import plan_chords
-from hitchopt.checks.bounds.proximity import Allowed, Bodies, every_pair
+from hitchopt.checks.bounds.moving_bodies import Allowed, Bodies, every_pair
 from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.broadphase import Indices

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import drone_points
-from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
+from hitchopt.checks.bounds.moving_bodies import Bodies, every_pair
+from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding

@@ -26,7 +26,8 @@ import numpy as np
 from hitchopt.checks.bounds.bodies import drone_points
 from hitchopt.checks.bounds.ellipsoid_distance import ellipsoid_metric
 from hitchopt.checks.bounds.hanging_clearance import moved_by
-from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
+from hitchopt.checks.bounds.moving_bodies import Bodies, every_pair
+from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.checks.bounds.rates import norm_bound
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, position_margin
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule

@@ -139,9 +139,10 @@ def _conditions(simulation: Simulation) -> Table:
             f"ropes of {1e3 * preset.diameter:g} mm longer for their bends",
             f"≤ {1e3 * flight.longer:.1f} mm",
         ),
-        ("  their effective lengths are off by", _range(off, "+.1f") + " mm"),
     ):
         table.add_row(name, value)
+    if np.all(np.isfinite(off)):  # there are none where no hitch is left
+        table.add_row("  their effective lengths are off by", _range(off, "+.1f") + " mm")
     return table
 
 

@@ -48,7 +48,7 @@ def shared_legs(
 def straight_drones(
     vertices: Array, q_legs: Array, cable_length: Array, stencil: Indices
 ) -> tuple[Array, Array, Array]:
-    """Return drones, the way that cables pull them, and r-legs, as ``straight_legs`` does.
+    """Return drones, the directions in which cables pull, and r-legs, as ``straight_legs`` does.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def straight_drones(
                 place, leg = (here, q_leg) if end == 0 else (there, r_leg)
                 x, y, z, size = edge(points, before if end == 0 else after, place)
                 for axis in range(3):
-                    way = over(x if axis == 0 else (y if axis == 1 else z), size)
-                    curve = plus(jet(points[place, axis]), times(leg, way))
-                    along[step, k, end, axis] = -way[0]
+                    outward = over(x if axis == 0 else (y if axis == 1 else z), size)
+                    curve = plus(jet(points[place, axis]), times(leg, outward))
+                    along[step, k, end, axis] = -outward[0]
                     for order in range(JET):
                         drones[step, k, end, axis, order] = curve[order] * FACTORIALS[order]
     return drones, along, r_legs

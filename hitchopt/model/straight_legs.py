@@ -15,7 +15,7 @@ from hitchopt.values import Array
 
 
 def straight_legs(team: Team, vertices: Array, q_legs: Array) -> tuple[Array, Array, Array]:
-    """Return the drones of cables that all pull alike, the way that they pull, and the r-legs.
+    """Return the drones of cables that all pull alike, the directions of the pulls, and the r-legs.
 
     Parameters
     ----------

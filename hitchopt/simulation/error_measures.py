@@ -117,11 +117,12 @@ def vertex_errors(flight: Flight) -> VertexErrors:
 def effective_lengths(flight: Flight) -> Array:
     """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest.
 
-    It is how long the cables are for the hitch; nan where the flight did not rest in a hitch.
+    It is how long the cables are for the hitch; nan where the flight did not rest in a hitch, or
+    lost a drone.
     """
     record, team = flight.record, flight.task.team
     rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
-    if not rows.any() or not flight.task.formed[-1]:
+    if not rows.any() or not flight.task.formed[-1] or flight.lost is not None:
         return np.full(team.robots, np.nan)
     drones = np.mean(record.drones[rows], axis=0)
     vertices = np.empty((team.layout.points, 3))

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.checks import cable_clearance, certify, crossing, separation
-from hitchopt.checks.bounds import proximity
-from hitchopt.checks.bounds.proximity import Bodies, smallest_distance
+from hitchopt.checks.bounds import close_spans, proximity
+from hitchopt.checks.bounds.moving_bodies import Bodies
+from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.geometry import regular_polygon
 from hitchopt.geometry.broadphase import Pairs, close_pairs, few_close_pairs
 from hitchopt.hitch import Team
@@ -78,7 +79,7 @@ def test_spans_cover_all_of_the_time_and_are_cut_where_much_moves(
     corners = np.repeat(lattice[None, :, None, :, None], 20, axis=0).repeat(2, axis=-1)
     corners[12] += np.random.default_rng(0).uniform(-500.0, 500.0, (len(lattice), 1, 3, 1))
     spans = []
-    close = proximity._close
+    close = close_spans._close
 
     def counted(a: np.ndarray, *rest: Any) -> Pairs | None:
         pairs = close(a, *rest)
@@ -86,7 +87,7 @@ def test_spans_cover_all_of_the_time_and_are_cut_where_much_moves(
             spans.append((len(a), len(pairs)))
         return pairs
 
-    monkeypatch.setattr(proximity, "_close", counted)
+    monkeypatch.setattr(close_spans, "_close", counted)
     corners[17, 5, 0, 0] += 1.5  # the one pair that is nearer
     found = smallest_distance(np.arange(21.0), Bodies(corners), None, every, 0.0)
     assert found.worst == pytest.approx(0.5, rel=1e-3)
@@ -178,8 +179,8 @@ def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPat
 
         return found
 
-    monkeypatch.setattr(proximity, "close_pairs", counted(close_pairs))
-    monkeypatch.setattr(proximity, "few_close_pairs", counted(few_close_pairs))
+    monkeypatch.setattr(close_spans, "close_pairs", counted(close_pairs))
+    monkeypatch.setattr(close_spans, "few_close_pairs", counted(few_close_pairs))
 
     def count(n: int) -> int:
         base = regular_polygon(n, 1.3).vertices  # where all neighbours are equally near

@@ -408,10 +408,14 @@ WEAK = Quadrotor(mass=0.132, max_thrust=1.9)
             Limits(acceleration=20.0, jerk=500.0, tilt=1.5),
             lambda team: replace(team, quadrotor=WEAK),
         ),
+        (
+            Limits(acceleration=20.0, jerk=500.0, tilt=1.5),
+            lambda team: replace(team, quadrotor=replace(WEAK, max_thrust=1.41)),
+        ),
         (Limits(jerk=40.0), lambda team: replace(team, cable_density=0.01)),
         (Limits(vertex_speed=0.1), lambda team: team),
     ],
-    ids=["jerk", "speed", "tilt", "thrust", "weight", "vertices"],
+    ids=["jerk", "speed", "tilt", "thrust", "pull", "weight", "vertices"],
 )
 def test_the_stretch_is_that_of_all_drones_on_all_pieces(
     tight: Limits, changed: Callable[[Team], Team], monkeypatch: pytest.MonkeyPatch

@@ -10,8 +10,10 @@ import pytest
 from scripted import regular_hitch, standing, unformed
 
 import hitchopt as ho
+from hitchopt.cli.simulation_tables import flight_tables
 from hitchopt.simulation.error_measures import effective_lengths
 from hitchopt.simulation.flight_task import read_task
+from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.rope_thickness import COARSENESS, bend_lengths, thickness_allowance
 from hitchopt.simulation.simulate import simulate
 from hitchopt.simulation.simulation_settings import Settings
@@ -45,6 +47,20 @@ def test_simulated_cables_are_as_long_as_planned(n: int) -> None:
     flight = simulate(task, Settings(body="point", pull_test=False)).flight
     np.testing.assert_allclose(effective_lengths(flight), task.team.cable_length, atol=4e-3)
     assert flight.longer > 0.015  # without which they would be as much too short
+
+
+def test_lengths_are_told_of_a_hitch_that_is_left() -> None:
+    task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
+    simulation = simulate(task, Settings(body="point", pull_test=False))
+    off = 1e3 * (effective_lengths(simulation.flight) - task.team.cable_length)
+    (row,) = [text for text in flight_tables(simulation).splitlines() if "effective" in text]
+    assert f"{np.min(off):+.1f}" in row
+    assert f"{np.max(off):+.1f}" in row
+    flight = replace(simulation.flight, lost=Loss("q0", 0.05))
+    assert np.all(np.isnan(effective_lengths(flight)))
+    text = flight_tables(replace(simulation, flight=flight))
+    assert "effective" not in text
+    assert "nan" not in text
 
 
 def test_no_hitch_no_additional_length() -> None:

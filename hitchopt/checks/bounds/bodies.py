@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.checks.bounds.proximity import Allowed, Bodies, smallest_distance
+from hitchopt.checks.bounds.moving_bodies import Allowed, Bodies
+from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
 from hitchopt.checks.certificate import within
 from hitchopt.geometry.broadphase import Indices

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hitchopt.checks.bounds.proximity import Bodies, every_pair, smallest_distance
+from hitchopt.checks.bounds.moving_bodies import Bodies, every_pair
+from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion

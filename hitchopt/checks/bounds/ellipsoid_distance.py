@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.checks.bounds.proximity import Metric
+from hitchopt.checks.bounds.moving_bodies import Metric
 from hitchopt.requirements import Separation
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.proximity import Bodies
+from hitchopt.checks.bounds.moving_bodies import Bodies
 from hitchopt.geometry.broadphase import Boxes, Indices, close_pairs
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
