@@ -11,6 +11,10 @@ from hitchopt.values import Array
 Vector = tuple[float, float, float]
 """A vector in space."""
 
+TIE = 1e-12
+"""Share by which a distance in a cell's middle is smaller: ``TIE`` of
+``hitchopt.trajectory.distance``."""
+
 
 @kernel
 def _dot(a: Vector, b: Vector) -> float:
@@ -117,6 +121,6 @@ def distance(rows: Array) -> Found:
     value, x = begin, 0.0
     if end < value:
         value, x = end, 1.0
-    if middle < value:
+    if middle < (1.0 - TIE) * value:
         value, x = middle, 0.5
     return max(least, 0.0), value, x

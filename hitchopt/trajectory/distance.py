@@ -24,6 +24,10 @@ from hitchopt.values import Array
 PLACES = np.array([0.0, 0.5, 1.0])
 """Places on a cell where shortest connections are taken."""
 
+TIE = 1e-12
+"""Share by which a distance in a cell's middle is smaller if it is: where bodies stand still, the
+smallest one is the first."""
+
 
 def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     """Bound the distance from below.
@@ -52,5 +56,7 @@ def distance_bound(blocks: tuple[Array, ...]) -> Estimate:
     squares = bernstein.elevate(bernstein.dot(*[np.moveaxis(units, 0, -1)] * 2), order)
     sizes = 0.5 + 0.5 * np.maximum(squares, 0.0)
     bound = np.maximum(np.min(np.min(coefficients, axis=-2) / sizes, axis=-1), 0.0)
-    nearest = np.argmin(lengths[[0, 2, 1]], axis=0)
-    return Estimate(bound, np.min(lengths, axis=0), PLACES[[0, 2, 1]][nearest])
+    first, middle, last = lengths
+    value, x = np.minimum(first, last), np.where(last < first, 1.0, 0.0)
+    inside = middle < (1.0 - TIE) * value
+    return Estimate(bound, np.where(inside, middle, value), np.where(inside, 0.5, x))

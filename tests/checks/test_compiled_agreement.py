@@ -23,7 +23,7 @@ from hitchopt.compiled.kernel_switch import kernels, kernels_on
 from hitchopt.feedback.covered_set import cell_breaks, covered_set, projection
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import excess
-from hitchopt.trajectory import enclosure
+from hitchopt.trajectory import distance, enclosure
 from hitchopt.trajectory.compiled_search import KnownBound, largest, smallest
 from hitchopt.trajectory.distance import distance_bound
 from hitchopt.trajectory.extremum import Cells, Estimate
@@ -152,8 +152,9 @@ def test_what_nothing_bounds_is_as_bad_as_can_be() -> None:
 
 
 def test_constants_are_the_same() -> None:
-    from hitchopt.compiled import polynomial_kernels, stop_kernel
+    from hitchopt.compiled import distance_kernel, polynomial_kernels, stop_kernel
 
+    assert distance.TIE == distance_kernel.TIE
     assert enclosure.ROUNDING == polynomial_kernels.ENCLOSED
     assert stop_rows.SWITCH == stop_kernel.SWITCH
     assert stop_bounds.SLACK == stop_kernel.SLACK
