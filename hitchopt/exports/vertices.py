@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt.exports.setpoints import NUMBER, ROWS
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import iterate_states, sample_times
+from hitchopt.motion.states import hitch_at, sample_times
 
 HEADER = "t,vertex,x,y,z,tension"
 
@@ -36,12 +36,14 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     filled = np.arange(5 * points)[: 5 * points - (points - n)]
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
-        times = sample_times(motion.duration, rate)
-        for states in iterate_states(motion, times, max(1, ROWS // points)):
-            values = np.zeros((len(states.t), points, 5))
-            values[..., 0] = states.t[:, None]
-            values[..., 1:4] = states.vertices
-            values[:, :n, 4] = states.tensions
-            given = values[states.formed].reshape(-1, 5 * points)[:, filled]
+        times, size = sample_times(motion.duration, rate), max(1, ROWS // points)
+        for first in range(0, len(times), size):
+            t = times[first : first + size]
+            formed, vertices, tensions = hitch_at(motion, t)
+            values = np.zeros((len(t), points, 5))
+            values[..., 0] = t[:, None]
+            values[..., 1:4] = vertices
+            values[:, :n, 4] = tensions
+            given = values[formed].reshape(-1, 5 * points)[:, filled]
             given = given + 0.0  # no negative zeros
             file.write(rows * len(given) % tuple(given.ravel().tolist()))

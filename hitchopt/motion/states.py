@@ -192,9 +192,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
         bernstein.differentiate(part) / h.reshape(-1, *[1] * (part.ndim - 1)) for part in parts
     ]
     poses, shares = motion.object_poses.coefficients, motion.object_shares.coefficients
-    breaks = motion.drones.breaks - motion.drones.breaks[0]
-    pieces = np.searchsorted(breaks[1:-1], times, side="right")
-    x = np.clip((times - breaks[pieces]) / motion.drones.durations[pieces], 0.0, 1.0)
+    pieces, x = _places(motion, times)
     for first in range(0, len(times), size):
         block = slice(first, first + size)
 
@@ -221,6 +219,27 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
             borne=at(shares),
             masses=np.broadcast_to(motion.team.mass, positions.shape[:-1]),
         )
+
+
+def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return whether there is a hitch, its vertices and tensions, as the states at ``times`` do.
+
+    Parameters
+    ----------
+    motion: the plan.
+    times: (samples,) [s], counted from its start.
+    """
+    pieces, x = _places(motion, times)
+    vertices = _values(motion.vertices.coefficients, pieces, x)
+    return motion.formed[pieces], vertices, _values(motion.tensions.coefficients, pieces, x)
+
+
+def _places(motion: Motion, times: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the pieces in which ``times`` (samples,) [s] are, and where in them, from 0 to 1."""
+    breaks = motion.drones.breaks - motion.drones.breaks[0]
+    pieces = np.searchsorted(breaks[1:-1], times, side="right")
+    x: Array = np.clip((times - breaks[pieces]) / motion.drones.durations[pieces], 0.0, 1.0)
+    return pieces, x
 
 
 def _values(coefficients: Array, pieces: NDArray[np.intp], x: Array) -> Array:

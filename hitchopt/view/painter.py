@@ -27,6 +27,12 @@ OVERLAP = 0.5
 
 FRAME, OPEN, PAPER = "#2b2f33", "#ffffff", "#ffffff"
 
+FEWEST = 4
+"""Least number of a rotor's corners."""
+
+SPECKS, PALER = 8, 0.5
+"""Step from which drones are a pixel or two wide, and the share of white in hollow ones then."""
+
 FLAT = np.array([1.0, 1.0, 0.0])
 """Factors that leave of a direction what is seen."""
 
@@ -86,8 +92,8 @@ class Painter:
     camera: from where.
     width: half of a cable's drawn width [m]; None for the scene's.
     size: factor of the drones' drawn sizes.
-    step: by which rotors and cables have fewer corners, 1, 2 or 4: few are enough if they are
-        small.
+    step: by which rotors and cables have fewer corners, 1, 2, 4 or SPECKS: few are enough if they
+        are small. Of drones that are SPECKS only the rotors are drawn, hollow ones paler.
     """
 
     def __init__(
@@ -104,10 +110,11 @@ class Painter:
         self.cables = to_rgba_array(cable_colours(team.robots))
         self.step = step
         radius = size * scene.motion.requirements.separation.radius
-        shape = drone_shape(radius, SEGMENTS // self.step)
-        own = to_rgba_array(drone_colours(team))
+        shape = drone_shape(radius, max(FEWEST, SEGMENTS // self.step))
+        own, specks = to_rgba_array(drone_colours(team)), step >= SPECKS
         hollow = np.array([name[0] == "r" for name in team.drone_names])
-        fills = np.where(hollow[:, None], to_rgba_array(OPEN), own)
+        open_fills = PALER * to_rgba_array(OPEN) + (1.0 - PALER) * own
+        fills = np.where(hollow[:, None], open_fills if specks else to_rgba_array(OPEN), own)
         frame = np.broadcast_to(to_rgba_array(FRAME), own.shape)
         bodies = scene.motion.requirements.objects.values()
         self.objects = [split(_corners(object_shape(body)), SPLITS) for body in bodies]
@@ -116,9 +123,9 @@ class Painter:
             body.circumradius / 2**SPLITS if body.fixed else -2.0 * self.width for body in bodies
         ]
         self.fills = to_rgba_array(object_colours(scene.motion))
-        self.parts = (
-            (shape.frame, frame, True), (shape.rotors, fills, False), (shape.rims, own, False)
-        )  # fmt: skip
+        rotors = (shape.rotors, fills, False)
+        whole = (shape.frame, frame, True), rotors, (shape.rims, own, False)
+        self.parts = (rotors,) if specks else whole
 
     def painted(self, moment: Moment) -> Painting:
         """Return a moment: shadows on the ground, then everything else, the farthest first."""

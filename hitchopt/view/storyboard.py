@@ -18,7 +18,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import JOINT
 from hitchopt.values import Array
 from hitchopt.view.house_colours import drone_colours
-from hitchopt.view.painter import Camera, Painter
+from hitchopt.view.painter import SPECKS, Camera, Painter
 from hitchopt.view.scene import Scene, extent_points, scene_at
 
 MOST = 9
@@ -30,9 +30,9 @@ FEW = 3
 MANY, BESIDE = 30, 1
 """Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
 
-FINE = 12
-"""Largest number of robots whose drones and cables are drawn finely: more are few pixels wide, and
-beyond MANY fewer."""
+STEPS = {12: 1, MANY: 2, 100: 4}
+"""Step of the painter up to that number of robots: more are fewer pixels wide, and beyond all
+SPECKS."""
 
 STILL = 1e-3
 """Distance [m] that some drone is off its place in the panel before; else there is none."""
@@ -151,7 +151,7 @@ def draw_storyboard(
     half = half * (1.0 + 2.0 * MARGIN) + scene.motion.requirements.separation.radius
     size = max(1.0, _smallest(scene) * 2.0 * half[1])
     robots = scene.motion.team.robots
-    step = 1 if robots <= FINE else 2 if robots <= MANY else 4
+    step = next((step for most, step in STEPS.items() if robots <= most), SPECKS)
     painter = Painter(scene, camera, scene.radius, size, step)
     closer = Painter(scene, camera, NEAR_WIDTH * scene.radius)
     paths = camera.seen(flown[1])[..., :2]

@@ -12,7 +12,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import iterate_states, sample_times, states_at
+from hitchopt.motion.states import hitch_at, iterate_states, sample_times, states_at
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +102,15 @@ def test_blocks_hold_every_time_once(motion: Motion, size: int, times: list[floa
     assert all(1 <= len(block.t) <= size for block in blocks)
     assert np.array_equal(np.concatenate([np.empty(0), *(block.t for block in blocks)]), t)
     assert all(len(block.positions) == len(block.t) for block in blocks)
+
+
+@given(st.lists(st.floats(0.0, 2.53), min_size=1, max_size=20))
+def test_the_hitch_alone_is_that_of_the_states(motion: Motion, times: list[float]) -> None:
+    formed, vertices, tensions = hitch_at(motion, np.array(times))
+    states = states_at(motion, times)
+    np.testing.assert_array_equal(formed, states.formed)
+    np.testing.assert_array_equal(vertices, states.vertices)
+    np.testing.assert_array_equal(tensions, states.tensions)
 
 
 @pytest.mark.parametrize("t", [-0.1, float("nan"), [0.0, float("inf")], []])

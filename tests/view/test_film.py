@@ -21,7 +21,7 @@ from hitchopt.view import film as films
 from hitchopt.view.cable_curves import CLASPS
 from hitchopt.view.film import check_film, frames, save_film
 from hitchopt.view.ghost_scene import ghost_scene, recorded_scene
-from hitchopt.view.painter import FRAME, Camera, Painter
+from hitchopt.view.painter import FRAME, SPECKS, Camera, Painter
 from hitchopt.view.scene import scene_of
 
 
@@ -93,6 +93,25 @@ def test_frames_are_painted_on_the_sides_toward_the_viewer() -> None:
     drawn = len(turns) * (9 + len(rotors.quads) + len(rims.quads))
     robots, points = moment.cables.shape[:2]
     assert len(painting.polygons) == drawn + 3 * robots * (points - 1)
+
+
+def test_specks_are_rotors_alone_where_the_drones_are() -> None:
+    scene, camera = scene_of(short_motion()), Camera.toward(-115.0, 38.0)
+    moment = scene.at(0.1)
+    painter = Painter(scene, camera, step=SPECKS)
+    ((rotors, fills, _),) = painter.parts
+    q, r = fills[0::2], fills[1::2]
+    np.testing.assert_allclose(r[:, :3], 0.5 * (q[:, :3] + 1.0))  # q and r of a cable share its hue
+    painting = painter.painted(moment)
+    places = camera.seen(moment.drones)[:, :2]
+    for place, fill in zip(places, fills, strict=True):
+        own = np.all(painting.colours == fill, axis=1)
+        apart = np.max(np.abs(np.mean(painting.polygons, axis=1) - place), axis=1)
+        reach = scene.motion.requirements.separation.radius
+        assert np.sum(own & (apart < reach)) >= len(rotors.quads)
+    robots, points = moment.cables[:, ::SPECKS].shape[:2]
+    drawn = 2 * robots * len(rotors.quads) + 3 * robots * (points - 1)
+    assert len(painting.polygons) == drawn
 
 
 def test_the_camera_s_axes_are_a_rotation() -> None:
