@@ -108,6 +108,9 @@ CASES = {
     "drum-3-small": Case({"circle": 0.15}, 3, 1.4, 0.5, 0.10, 0.2024, 0.45),
     "drum-3-medium": Case({"circle": 0.17}, 3, 1.5, 0.5, 0.15, 0.2, 0.45),
     "drum-3-wide": Case({"circle": 0.23}, 3, 1.75, 0.62, 0.15, 0.279, 0.45),
+    "drum-3-gentle": Case(DISC, 3, 1.6, 0.56, 0.15, 0.2054, 0.45, tension=1.0),
+    "drum-3-sticky": Case({"circle": 0.18}, 3, 1.55, 0.53, 0.20, 0.26, 0.6, tension=1.2),
+    "drum-3-smooth": Case({"circle": 0.16}, 3, 1.45, 0.5, 0.08, 0.2752, 0.5),
     "box-4": Case(BOX, 4, 1.3, 0.46, 0.15, 0.1784, 0.7),
     "box-4-round": Case({"outline": rounded_sides()}, 4, 1.3, 0.46, 0.15, 0.165, 0.7),
 }
