@@ -5,10 +5,12 @@ touch their directions are perpendicular, so friction, which opposes their relat
 at 45° to each cable: along it with ``μ/√2``. Edges then pull with ``λ = e^{-μβ/√2}`` times what
 legs do, β the angle by which cables bend at the clasp, and clasps are farther out than planned.
 
-The weight raises clasps above the plane of contact. Edges, which do not slide while λ is within
-``e^{±μβ/√2}``, keep their length: sloping, they draw the clasps in, bend farther round the object
-and pull harder. So the slip load depends on the load, and differs from that of clasps without
-friction in either direction. Legs pull with a constant tension toward their drones.
+The weight raises clasps above the contacts. Edges, which do not slide while λ is within
+``e^{±μβ/√2}``, keep their length: sloping, also along their arcs, they draw the clasps in, bend
+farther round the object and pull harder. So the slip load depends on the load, and differs from
+that of clasps without friction in either direction. An arc presses with the level part of its
+tension per angle, so the object slips under ``μ Σ T_k cos(α_k) θ_k``. Legs pull with a constant
+tension toward their drones.
 """
 
 from __future__ import annotations
@@ -38,10 +40,7 @@ PRECISION = 1e-10
 
 UP = np.array([0.0, 0.0, 1.0])
 
-POINTS, WEIGHTS = (
-    0.5 + 0.5 * np.array([-1.0, 0.0, 1.0]) * 0.6**0.5,
-    np.array([5.0, 8.0, 5.0]) / 18.0,
-)
+POINTS, WEIGHTS = 0.5 + 0.15**0.5 * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 8.0, 5.0]) / 18.0
 """Gauss's points on arcs, from 0 to 1, and their weights."""
 
 
