@@ -40,9 +40,7 @@ from benchmarks.carrying import (
     wilson,
 )
 from benchmarks.environment import busy, environment
-from benchmarks.grip_prediction import held_grip
 from hitchopt.errors import InfeasibleError
-from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.plan import Plan
 from hitchopt.planning import solve
@@ -84,8 +82,9 @@ ROUND = {**BOX, "outline": rounded_sides()}
 ROUGHER = 3.0
 """Friction planned with where the object is to slip, over the simulated one."""
 
-TURNS = 3
-"""Times that the slip load of a box and its mass are computed from each other: to 0.5 g."""
+PREDICTED = {"box-4-slips": 0.2161, "box-4-round-slips": 0.1923}
+"""[kg] Slip loads of boxes, as ``grip_prediction`` had them before they were flown. It has 2 % less
+since it knows that edges slope along their arcs."""
 
 
 BESIDES = """
@@ -190,19 +189,13 @@ def largest_mass(case: str) -> float:
 def slip_load(case: str) -> float:
     """Return the load [kg] at which what is gripped slips.
 
-    Of a drum it is `μ Σ T θ` of a light one's plan, legs and edges alike; of a box it is predicted
-    from the history of its own grip.
+    Of a drum it is `μ Σ T θ` of a light one's plan, legs and edges alike.
     """
+    if case in PREDICTED:
+        return PREDICTED[case]
     light = 0.05
-    if not case.startswith("box"):
-        grip = solve(problem_from_dict(problem("drum-3-smooth", light))).certificate["grip"]
-        return (grip.worst or 0.0) * light
-    mass, thickness = 0.2, PRESETS["accurate"].diameter
-    for _ in range(TURNS):
-        plan = solve(problem_from_dict(problem(case, mass, ROUGHER)))
-        held = held_grip(plan, task_of(plan), TIED_AROUND[4], FRICTION, thickness)
-        mass = held.slip_load(BOX["friction"]) / GRAVITY
-    return mass
+    grip = solve(problem_from_dict(problem("drum-3-smooth", light))).certificate["grip"]
+    return (grip.worst or 0.0) * light
 
 
 def planned(case: str) -> tuple[Task, float]:
