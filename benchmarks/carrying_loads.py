@@ -128,11 +128,13 @@ plan, and drones within 0.02 cm of their height on average. The preset makes the
 plan or controller: heights of trays are to be judged in the accurate one.
 
 Seeds 6300 and on, accurate preset, were written down before they were flown, in rounds: drum-3,
-drum-3-slips, box-4, box-4-slips, tray-3 and tray-4, then the next seed. Four have been flown;
-tray-3 was stopped unfinished. box-4-slips, whose sharp corners press too hard (slip_loads.md), was
-held, slipping by 3.0 cm. box-4-round-slips was added for this, from 6300 on, and not flown yet.
-drum-3-smooth-1.5 was stopped after 9 of 20 flights. Accurate flights of drum-3 and drum-3-slips
-with seed 6000 were flown with the ropes that were too short.
+drum-3-slips, box-4, box-4-slips, box-4-round-slips, tray-3 and tray-4, then the next seed; tray-3
+of 6300 was stopped unfinished once, and flown again. The sharp corners of box-4-slips press too
+hard (slip_loads.md): it slips by centimetres, and is held or not by where 3 cm are. Round corners
+were added for this, before they were flown. drum-3-slips is 1.5 times `μ Σ T θ`, 1.03 times what is
+predicted for clasps that rub; 1.5 times that were not lifted (slip_loads.md). drum-3-smooth-1.5 was
+stopped after 9 of 20 flights. Accurate flights of drum-3 and drum-3-slips with seed 6000 were flown
+with the ropes that were too short.
 """
 """What other flights found."""
 

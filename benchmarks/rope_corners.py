@@ -7,9 +7,9 @@ and pulled by 1.3 N at both ends, without weight, until it rests. Of a cable the
 forces is `T θ`, whatever it is bent about. Then both pulls rise, until it slides up: a cable does
 where friction takes `μ T θ`. Nodes begin at several places along the bend.
 
-Of a chain with links s, pulled over a right angle, as far as r from the corner's centre, two nodes
-press `φ = asin(s / 2r)` to either side of its bisector, but no farther apart than both faces'
-normals, 45°. Their forces add up to `2 T sin(θ/2) / cos φ`: `√2` times too much at a sharp corner.
+Two nodes that touch a corner r from the centre of its rounding, on either side of its bisector,
+press there at angles of `φ = asin(s / 2r)` to it, s their distance, 45° at most, on the faces of a
+right angle. Their forces add up to `2 T sin(θ/2) / cos φ`.
 """
 
 from __future__ import annotations
