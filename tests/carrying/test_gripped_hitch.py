@@ -169,6 +169,31 @@ def test_grips_are_taken_that_find_balance_as_they_take_the_weight() -> None:
     assert np.max(np.abs(lifted(closed)["vertices"][-1, :, :2] - closed)) < 0.015
 
 
+def test_grips_are_taken_whose_drones_stay_apart_with_the_weight() -> None:
+    """As this one's slopes turn the best grip's clasps, two drones come too close."""
+    outline = np.array(
+        [
+            *([0.046, -0.164], [0.17, -0.011], [0.133, 0.106]),
+            *([-0.081, 0.15], [-0.169, 0.014], [-0.089, -0.145]),
+        ]
+    )
+    team = ho.Team(3, 2.31, tension=1.0)
+    limits = Requirements(limits=ho.Limits(tilt=math.radians(50)))
+    stone = body(outline, mass=0.121, friction=0.79)
+    most, _ = largest_tension(limits, team.quadrotor[0])
+    best = best_grip(grip_task(stone, team, SEARCHED * most, limits)).vertices[:, :2]
+    closed = grip_polygons("stone", stone, team, limits, 0.08).closed
+    place, pulls = np.zeros(4), np.ones((2, 3))
+    held_up = Move(place, place, pulls, (1.0, 1.0), (0.0, 0.0), SmoothLaw(1.0))
+    apart = []
+    for clasps in (best, closed):
+        hitch = GrippedHitch(team, stone, clasps, clasps, 0.15, np.full(3, 0.5))
+        drones = hitch.curves(held_up, np.zeros(1))["drones"][0]
+        away = np.linalg.norm((drones[:, None] - drones) / [0.24, 0.24, 0.6], axis=-1)
+        apart.append(float(np.min(away[np.triu_indices(6, 1)])))
+    assert apart[0] < 1.0 < apart[1]
+
+
 @pytest.fixture(scope="module")
 def grasped() -> Motion:
     plan = ho.solve(problem(0.05, 1.0))

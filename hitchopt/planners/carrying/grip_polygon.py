@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Team
@@ -98,9 +97,9 @@ def _between_corners(task: GripTask, closed: Array, centre: Array, weight: float
     """Return a grip (n, 2) [m] whose edges meet no other corners when clasps move a little.
 
     The best grip often has an edge along a side; clasps of one that is larger by some per cent are
-    as far from there as inertia moves them. Of those that bear the weight [N], balanced again and
-    within all limits, the one with the largest slip load times the angle by which edges may turn is
-    taken.
+    as far from there as inertia moves them. Of those that bear the weight [N] with drones apart,
+    balanced again and within all limits, the one with the largest slip load times the angle by
+    which edges may turn is taken.
     """
     section = task.section
     if section.outline is None:
@@ -116,13 +115,25 @@ def _between_corners(task: GripTask, closed: Array, centre: Array, weight: float
     turns = wraps_around(section, centre + grips).least_turns(section)
     merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
     worth = np.nan_to_num(np.minimum(turns, TURN) * np.maximum(merits, 0.0))
-    worth *= _bearing(section, centre, grips, weight / task.tension)
+    loaded = _loaded(section, centre, grips, weight / task.tension)
+    worth *= [_apart(task, each, weight) for each in centre + loaded]
     found: Array = centre + grips[np.argmax(worth)]
     return found if np.max(worth) > 0.0 else closed
 
 
-def _bearing(section: Section, centre: Array, grips: Array, load: float) -> NDArray[np.bool_]:
-    """Return whether clasps (grips, n, 2) [m] find balance as a load passes to them (grips,).
+def _apart(task: GripTask, vertices: Array, weight: float) -> bool:
+    """Return whether drones of clasps (n, 2) [m] stay apart while edges bear a weight [N]."""
+    if np.any(np.isnan(vertices)):
+        return False
+    try:
+        margins = task.margins(task.grip(vertices, weight))
+    except InfeasibleError:
+        return False
+    return float(np.min(margins["separation"])) >= 0.0
+
+
+def _loaded(section: Section, centre: Array, grips: Array, load: float) -> Array:
+    """Return where clasps (grips, n, 2) [m] find balance with a load; nan where they do not.
 
     About a nearly round outline some hardly resist turning: slopes of edges turn them farther than
     to where there is a balance.
@@ -140,8 +151,8 @@ def _bearing(section: Section, centre: Array, grips: Array, load: float) -> NDAr
             before, places = clasps, centre + clasps[..., :2]
             contacts = contacts_of(places, wraps_around(section, places, bends), section.core)
             clasps = balanced(clasps, pulls, contacts - centre, loads, (planned, SHARES))
-    bearing: NDArray[np.bool_] = np.max(np.abs(clasps - before), axis=(1, 2, 3)) < BORNE
-    return bearing
+    settled = np.max(np.abs(clasps - before), axis=(1, 2, 3)) < BORNE
+    return np.where(settled[:, None, None], clasps[:, -1, :, :2], np.nan)
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
