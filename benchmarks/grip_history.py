@@ -5,10 +5,12 @@ touch their directions are perpendicular, so friction, which opposes their relat
 at 45° to each cable: along it with ``μ/√2``. Edges then pull with ``λ = e^{-μβ/√2}`` times what
 legs do, β the angle by which cables bend at the clasp, and clasps are farther out than planned.
 
-The weight raises clasps above the plane of contact. Edges, which do not slide while λ is within
-``e^{±μβ/√2}``, keep their length: sloping, they draw the clasps in, bend farther round the object
-and pull harder. So the slip load depends on the load, and differs from that of clasps without
-friction in either direction. Legs pull with a constant tension toward their drones.
+The weight raises clasps above the contacts. Edges, which do not slide while λ is within
+``e^{±μβ/√2}``, keep their length: sloping, also along their arcs, they draw the clasps in, bend
+farther round the object and pull harder. So the slip load depends on the load, and differs from
+that of clasps without friction in either direction. An arc presses with the level part of its
+tension per angle, so the object slips under ``μ Σ T_k cos(α_k) θ_k``. Legs pull with a constant
+tension toward their drones.
 """
 
 from __future__ import annotations
@@ -16,10 +18,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, root
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import GRAVITY
@@ -34,8 +35,13 @@ BOTH_SLIDE = 0.5**0.5
 PASSES = 8
 """Times that friction is computed anew from the bends of what it closes."""
 
-PRECISION = 1e-13
-"""Tolerance of potentials over tension and length, as SLSQP takes it."""
+PRECISION = 1e-10
+"""Tolerance of clasps in balance, as scipy's ``root`` takes it."""
+
+UP = np.array([0.0, 0.0, 1.0])
+
+POINTS, WEIGHTS = 0.5 + 0.15**0.5 * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 8.0, 5.0]) / 18.0
+"""Gauss's points on arcs, from 0 to 1, and their weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,22 +50,22 @@ class LoadedGrip(OneLine):
 
     Attributes
     ----------
-    vertices: (n, 3) [m], clasps above the plane in which edges met the object at first.
-    departures: (n, 2, 3) [m], where edge k leaves the object toward ``p_k`` and ``p_{k+1}``.
-    tensions: (n,) [N], of edges.
+    vertices: (n, 3) [m], clasps above the mean height of what edges touch.
+    slopes: (n, 2), of edge k's straight parts, up to ``p_k`` and to ``p_{k+1}``.
+    level: (n,) [N], level parts of edges' tensions.
     wraps: edges, seen from above.
-    imbalance: largest force that is left over at a clasp [N].
+    imbalance: largest force that is left over at a clasp, along an axis [N].
     """
 
     vertices: Array
-    departures: Array
-    tensions: Array
+    slopes: Array
+    level: Array
     wraps: Wraps
     imbalance: float
 
     def slip_load(self, friction: float) -> float:
         """Return the weight [N] at which an object with that friction slips, without factor."""
-        return friction * float(self.tensions @ self.wraps.angles)
+        return friction * float(self.level @ self.wraps.angles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,78 +119,80 @@ class GripHistory(OneLine):
         closed: (n, 3) [m], clasps at first, as ``closed`` returns them.
         drones: (n, 2, 3) [m] at every part, about the place where the plan has the object.
         """
-        n = len(closed)
-        wraps = self._wraps(closed[:, :2])
-        departures = np.concatenate([wraps.contacts, np.zeros((n, 2, 1))], axis=-1)
-        x = np.append(closed.ravel(), 0.0)
+        n, least = len(closed), self._ratios(closed, drones[0])
+        x = np.concatenate([closed.ravel(), self.tension * least, [0.0]])
         for part, at in enumerate(drones, start=1):
-            load = weight * part / len(drones)
-            x = self._moved(x, departures, at, load)
-            vertices = x[:-1].reshape(-1, 3) + [0.0, 0.0, x[-1]]
-            wraps = self._wraps(vertices[:, :2])
-            away = _edge_ends(vertices) - departures  # what is laid on the object slopes like these
-            slopes = away[..., 2] / length(away[..., :2])
-            heights = _edge_ends(vertices)[..., 2] - slopes * wraps.tangents
-            departures = np.concatenate([wraps.contacts, heights[..., None]], axis=-1)
-        ends = self._shifted(x[:-1].reshape(-1, 3), drones[-1])
-        tensions, left = self._balanced(x, vertices, departures, ends)
-        return LoadedGrip(vertices, departures, tensions, wraps, left)
+            x, left = self._moved(x, at, weight * part / len(drones))
+        vertices, level = x[: 3 * n].reshape(-1, 3), x[3 * n : -1]
+        wraps, slopes = self._sloped(vertices)
+        return LoadedGrip(vertices, slopes, level, wraps, left)
 
-    def _moved(self, before: Array, departures: Array, drones: Array, load: float) -> Array:
-        """Return clasps, and how far the object is below its plan, in balance with a load [N].
+    def _moved(self, before: Array, drones: Array, load: float) -> tuple[Array, float]:
+        """Return what balances a load [N], and the largest force [N] that is left over.
 
-        They minimise the potential of legs and loads, free parts of edges keeping their lengths but
-        for what slides: out of the legs at ``1/λ``, into them at λ.
+        Edges keep their lengths, but for those that would pull with more than ``1/λ`` times what
+        legs do, or with less than λ times: these slide until they pull with as much.
+
+        Parameters
+        ----------
+        before: clasps (n, 3) [m] above contacts, edges' level pulls (n,) [N], and how far contacts
+            are below their plan [m], in one row; what is returned is alike.
         """
-        clasps = before[:-1].reshape(-1, 3)
-        n, least = len(clasps), self._ratios(clasps, drones)
-        ends = self._shifted(clasps, drones)
-        hung = self._leg_weights(clasps, ends) / self.tension
-        slides = np.concatenate([1.0 / least, -least])
+        n = (len(before) - 1) // 4
+        places = before[: 3 * n].reshape(-1, 3)
+        least = self._ratios(places - before[-1] * UP, drones)
+        ends, lengths = self._shifted(places - before[-1] * UP, drones), self._free(places)
+        most = np.full(n, np.nan)  # what sliding edges pull with, over legs
 
-        def free(x: Array) -> Array:
-            vertices = x[: 3 * n].reshape(-1, 3) + [0.0, 0.0, x[3 * n]]
-            lengths: Array = np.sum(length(_edge_ends(vertices) - departures), axis=-1)
-            return lengths
+        def lacking(x: Array) -> Array:
+            vertices, level = x[: 3 * n].reshape(-1, 3), x[3 * n : -1]
+            wraps, slopes = self._sloped(vertices)
+            along = np.stack([wraps.leaving, -wraps.arriving], axis=1)
+            pulls = level[:, None, None] * np.concatenate([along, -slopes[..., None]], axis=-1)
+            clasps = vertices - x[-1] * UP
+            forces = self.tension * np.sum(unit(_to_drones(clasps, ends)), axis=1)
+            forces += pulls[:, 0] + np.roll(pulls[:, 1], 1, axis=0)
+            forces[:, 2] -= self._leg_weights(clasps, ends)
+            ratio = np.mean(length(pulls), axis=-1) / self.tension
+            longer = (self._free(vertices) - lengths) / lengths
+            edges = np.where(np.isnan(most), longer, ratio - np.nan_to_num(most))
+            return np.concatenate([forces.ravel(), edges, [-np.sum(pulls[..., 2]) - load]])
 
-        def potential(x: Array) -> float:
-            places = x[: 3 * n].reshape(-1, 3)
-            legs = np.sum(length(_to_drones(places, ends)))
-            lowered = load / self.tension * x[3 * n]
-            return float(legs + hung @ places[:, 2] - lowered + slides @ x[3 * n + 1 :])
+        for _ in range(PASSES):
+            found = root(lacking, before, tol=PRECISION)
+            vertices, level = found.x[: 3 * n].reshape(-1, 3), found.x[3 * n : -1]
+            pulls = np.hypot(1.0, self._sloped(vertices)[1]) * level[:, None]
+            ratio = np.mean(pulls, axis=-1) / self.tension
+            slides = np.isnan(most) & ((ratio > 1.0 / least) | (ratio < least))
+            if not np.any(slides):
+                break
+            most[slides] = np.where(ratio > 1.0, 1.0 / least, least)[slides]
+        return found.x, float(np.max(np.abs(lacking(found.x)[: 3 * n])))
 
-        at_first = free(before)
+    def _sloped(self, vertices: Array) -> tuple[Wraps, Array]:
+        """Return edges seen from above, and slopes (n, 2) of their straight parts, up to clasps.
 
-        def stretched(x: Array) -> Array:
-            out, back = x[3 * n + 1 :].reshape(2, -1)
-            return free(x) - at_first - out + back
+        Where the object slips along an arc, friction on the cable is upright, and even by angle: a
+        parabola, seen from its side, whose mean height is 0.
 
-        settings: Any = {
-            "bounds": [(None, None)] * (3 * n + 1) + [(0.0, None)] * (2 * n),
-            "constraints": [{"type": "eq", "fun": stretched}],
-            "options": {"maxiter": 400, "ftol": PRECISION},
-        }
-        start = np.append(before, np.zeros(2 * n))
-        found = minimize(potential, start, method="SLSQP", **settings)
-        moved: Array = found.x[: 3 * n + 1]
-        return moved
+        Parameters
+        ----------
+        vertices: (n, 3) [m], clasps above the mean height of contacts.
+        """
+        wraps = self._wraps(vertices[:, :2])
+        first, last = np.moveaxis(wraps.tangents + wraps.arcs[:, None] / 3.0, -1, 0)
+        across = wraps.arcs / 6.0
+        high, other = np.moveaxis(_edge_ends(vertices)[..., 2], -1, 0)
+        slopes = np.stack([last * high + across * other, first * other + across * high], axis=-1)
+        return wraps, slopes / (first * last - across**2)[:, None]
 
-    def _balanced(
-        self, x: Array, vertices: Array, departures: Array, ends: Array
-    ) -> tuple[Array, float]:
-        """Return edges' tensions (n,) [N] that balance clasps best, and what is left over [N]."""
-        clasps = x[:-1].reshape(-1, 3)
-        n = len(clasps)
-        along = unit(departures - _edge_ends(vertices))  # (n, 2, 3), from the clasps
-        pulls = np.zeros((n, 3, n))
-        pulls[np.arange(n), :, np.arange(n)] += along[:, 0]
-        pulls[(np.arange(n) + 1) % n, :, np.arange(n)] += along[:, 1]
-        forces = self.tension * np.sum(unit(_to_drones(clasps, ends)), axis=1)
-        forces[:, 2] -= self._leg_weights(clasps, ends)
-        rows = pulls.reshape(3 * n, n)
-        tensions = np.linalg.lstsq(rows, -forces.ravel(), rcond=None)[0]
-        left = rows @ tensions + forces.ravel()
-        return tensions, float(np.max(length(left.reshape(-1, 3))))
+    def _free(self, vertices: Array) -> Array:
+        """Return edges' lengths (n,) [m] between clasps, above the mean height of contacts."""
+        wraps, slopes = self._sloped(vertices)
+        straight = np.sum(np.hypot(1.0, slopes) * wraps.tangents, axis=-1)
+        on_arcs = POINTS * np.sum(slopes, axis=-1, keepdims=True) - slopes[:, :1]
+        lengths: Array = straight + wraps.arcs * (np.hypot(1.0, on_arcs) @ WEIGHTS)
+        return lengths
 
     def _leg_weights(self, clasps: Array, ends: Array) -> Array:
         """Return what legs weigh on clasps (n,) [N]: half of them."""

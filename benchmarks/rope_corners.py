@@ -1,10 +1,15 @@
-"""What a simulated rope presses with on the corner that it bends about, over tension times bend.
+"""What a simulated rope presses with on the corner that it bends about, and what slips there.
 
 Usage: python -m benchmarks.rope_corners
 
 A rope of 0.5 m is bent by 34° about a disc, or a corner of a box of 0.4 m × 0.3 m, sharp or round,
 and pulled by 1.3 N at both ends, without weight, until it rests. Of a cable the sum of all contact
-forces is `T θ`, whatever it is bent about. Nodes begin at several places along the bend.
+forces is `T θ`, whatever it is bent about. Then both pulls rise, until it slides up: a cable does
+where friction takes `μ T θ`. Nodes begin at several places along the bend.
+
+Two nodes that touch a corner r from the centre of its rounding, on either side of its bisector,
+press there at angles of `φ = asin(s / 2r)` to it, s their distance, 45° at most, on the faces of a
+right angle. Their forces add up to `2 T sin(θ/2) / cos φ`.
 """
 
 from __future__ import annotations
@@ -25,8 +30,12 @@ TENSION, BEND, LENGTH, THICK = 1.3, np.radians(34.0), 0.5, 0.012
 HEIGHT, SETTLED, MASS = 0.15, 1.0, 0.05
 """Height of the rope [m], time after which forces are averaged [s], and mass of an end [kg]."""
 
-END_DAMPING, NODE_DAMPING = 2.0, 2.0
-"""[N s/m] of each end, and [N s/m²] of the rope."""
+END_DAMPING, LESS, NODE_DAMPING = 2.0, 0.3, 2.0
+"""[N s/m] of each end until it rests, and as pulls rise, and [N s/m²] of the rope."""
+
+FRICTION, STEEPEST, RISING, SLIDES = 0.3, 2.2, 1.2, 0.002
+"""Coefficient on the box, largest slope of pulls over that at which a cable slides, time in which
+it is reached [s], and how far up the rope has slid where friction is averaged [m]."""
 
 POINTS = 13
 """Points of the outline at the round corner."""
@@ -34,10 +43,13 @@ POINTS = 13
 PLACES = (0.0, 0.25, 0.5)
 """Where the middle of the bend is between two nodes, in segments."""
 
-CASES = (
-    ("disc of 0.2 m", 0.010), ("sharp", 0.010), ("sharp", 0.005), ("sharp", 0.0025),
-    (0.01, 0.010), (0.02, 0.010), (0.04, 0.010),
-)  # fmt: skip
+SEGMENTS = (0.010, 0.005, 0.0025)
+"""Lengths of segments [m]."""
+
+CASES: tuple[tuple[str | float, float], ...] = (
+    ("disc of 0.2 m", 0.010),
+    *((radius, segment) for radius in (0.0, 0.005, 0.01, 0.02, 0.05) for segment in SEGMENTS),
+)
 """What the rope is bent about, radii of corners among them [m], and lengths of segments [m]."""
 
 
@@ -45,7 +57,7 @@ def bent_about(shape: str | float) -> tuple[Section, Array, float]:
     """Return a section, and the centre (2,) [m] and radius [m] of the bend about it."""
     if shape == "disc of 0.2 m":
         return Section(radius=0.2), np.zeros(2), 0.2
-    radius = 0.0 if isinstance(shape, str) else shape
+    radius = float(shape)
     centre = np.array(SIDES[2]) - radius
     if radius == 0.0:
         return Section(SIDES), centre, 0.0
@@ -54,16 +66,20 @@ def bent_about(shape: str | float) -> tuple[Section, Array, float]:
     return Section([*SIDES[:2], *arc.tolist(), SIDES[3]]), centre, radius
 
 
-def pressed(shape: str | float, segment: float, place: float) -> float:
-    """Return the sum of contact forces over tension times bend.
+def pressed(shape: str | float, segment: float, place: float) -> tuple[float, float]:
+    """Return the sum of contact forces over tension times bend, and the same of friction.
 
     Parameters
     ----------
     segment: length of the rope's segments [m].
     place: where the middle of the bend is, in segments from a node.
+
+    Returns
+    -------
+    Both ratios; that of friction, over the coefficient, is nan where the rope does not slide.
     """
     section, centre, radius = bent_about(shape)
-    body = SolidObject(section, 0.0, 0.3, mass=0.06, friction=0.3, fixed=True)
+    body = SolidObject(section, 0.0, 0.3, mass=0.06, friction=FRICTION, fixed=True)
     preset = Preset("corner", segment, THICK, 0.04 * segment)
     ropes = Ropes(np.array([LENGTH]), 0.01, 0.15, preset)
     masses = np.full(2, MASS)
@@ -77,22 +93,30 @@ def pressed(shape: str | float, segment: float, place: float) -> float:
     rest = along - turned * (radius + 0.5 * THICK)
     rope = centre + (radius + 0.5 * THICK) * outward + rest[:, None] * onward
     world.place([np.column_stack([rope, np.full(len(rope), HEIGHT)])])
-    pulls = np.pad(TENSION * np.stack([-onward[0], onward[-1]]), ((0, 0), (0, 1)))
-    force, found = np.zeros(6), []
-    data = world.data
-    for step in range(round(1.5 * SETTLED / preset.time_step)):
-        velocity = data.qvel
-        data.qfrc_applied[world.drone_dofs] = pulls - END_DAMPING * velocity[world.drone_dofs]
+    level = TENSION * np.pad(np.stack([-onward[0], onward[-1]]), ((0, 0), (0, 1)))
+    force, found, slid = np.zeros(6), [], []
+    data, bend = world.data, 0.5 * FRICTION * BEND  # as steep as a cable that slides
+    for step in range(round((SETTLED + RISING) / preset.time_step)):
+        rising = max(step * preset.time_step - SETTLED, 0.0) / RISING
+        slope = STEEPEST * bend * rising
+        pulls = np.cos(slope) * level + [0.0, 0.0, TENSION * np.sin(slope)]
+        damping = LESS if rising else END_DAMPING
+        data.qfrc_applied[world.drone_dofs] = pulls - damping * data.qvel[world.drone_dofs]
         node_damping = NODE_DAMPING * segment
-        data.qfrc_applied[world.node_dofs] = -node_damping * velocity[world.node_dofs]
+        data.qfrc_applied[world.node_dofs] = -node_damping * data.qvel[world.node_dofs]
         world.step()
-        if step * preset.time_step > SETTLED and step % 20 == 0:
-            total = 0.0
+        if step * preset.time_step > 0.7 * SETTLED and step % 20 == 0:
+            total = np.zeros(2)
             for contact in range(data.ncon):
                 mujoco.mj_contactForce(world.model, data, contact, force)
-                total += force[0]
-            found.append(total)
-    return float(np.mean(found)) / (TENSION * float(BEND))
+                upright = data.contact[contact].frame.reshape(3, 3)[:, 2] @ force[:3]
+                total += [force[0], abs(upright) / FRICTION]
+            if not rising:
+                found.append(total[0])
+            elif world.nodes[len(nodes) // 2, 2] > HEIGHT + SLIDES:
+                slid.append(total[1])
+    unit = TENSION * float(BEND)
+    return float(np.mean(found)) / unit, float(np.mean(slid)) / unit if slid else float("nan")
 
 
 def main() -> int:
@@ -100,8 +124,9 @@ def main() -> int:
     for shape, segment in CASES:
         ratios = [pressed(shape, segment, place) for place in PLACES]
         corner = shape if isinstance(shape, str) else f"radius of {1e3 * shape:.0f} mm"
-        numbers = ", ".join(f"{ratio:.3f}" for ratio in ratios)
-        print(f"{corner}, segments of {1e3 * segment:.1f} mm: {numbers}", flush=True)
+        texts = (", ".join(f"{ratio:.3f}" for ratio in each) for each in zip(*ratios, strict=True))
+        words = "; slides at ".join(texts)
+        print(f"{corner}, segments of {1e3 * segment:.1f} mm: {words}", flush=True)
     return 0
 
 

@@ -38,6 +38,14 @@ ALONG = np.array(
 )
 """The best grip by three cables has an edge along one of its sides, nearly [m]."""
 
+TURNING = np.array(
+    [
+        *([0.137, -0.029], [0.093, 0.105], [-0.057, 0.128]),
+        *([-0.134, 0.041], [-0.117, -0.077], [0.013, -0.139]),
+    ]
+)
+"""About it the best grip by three cables hardly resists turning [m]."""
+
 TEAM = ho.Team(3, 1.6, cable_density=0.01, tension=1.0)
 STEEP = Requirements(limits=ho.Limits(tilt=math.radians(60)))
 
@@ -139,6 +147,51 @@ def problem(mass: float, friction: float, clasps: float = 0.0) -> ho.Problem:
             ],
         }
     )
+
+
+def test_grips_are_taken_that_find_balance_as_they_take_the_weight() -> None:
+    """The largest slip load is that of clasps which lose their balance at a quarter of it."""
+    team = ho.Team(3, 1.99, tension=1.3)
+    limits = Requirements(limits=ho.Limits(tilt=math.radians(50)))
+    stone = body(TURNING, mass=0.138, friction=0.7)
+    most, _ = largest_tension(limits, team.quadrotor[0])
+    best = best_grip(grip_task(stone, team, SEARCHED * most, limits)).vertices[:, :2]
+    closed = grip_polygons("stone", stone, team, limits, 0.08).closed
+    place, pulls = np.zeros(4), np.full((2, 3), 1.3)
+    taking = Move(place, place, pulls, (0.0, 1.0), (0.0, 0.0), SmoothLaw(1.0))
+
+    def lifted(clasps: Array) -> dict[str, Array]:
+        hitch = GrippedHitch(team, stone, clasps, clasps, 0.15, np.full(3, 0.5))
+        return hitch.curves(taking, np.linspace(0.0, taking.law.duration, 17))
+
+    with pytest.raises(ho.InfeasibleError, match="equilibrium"):
+        lifted(best)
+    assert np.max(np.abs(lifted(closed)["vertices"][-1, :, :2] - closed)) < 0.015
+
+
+def test_grips_are_taken_whose_drones_stay_apart_with_the_weight() -> None:
+    """As this one's slopes turn the best grip's clasps, two drones come too close."""
+    outline = np.array(
+        [
+            *([0.046, -0.164], [0.17, -0.011], [0.133, 0.106]),
+            *([-0.081, 0.15], [-0.169, 0.014], [-0.089, -0.145]),
+        ]
+    )
+    team = ho.Team(3, 2.31, tension=1.0)
+    limits = Requirements(limits=ho.Limits(tilt=math.radians(50)))
+    stone = body(outline, mass=0.121, friction=0.79)
+    most, _ = largest_tension(limits, team.quadrotor[0])
+    best = best_grip(grip_task(stone, team, SEARCHED * most, limits)).vertices[:, :2]
+    closed = grip_polygons("stone", stone, team, limits, 0.08).closed
+    place, pulls = np.zeros(4), np.ones((2, 3))
+    held_up = Move(place, place, pulls, (1.0, 1.0), (0.0, 0.0), SmoothLaw(1.0))
+    apart = []
+    for clasps in (best, closed):
+        hitch = GrippedHitch(team, stone, clasps, clasps, 0.15, np.full(3, 0.5))
+        drones = hitch.curves(held_up, np.zeros(1))["drones"][0]
+        away = np.linalg.norm((drones[:, None] - drones) / [0.24, 0.24, 0.6], axis=-1)
+        apart.append(float(np.min(away[np.triu_indices(6, 1)])))
+    assert apart[0] < 1.0 < apart[1]
 
 
 @pytest.fixture(scope="module")

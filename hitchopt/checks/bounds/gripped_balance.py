@@ -24,9 +24,10 @@ def unbalanced(motion: Motion) -> Finding:
     """Return the largest force, or moment over its size, that an object lacks, over the tension.
 
     Cable k pulls with ``T_k (b̂_k - â_k)`` on what it is wrapped around, where it leaves and where
-    it meets that. Of an object off its support all of it counts, but for what turns it about the
-    vertical, which is left to friction (check ``grip``); of one that stands, in part at least, the
-    share of its weight that is borne, and level forces beyond what friction with its support takes.
+    it meets that. Of an object off its support all of it counts, moments about the vertical too;
+    the moment that accelerates its turning there is left to friction (check ``grip``). Of one that
+    stands, in part at least, the share of its weight that is borne counts, and level forces beyond
+    what friction with its support takes.
     """
     worst = Finding(0.0, 0.0)
     for index, name, body, pieces in gripping(motion):

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.hitch import Team
+from hitchopt.hitch import GRAVITY, Team
 from hitchopt.holding.capacity import EASED, Capacity
 from hitchopt.holding.grip_limits import largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
-from hitchopt.objects import SolidObject
+from hitchopt.objects import Section, SolidObject
 from hitchopt.planners.carrying.edge_balance import balanced, contacts_of
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.requirements import Requirements
@@ -31,6 +31,10 @@ before they meet other corners."""
 
 BALANCING = 30
 """Newton's steps with which they are balanced."""
+
+SHARES, BORNE = np.linspace(0.0, 1.0, 9), 1e-6
+"""Shares of the weight with which they are tried, and the last step [m] where clasps find balance.
+"""
 
 TENSIONS = np.geomspace(0.2, 5.0, 60)
 """[N] Tensions that are tried for a suggestion."""
@@ -85,16 +89,17 @@ def grip_polygons(
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
     centre = body.centre_of_mass[:2]
-    closed = _between_corners(task, closed, centre)
+    closed = _between_corners(task, closed, centre, GRAVITY * body.mass)
     return HoldPolygons.with_short_edges(closed, centre, (body.section,), gap)
 
 
-def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
+def _between_corners(task: GripTask, closed: Array, centre: Array, weight: float) -> Array:
     """Return a grip (n, 2) [m] whose edges meet no other corners when clasps move a little.
 
     The best grip often has an edge along a side; clasps of one that is larger by some per cent are
-    as far from there as inertia moves them. Of those, balanced again and within all limits, the one
-    with the largest slip load times the angle by which edges may turn is taken.
+    as far from there as inertia moves them. Of those that bear the weight [N] with drones apart,
+    balanced again and within all limits, the one with the largest slip load times the angle by
+    which edges may turn is taken.
     """
     section = task.section
     if section.outline is None:
@@ -110,8 +115,44 @@ def _between_corners(task: GripTask, closed: Array, centre: Array) -> Array:
     turns = wraps_around(section, centre + grips).least_turns(section)
     merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
     worth = np.nan_to_num(np.minimum(turns, TURN) * np.maximum(merits, 0.0))
+    loaded = _loaded(section, centre, grips, weight / task.tension)
+    worth *= [_apart(task, each, weight) for each in centre + loaded]
     found: Array = centre + grips[np.argmax(worth)]
     return found if np.max(worth) > 0.0 else closed
+
+
+def _apart(task: GripTask, vertices: Array, weight: float) -> bool:
+    """Return whether drones of clasps (n, 2) [m] stay apart while edges bear a weight [N]."""
+    if np.any(np.isnan(vertices)):
+        return False
+    try:
+        margins = task.margins(task.grip(vertices, weight))
+    except InfeasibleError:
+        return False
+    return float(np.min(margins["separation"])) >= 0.0
+
+
+def _loaded(section: Section, centre: Array, grips: Array, load: float) -> Array:
+    """Return where clasps (grips, n, 2) [m] find balance with a load; nan where they do not.
+
+    About a nearly round outline some hardly resist turning: slopes of edges turn them farther than
+    to where there is a balance.
+
+    Parameters
+    ----------
+    load: weight over tension.
+    """
+    planned = np.repeat(grips[:, None], len(SHARES), axis=1)
+    loads = np.multiply.outer(SHARES, [0.0, 0.0, load])
+    clasps = np.pad(planned, ((0, 0), (0, 0), (0, 0), (0, 1)))
+    bends, pulls = wraps_around(section, centre + planned).bends, np.ones(planned.shape[:-1])
+    with np.errstate(all="ignore"):  # what finds no balance may go anywhere
+        for _ in range(BALANCING):
+            before, places = clasps, centre + clasps[..., :2]
+            contacts = contacts_of(places, wraps_around(section, places, bends), section.core)
+            clasps = balanced(clasps, pulls, contacts - centre, loads, (planned, SHARES))
+    settled = np.max(np.abs(clasps - before), axis=(1, 2, 3)) < BORNE
+    return np.where(settled[:, None, None], clasps[:, -1, :, :2], np.nan)
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
