@@ -48,7 +48,7 @@ def with_legs_clear(path: ShapePath, requirements: Requirements) -> ShapePath:
 
     The path's own law is used where its distances hold. Else legs that are rolled at an end are
     rolled more half way; else leg lengths are chosen at knots, all at once, nearest to that law's,
-    or else on one side of what they jump across.
+    or else, where legs are rolled, on one side of what they jump across.
     Where none is found the path is returned as it is, for the certificate to report what it breaks.
     """
     if legs_clear(path, requirements):
@@ -89,9 +89,10 @@ def one_sided_laws(path: ShapePath, requirements: Requirements) -> Iterator[Shap
     """Yield the path with laws on which drones pass each other on one side, the nearest law first.
 
     Leg lengths of neighbouring knots may lie on two sides of what they avoid. They are followed
-    from knot to knot, from either end. None where no law is steep.
+    from knot to knot, from either end. None where no law is steep, nor where legs are level, whose
+    routes the optimiser finds.
     """
-    for count, margin in ONE_SIDED:
+    for count, margin in ONE_SIDED if path.roll is not None else ():
         task = _task_at(path, requirements, count, margin)
         found = split_slack(task)
         slopes = count * np.diff(found.q_legs / task.slack, axis=0)
