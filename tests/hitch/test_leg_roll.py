@@ -203,6 +203,6 @@ def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     team, polygon = Team(29, 2.2), regular_polygon(29, 1.3)
     least = Hitch.spread(team, polygon).roll
     limits, separation = Limits(), Separation(cable=0.16)
-    given = {"limits": limits, "separation": separation, "roll": sense * least}
+    given: dict[str, Any] = {"limits": limits, "separation": separation, "roll": sense * least}
     following = Hitch.nearest(team, polygon, 1.0, np.full(29, 0.5), **given)
     assert np.all(sense * following.roll > least)
