@@ -1,7 +1,9 @@
 """Ctrl-C and SIGTERM end a command alike: what it was writing is cleaned up.
 
 Neither may raise during an import: compiled modules turn the exception into an ImportError or print
-a traceback. A signal that arrives then is handled when the import is over.
+a traceback; nor within pydantic, whose compiled code panics where Python code that it calls raises.
+A signal that arrives then is handled when that is over. Both raise SystemExit, by which click, too,
+ends quietly while it parses arguments; it makes "Aborted!" and 1 of a KeyboardInterrupt.
 """
 
 from __future__ import annotations
@@ -17,10 +19,13 @@ from typing import NoReturn
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of processes that ended by SIGINT and by SIGTERM, the same as in shells."""
 
-RESEND_DELAY = 0.02
-"""Delay before a signal that arrived during an import is sent again [s]."""
+_CODES: dict[int, int] = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 
-_IMPORTING = "<frozen importlib._bootstrap"
+RESEND_DELAY = 0.02
+"""Delay before a signal that arrived at a wrong time is sent again [s]."""
+
+_IMPORTING, _VALIDATING = "<frozen importlib._bootstrap", "pydantic."
+"""Beginnings of the file's and of the module's name of code within which signals do not raise."""
 
 _handled: list[int] = []
 """Signals that have been handled within the outermost context."""
@@ -33,10 +38,14 @@ _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] 
 
 
 @contextmanager
-def ending_signals() -> Iterator[None]:
-    """Let SIGINT raise KeyboardInterrupt, and SIGTERM SystemExit, within the context.
+def ending_signals(*, last: bool = False) -> Iterator[None]:
+    """Let SIGINT and SIGTERM raise SystemExit with their exit codes within the context.
 
     Other threads than the main one are not affected: signals do not reach them.
+
+    Parameters
+    ----------
+    last: whether the process ends with the context: signals then end it at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -54,11 +63,11 @@ def ending_signals() -> Iterator[None]:
         raise
     finally:
         for number in changed:
-            signal.signal(number, _DEFAULTS[number])
+            signal.signal(number, signal.SIG_DFL if last else _DEFAULTS[number])
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    if _importing(frame):
+    if _shielded(frame):
         again = threading.Timer(RESEND_DELAY, os.kill, (os.getpid(), number))
         again.daemon = True
         again.start()
@@ -68,14 +77,13 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def _raise(number: int) -> NoReturn:
-    if number == signal.SIGINT:
-        raise KeyboardInterrupt from None
-    raise SystemExit(TERMINATED) from None
+    raise SystemExit(_CODES[number]) from None
 
 
-def _importing(frame: FrameType | None) -> bool:
+def _shielded(frame: FrameType | None) -> bool:
     while frame is not None:
-        if frame.f_code.co_filename.startswith(_IMPORTING):
+        module = str(frame.f_globals.get("__name__"))
+        if frame.f_code.co_filename.startswith(_IMPORTING) or module.startswith(_VALIDATING):
             return True
         frame = frame.f_back
     return False

@@ -85,4 +85,6 @@ RULE = CheckRule(
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     Ease.LENGTH,
+    far_remedy="use other leg lengths, another cable length or polygon, "
+    "or a smaller separation.cable",
 )

@@ -44,4 +44,6 @@ RULE = CheckRule(
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     Ease.LENGTH,
+    far_remedy="use other leg lengths, another cable length or polygon, "
+    "or a smaller separation.radius",
 )

@@ -67,8 +67,10 @@ class SafeGroup(click.Group):
         except HitchoptError as error:
             complain(error)
             ctx.exit(exit_code(error))
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # raised by a solver that has caught the signal
             ctx.exit(INTERRUPTED)
+        except SystemExit as end:
+            ctx.exit(int(end.code or 0))
         except OSError as error:  # a full disk, a directory that may not be written
             place = f"{error.filename}: " if error.filename else ""
             message = f"{place}{error.strerror or error}; check the path and its disk"

@@ -56,6 +56,12 @@ def split_slack(task: LegTask) -> LegLengths:
     return best
 
 
+def split_slack_from(task: LegTask, start: Array) -> LegLengths:
+    """Return the leg lengths that the search reaches from given ones (J, n) [m]."""
+    bounds = leg_bounds(task)
+    return _refined(task, LegBodies(task, *bounds), np.clip(start, *bounds))
+
+
 def reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
     """Return the reference if it keeps the margin and all bounds, else None.
 

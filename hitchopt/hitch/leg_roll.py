@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -39,7 +40,9 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     """Return leg lengths on one polygon and the roll (clasps,) [rad] that goes with them.
 
     There is no roll where legs keep all limits without. Else it is the smallest one found with
-    which they keep the margin that is wanted, else the limits; none where no roll helps.
+    which they keep the margin that is wanted, else the limits; none where no roll helps. Its
+    sense is that of the task's own roll, upward of q-legs without one. Where legs carry weight the
+    other sense is tried as well if that one does not help.
 
     Parameters
     ----------
@@ -52,9 +55,9 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     if without is not None and without.margin >= 1.0:
         return without, own
     margins: dict[float, float] = {}  # of chosen lengths, at the rolls that were tried
-    for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
+    for sense, margin in product(_senses(task, own), dict.fromkeys((task.wanted, LIMIT_MARGIN))):
         aim = replace(task, margin=margin)
-        roll = _least(aim, margins)
+        roll = _least(aim, margins, sense)
         if roll is not None:
             return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
     return without or split_slack(task), own
@@ -90,11 +93,21 @@ def least_roll_of_reference(task: LegTask) -> Array:
     none = np.zeros(len(task.team.layout.clasps))
     if reference_margin(task) >= 1.0:
         return none
-    roll = _first(lambda angle: reference_margin(_rolled(task, angle)) >= task.wanted, LADDER)
-    return none if roll is None else none + roll
+    rolls = (_least_as_they_are(task, sense) for sense in _senses(task, none))
+    return none + next((roll for roll in rolls if roll is not None), 0.0)
 
 
-def _least(task: LegTask, margins: dict[float, float]) -> float | None:
+def _senses(task: LegTask, own: Array) -> tuple[float, ...]:
+    """Return the signs of the rolls that are tried, that of the task's own roll first.
+
+    Without weight one is the other one seen from below. A plan whose roll changes its sense passes
+    through none: the smaller one of the two is not looked for.
+    """
+    first = -1.0 if np.sum(own) < 0.0 else 1.0
+    return (first, -first) if task.team.loaded else (first,)
+
+
+def _least(task: LegTask, margins: dict[float, float], sense: float) -> float | None:
     """Return the smallest roll [rad] with which leg lengths keep the task's margin, or None.
 
     Lengths as they are come first, which takes no program to be solved.
@@ -102,24 +115,35 @@ def _least(task: LegTask, margins: dict[float, float]) -> float | None:
     Parameters
     ----------
     margins: those of chosen lengths at the rolls of COARSE, once they are known.
+    sense: sign of the rolls.
     """
 
-    def as_they_are(roll: float) -> bool:
-        return reference_margin(_rolled(task, roll)) >= task.wanted
-
-    def chosen(roll: float) -> bool:
-        if roll not in COARSE:
+    def chosen(angle: float) -> bool:
+        roll = sense * angle
+        if angle not in COARSE:
             return split_slack(_rolled(task, roll)).margin >= task.wanted * (1.0 - 1e-6)
         if roll not in margins:
             margins[roll] = split_slack(_rolled(task, roll)).margin
         return margins[roll] >= task.wanted * (1.0 - 1e-6)
 
-    given = _first(as_they_are, LADDER)
+    given = _least_as_they_are(task, sense)
     if given is None:
-        return _first(chosen, COARSE, 3)
-    if _possible(chosen, LESS * given):
-        return _first(chosen, (LESS * given,), 3)
-    return given
+        found = _first(chosen, COARSE, 3)
+    elif _possible(chosen, LESS * abs(given)):
+        found = _first(chosen, (LESS * abs(given),), 3)
+    else:
+        return given
+    return None if found is None else sense * found
+
+
+def _least_as_they_are(task: LegTask, sense: float) -> float | None:
+    """Return the same of the reference's own leg lengths."""
+
+    def suffices(angle: float) -> bool:
+        return reference_margin(_rolled(task, sense * angle)) >= task.wanted
+
+    found = _first(suffices, LADDER)
+    return None if found is None else sense * found
 
 
 def _first(

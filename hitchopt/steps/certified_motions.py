@@ -17,8 +17,12 @@ from hitchopt.hitch.leg_task import LegTask
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.requirements import Requirements, Separation
+from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
+
+LEVEL = 1e-3
+"""[m] Difference of heights up to which drones are level: it adds less than 1e-5 m to a distance of
+0.24 m, and is less than what the ratio's digits show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,34 +109,52 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
     Parameters
     ----------
     certificate: one that does not hold.
-    motion: whose it is: its separation tells in metres by how much drones are too close, its phases
-        in which step it happens.
+    motion: whose it is: its distances tell in metres by how much level drones are too close, its
+        phases in which step it happens.
     when: said instead, for a certificate of something at rest.
     """
-    separation, phases = motion.requirements.separation, motion.phases
     return InfeasibleError(
         [
             check.violation(
-                _metres(check, separation) + (when or _moment(check, phases)),
-                _remedy(check, phases),
+                _metres(check, motion) + (when or _moment(check, motion.phases)),
+                _remedy(check, motion),
             )
             for check in certificate.violated
         ]
     )
 
 
-def _remedy(check: Check, phases: tuple[Phase, ...]) -> str:
-    formed = [phase.formed for phase in phases if phase.start <= check.time <= phase.end]
+def _remedy(check: Check, motion: Motion) -> str:
+    during = (phase for phase in motion.phases if phase.start <= check.time <= phase.end)
+    formed = [phase.formed for phase in during]
     rule = RULE_OF[check.name]
-    return (rule.free_remedy if formed and not any(formed) else "") or rule.remedy
+    if formed and not any(formed):
+        return rule.free_remedy or rule.remedy
+    far = rule.far_remedy and not _share_clasp(check.where, motion.team)
+    return rule.far_remedy if far else rule.remedy
 
 
-def _metres(check: Check, separation: Separation) -> str:
-    """Return how far apart drones are and should be; a hitch's drones fly at one height."""
+def _share_clasp(where: tuple[str, ...], team: Team) -> bool:
+    """Return whether a drone stands at a clasp of another drone, or of a cable."""
+    layout, points = team.layout, []
+    for name in where:
+        if name in team.drone_names:
+            points.append({layout.anchors[team.drone_names.index(name)]})
+        elif name.startswith("cable "):
+            k = int(name.removeprefix("cable "))
+            points.append({layout.starts[k], layout.ends[k]})
+    return len(points) == 2 and bool(set.intersection(*points))
+
+
+def _metres(check: Check, motion: Motion) -> str:
+    """Return how far apart drones are and should be, where they are at one height."""
     if check.name != "separation":
         return ""
-    needed = 2.0 * separation.radius * check.number
-    apart = check.bound * 2.0 * separation.radius
+    drones = [motion.team.drone_names.index(name) for name in check.where]
+    if np.ptp(motion.drones.at([check.time])[0, drones, 2]) > LEVEL:
+        return ""
+    wide = 2.0 * motion.requirements.separation.radius
+    needed, apart = wide * check.number, wide * check.bound
     return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 
 

@@ -6,13 +6,16 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 
 import click
+import pydantic
 import pytest
 from click.testing import CliRunner, Result
 from problem_files import BAD, GOOD, header
+from pydantic_core import core_schema
 
 from hitchopt import interrupts
 from hitchopt.checks.certificate import CertificateError
@@ -210,6 +213,61 @@ def test_signals_within_imports_end_quietly(module: str, name: str, code: int, p
     assert (place / "sent").read_text() == "1"
 
 
+BETWEEN = """
+import os, signal, sys
+import click
+
+real = {method}
+
+def disturbed(*arguments, **options):
+    {method} = real
+    os.kill(os.getpid(), signal.{signal})
+    return real(*arguments, **options)
+
+{method} = disturbed
+sys.argv = ["hitchopt", "init", "x"]
+from hitchopt.__main__ import run
+run()
+"""
+
+
+@pytest.mark.parametrize("method", ["click.Context.__init__", "click.Context.close"])
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_signals_between_imports_and_command_end_quietly(method: str, name: str, code: int) -> None:
+    done = started("-c", BETWEEN.format(method=method, signal=name))
+    assert (done.returncode, done.stderr) == (code, "")
+
+
+def test_signals_wait_until_pydantic_has_built_a_model() -> None:
+    built = []
+
+    class Noisy:
+        @classmethod
+        def __get_pydantic_core_schema__(cls, *_: object) -> core_schema.CoreSchema:
+            signal.raise_signal(signal.SIGINT)
+            return core_schema.any_schema()
+
+    def build_and_wait() -> None:
+        with interrupts.ending_signals():
+            built.append(pydantic.create_model("Model", noisy=(Noisy, ...)))
+            time.sleep(10.0)
+
+    with pytest.raises(SystemExit) as end:
+        build_and_wait()
+    assert end.value.code == 130
+    assert len(built) == 1
+
+
+def test_signals_after_the_command_end_the_process_at_once() -> None:
+    script = (
+        "import os, signal, sys\nfrom hitchopt.__main__ import run\nsys.argv = ['hitchopt', '-h']\n"
+        "try:\n    run()\nfinally:\n    os.kill(os.getpid(), signal.SIGINT)\n    print('survived')"
+    )
+    done = started("-c", script)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+    assert "survived" not in done.stdout
+
+
 WRITING = """
 import os, signal, sys
 from pathlib import Path
@@ -247,7 +305,7 @@ def test_an_interrupt_that_compiled_code_made_an_error_of_stays_one(
         except KeyboardInterrupt:
             raise SystemError("returned a result with an exception set") from None
 
-    monkeypatch.setattr(interrupts, "_importing", lambda _: False)
+    monkeypatch.setattr(interrupts, "_shielded", lambda _: False)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     refused(CliRunner().invoke(group, ["fail"]), 130)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

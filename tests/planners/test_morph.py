@@ -132,3 +132,47 @@ def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:
     linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
     assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0
+
+
+LARGE = [
+    (-0.338, -1.14),
+    (-1.008, -0.282),
+    (-0.807, 0.757),
+    (-0.026, 1.205),
+    (0.719, 0.868),
+    (1.008, -0.28),
+    (0.286, -1.159),
+]
+SMALL = [
+    (-0.767, -1.067),
+    (-1.271, -0.747),
+    (-1.436, 0.233),
+    (-0.7, 0.858),
+    (-0.141, 0.787),
+    (0.428, -0.032),
+    (0.255, -0.68),
+]
+
+
+@pytest.mark.parametrize("length", [2.05, 2.09, 2.15])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rolled_legs_pass_each_other_on_one_side_also_in_a_mirror(
+    length: float, sign: float
+) -> None:
+    team, limits, separation = Team(7, length), Limits(), Separation()
+    first, last = ([sign, 1.0] * np.array(points) for points in (LARGE, SMALL))
+    if sign < 0.0:
+        first, last = first[::-1], last[::-1]
+    start = Hitch.spread(team, first, roll=sign * np.radians(10.0))
+    end = Hitch.nearest(
+        team,
+        last,
+        1.0,
+        start.fractions,
+        limits=limits,
+        separation=separation,
+        roll=start.roll,
+    )
+    linear = ShapePath.straight(start, end)
+    assert distances_on_the_way(linear) < 1.0
+    assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0
