@@ -22,7 +22,8 @@ from hitchopt.motion.phases import JOINT, CableState
 from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
 from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
-from hitchopt.stopping.grounding import descended, released
+from hitchopt.stopping.enclosing import Enclosures
+from hitchopt.stopping.grounding import check_obstacles, descended, released
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import choice, not_negative
@@ -34,12 +35,16 @@ WAYS: tuple[How, ...] = get_args(How)
 HOLD = 1.0
 """[s] Time at rest at the end of a hold."""
 
-APART = 0.1
-"""[s] Rests that are tried one after the other are at least so far apart."""
+APART, FARTHER = 0.1, 1.5
+"""[s] The clock's stops that are tried first are at least so far apart, and how many times farther
+each time one is refused."""
 
 TRIES = 8
 """Number of the clock's stops from which a continuation is tried; later ones begin where the plan
 is at rest by itself: legs that lean against friction stand straight there."""
+
+LANDINGS = ("release_and_land", "land")
+"""Those of them that end on the ground."""
 
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States between hanging and hitched cables, that nothing but the clock leads out of."""
@@ -92,6 +97,7 @@ class Aborts:
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self.player = Player(motion)
+        self.enclosures = Enclosures(motion)
 
     @cached_property
     def stops(self) -> StopTable:
@@ -115,7 +121,8 @@ class Aborts:
         time: plan time of the command [s].
         how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
             cables hang free, or to the start without cables; ``release_and_land`` stops, unties
-            what is tied and lands; ``land`` stops and goes straight down, tied or not.
+            what is tied and lands; ``land`` stops and goes straight down, tied or not. An object
+            that has been lifted is set down first, as the plan does.
 
         Raises
         ------
@@ -127,23 +134,25 @@ class Aborts:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
         later = None if how != "back" else TRIES  # what hangs free later is not behind
-        for stopped in islice(self.stopped(time), later):
-            try:
-                certified = self.continued(stopped, how)
-            except InfeasibleError as error:
-                refusal = refusal or error
-            else:
-                return Abort(stopped.start, stopped.seconds, stopped.time, certified)
+        for stopped in islice(self.stopped(time, landing=how in LANDINGS), later):
+            for origin in self._origins(stopped, how):
+                try:
+                    certified = self.continued(stopped, how, origin)
+                except InfeasibleError as error:
+                    refusal = refusal or error
+                else:
+                    return Abort(stopped.start, stopped.seconds, stopped.time, certified)
         if refusal is None:
             raise _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
         raise refusal
 
-    def stopped(self, time: float) -> Iterator[Stopped]:
+    def stopped(self, time: float, *, landing: bool = False) -> Iterator[Stopped]:
         """Yield the plan stopped after a time [s], at the first rest and at later ones.
 
         After TRIES stops of the clock only those follow at which the plan is at rest by itself.
         Rests that the states of the cables do not allow are left out: before the chords of a swap
-        have met, or while tensions are not the team's.
+        have met, or while tensions are not the team's; and those for a landing from which the plan
+        has to go on until it has left an object.
         """
         starts, durations = self.stops.starts, self.stops.durations
         ahead = (starts >= time) & np.isfinite(durations)
@@ -155,7 +164,9 @@ class Aborts:
         options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
         latest, tries = -np.inf, 0
         for rest, start, duration in sorted(options):
-            if duration > 0.0 and (rest < latest + APART or tries == TRIES):
+            if duration > 0.0 and (rest < latest + APART * FARTHER**tries or tries == TRIES):
+                continue
+            if landing and (around := self.enclosures.at(rest)) and around.held and around.onward:
                 continue
             latest = rest
             found = self._stop(float(start), float(duration))
@@ -183,21 +194,30 @@ class Aborts:
                 return None
         return Stopped(whole, start, duration, time)
 
-    def continued(self, stopped: Stopped, how: str) -> Certified:
-        """Return the certified continuation of a plan at rest.
+    def _origins(self, stopped: Stopped, how: str) -> Iterator[float | None]:
+        """Yield the plan times from which it may land; None for where it has stopped."""
+        around = self.enclosures.at(stopped.time) if how in LANDINGS else None
+        if around is None or not around.held:
+            yield None
+        if around is not None and not around.onward and around.way_out is not None:
+            yield around.way_out
 
-        Raises
-        ------
-        InfeasibleError: as found.
-        """
-        whole = self.continuation(stopped, how)
+    def continued(self, stopped: Stopped, how: str, origin: float | None = None) -> Certified:
+        """Return the certified continuation of a plan at rest, as ``continuation``."""
+        whole = self.continuation(stopped, how, origin)
+        if how in LANDINGS:
+            check_obstacles(whole, stopped.motion.duration)
         certificate = certify(whole)
         if not certificate.certified:
             raise infeasible(certificate, whole)
         return Certified(whole, certificate)
 
-    def continuation(self, stopped: Stopped, how: str) -> Motion:
+    def continuation(self, stopped: Stopped, how: str, origin: float | None = None) -> Motion:
         """Return the continuation of a plan at rest, not certified yet.
+
+        Parameters
+        ----------
+        origin: plan time to which the clock goes before it lands; None to land where it rests.
 
         Raises
         ------
@@ -210,8 +230,9 @@ class Aborts:
             whole = self._sought(whole, time, goal)
         elif how != "hold":
             if whole.phases[-1].state in PASSING:
-                time = self._way_out(time)
-                whole = self._sought(whole, stopped.time, time)
+                origin = self._way_out(time)
+            if origin is not None:
+                whole = self._sought(whole, time, origin)
             whole = released(whole) if how == "release_and_land" else descended(whole)
         if how in ("hold", "back"):
             whole = followed(whole, resting(whole, HOLD, phase))
