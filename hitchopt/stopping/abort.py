@@ -22,7 +22,7 @@ from hitchopt.motion.phases import JOINT, CableState
 from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
 from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
-from hitchopt.stopping.enclosing import Enclosures
+from hitchopt.stopping.enclosures import Enclosures
 from hitchopt.stopping.grounding import check_obstacles, descended, released
 from hitchopt.stopping.player import Player
 from hitchopt.trajectory.splitting import SAME_BREAK

@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.motion.motion import Motion
 from hitchopt.stopping.abort import Abort, Aborts
-from hitchopt.stopping.enclosing import Enclosures
+from hitchopt.stopping.enclosures import Enclosures
 from hitchopt.trajectory import PiecewisePolynomial
 
 BESIDE = {"transport": {"to": [-0.3, 2.6, 1.0]}}
