@@ -13,18 +13,18 @@ import numpy as np
 from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.checks.bounds.stop_rows import SWITCH
-from hitchopt.checks.bounds.verified_stops import stop_phases
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import JOINT, CableState
-from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
+from hitchopt.motion.retiming import SHORTEST, followed, resting, retimed
 from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.stopping.enclosures import Enclosures
 from hitchopt.stopping.grounding import check_obstacles, descended, released
 from hitchopt.stopping.player import Player
+from hitchopt.stopping.stopped_motion import until_stop
 from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import choice, not_negative
 
@@ -133,15 +133,13 @@ class Aborts:
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
-        later = None if how != "back" else TRIES  # what hangs free later is not behind
-        for stopped in islice(self.stopped(time, landing=how in LANDINGS), later):
-            for origin in self._origins(stopped, how):
-                try:
-                    certified = self.continued(stopped, how, origin)
-                except InfeasibleError as error:
-                    refusal = refusal or error
-                else:
-                    return Abort(stopped.start, stopped.seconds, stopped.time, certified)
+        for stopped, origin in self._tries(time, how):
+            try:
+                certified = self.continued(stopped, how, origin)
+            except InfeasibleError as error:
+                refusal = refusal or error
+            else:
+                return Abort(stopped.start, stopped.seconds, stopped.time, certified)
         if refusal is None:
             raise _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
         raise refusal
@@ -194,13 +192,24 @@ class Aborts:
                 return None
         return Stopped(whole, start, duration, time)
 
-    def _origins(self, stopped: Stopped, how: str) -> Iterator[float | None]:
-        """Yield the plan times from which it may land; None for where it has stopped."""
-        around = self.enclosures.at(stopped.time) if how in LANDINGS else None
-        if around is None or not around.held:
-            yield None
-        if around is not None and not around.onward and around.way_out is not None:
-            yield around.way_out
+    def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float | None]]:
+        """Yield stops after a time [s], and the plan times from which to go on; None for there.
+
+        Single drones that can land from no rest ahead go back: plans may end above each other.
+        """
+        landing, first = how in LANDINGS, None
+        later = None if how != "back" else TRIES  # what hangs free later is not behind
+        for stopped in islice(self.stopped(time, landing=landing), later):
+            first = first or stopped
+            around = self.enclosures.at(stopped.time) if landing else None
+            if around is None or not around.held:
+                yield stopped, None
+            if around is not None and not around.onward and around.way_out is not None:
+                yield stopped, around.way_out
+        if landing and first is not None and not self.motion.team.has_cables:
+            for back in APART * np.cumsum(FARTHER ** np.arange(TRIES)):
+                if first.time > back:
+                    yield first, first.time - float(back)
 
     def continued(self, stopped: Stopped, how: str, origin: float | None = None) -> Certified:
         """Return the certified continuation of a plan at rest, as ``continuation``."""
@@ -279,21 +288,3 @@ class Aborts:
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
     return InfeasibleError([], f"no abort {when}; {remedy}")
-
-
-def until_stop(motion: Motion, start: float, duration: float, hold: float) -> tuple[Motion, float]:
-    """Return the motion until its clock has stopped, and the plan time of its rest [s].
-
-    Parameters
-    ----------
-    start, duration: of the stop [s]; no duration where the motion is at rest.
-    hold: how long it stays where it would not move at all [s].
-    """
-    parts, rest = [before(motion, start)] if start > JOINT else [], start
-    if duration > 0.0:
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        parts.append(retimed(motion, clock))
-        rest = float(clock.ends[-1, 0])
-    if not parts:
-        parts = [resting(motion, hold, first=True)]
-    return parts[0] if len(parts) == 1 else followed(*parts), rest
