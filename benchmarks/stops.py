@@ -27,6 +27,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before, followed, resting
+from hitchopt.steps.certified_motions import Certified
 from hitchopt.stopping.abort import HOLD, WAYS, Aborts, How, Stopped
 from hitchopt.stopping.clock_changes import STEADY
 from hitchopt.stopping.player import Player
@@ -140,6 +141,29 @@ class Count:
         return f"{self.found}/{self.found + self.missed}"
 
 
+class Remembered(Aborts):
+    """The aborts of one plan, of which each continuation is looked for once."""
+
+    def __init__(self, motion: Motion) -> None:
+        super().__init__(motion)
+        self._known: dict[tuple[object, ...], Certified | InfeasibleError] = {}
+        self.sampled: dict[Certified, float] = {}
+        """Largest value over its limit in the motions that were sampled."""
+
+    def continued(self, stopped: Stopped, how: str, origin: float | None = None) -> Certified:
+        """Return the certified continuation of a plan at rest."""
+        key = (stopped.start, stopped.seconds, how, origin)
+        if key not in self._known:
+            try:
+                self._known[key] = super().continued(stopped, how, origin)
+            except InfeasibleError as error:
+                self._known[key] = error
+        found = self._known[key]
+        if isinstance(found, InfeasibleError):
+            raise found
+        return found
+
+
 def groups(common: Aborts, moments: Array) -> list[Array]:
     """Return times (k,) [s] by the first rest that is ahead of them: they have the same aborts."""
     still = common.motion.drones.breaks[rests(common.motion)]
@@ -148,7 +172,7 @@ def groups(common: Aborts, moments: Array) -> list[Array]:
     return [moments[which == each] for each in range(which.max(initial=-1) + 1)]
 
 
-def aborted(stem: str, common: Aborts, moments: Array, counts: dict[How, Count]) -> float:
+def aborted(stem: str, common: Remembered, moments: Array, counts: dict[How, Count]) -> float:
     """Return the largest value over its limit in aborts at plan times, which are counted."""
     largest = 0.0
     for times in groups(common, moments):
@@ -163,8 +187,10 @@ def aborted(stem: str, common: Aborts, moments: Array, counts: dict[How, Count])
                         print(f"<!-- {stem}: no {how} at {moment:.6f} s: {reason} -->", flush=True)
                 continue
             count.found += len(times)
-            whole = ho.Plan(done.certified.motion, done.certified.certificate)
-            value = flown(whole, max(done.start - 0.01, 0.0))
+            if done.certified not in common.sampled:
+                whole = ho.Plan(done.certified.motion, done.certified.certificate)
+                common.sampled[done.certified] = flown(whole, max(done.start - 0.01, 0.0))
+            value = common.sampled[done.certified]
             if value > 1.0 + OVER:
                 print(f"<!-- {stem}: {how} at {times[-1]:.6f} s has {value:.7f} -->", flush=True)
             largest = max(largest, value)
@@ -175,7 +201,7 @@ def measure(stem: str, stops: int, aborts: int) -> str:
     """Return a row of the table."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
     rng = np.random.default_rng(1)
-    common = Aborts(plan.motion)
+    common = Remembered(plan.motion)
     moments = rng.uniform(0.0, plan.duration, stops)
     worst, longest = stopped(plan, moments, common.player)
     counts = {how: Count() for how in WAYS}

@@ -142,7 +142,8 @@ class Plan(OneLine):
         t: time of the command [s].
         how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
             cables hang free, or to the start without cables; ``release_and_land`` stops, unties
-            what is tied and lands; ``land`` stops and goes straight down, tied or not.
+            what is tied and lands; ``land`` stops and goes straight down, tied or not. An object
+            that has been lifted is set down first, as the plan does.
 
         Raises
         ------

@@ -18,11 +18,13 @@ LIMIT = 1e-6
 def _find(motion: Motion, _: float) -> Finding:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
-    Drones are looked at, and vertices and legs while the hitch exists; the unit is given as m,
-    whichever of the three it is. A jump of a vector is measured by its norm. ``where`` names the
-    drone, the vertex or the leg.
+    Drones and objects are looked at, and vertices and legs while the hitch exists; the unit is
+    given as m, whichever of the three it is. A jump of a vector is measured by its norm. ``where``
+    names the drone, the object, the vertex or the leg.
     """
     parts = [(motion.drones, motion.team.drone_names)]
+    if motion.poses is not None:
+        parts.append((motion.poses, tuple(motion.requirements.objects)))
     for span in motion.spans(HITCHED_STATE):
         cables = range(span.team.robots)
         parts += [

@@ -23,7 +23,7 @@ from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.planners.forming.straight import straight
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.stopping.abort import until_stop
+from hitchopt.stopping.stopped_motion import until_stop
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array

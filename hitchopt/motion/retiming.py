@@ -53,7 +53,10 @@ def retimed(motion: Motion, clock: ClockPhases) -> Motion:
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         left, right = (_jets(whole, *side) for side in sides)
         left[:3, smooth + 1] = right[:3, smooth]
-        return PiecewisePolynomial.hermite(breaks, left, right)
+        found = PiecewisePolynomial.hermite(breaks, left, right)
+        if whole is motion.borne:  # whose second derivatives may jump: it must not leave [0, 1]
+            found = PiecewisePolynomial(breaks, np.clip(found.coefficients, 0.0, 1.0))
+        return found
 
     return motion.changed(part, _phases(motion.phases, breaks, index))
 
@@ -142,3 +145,11 @@ def resting(
 
     own = motion.phases[0 if first else -1] if phase is None else phase
     return motion.changed(part, [replace(own, start=0.0, end=seconds)])
+
+
+def beside_objects(past: Motion, fresh: Motion) -> Motion:
+    """Return a motion in which objects stay where an earlier one has left them."""
+    if past.poses is None:
+        return fresh
+    left = past.poses.coefficients[-1, ..., -1]
+    return replace(fresh, poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))

@@ -20,14 +20,13 @@ from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.retiming import followed
+from hitchopt.motion.retiming import beside_objects, followed
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering.retarget_path import RetargetPath
 from hitchopt.steering.retarget_timing import shortest_shift, turning_slowly
 from hitchopt.steps.certified_motions import flying, infeasible
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 IN_FLIGHT = (QUICK,)
@@ -156,7 +155,7 @@ def certified_retarget(
     for _ in range(ROUNDS):
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
         flight = path.flight(_breaks(brake, shift, finer, moving=path.state.moves), brake, shift)
-        fresh = _beside_objects(past, flying(flight, path.team, requirements, [phase]))
+        fresh = beside_objects(past, flying(flight, path.team, requirements, [phase]))
         ahead = followed(recent, fresh)
         checked = ahead.untimed
         with shared_values():
@@ -186,14 +185,6 @@ def certified_retarget(
         finer *= 0.5 if broken.keys() & FINER else 1.0
     assert error is not None
     return error
-
-
-def _beside_objects(past: Motion, fresh: Motion) -> Motion:
-    """Return a motion in which objects stay where an earlier one has left them."""
-    if past.poses is None:
-        return fresh
-    left = past.poses.coefficients[-1, ..., -1]
-    return replace(fresh, poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))
 
 
 def _looked_at(motion: Motion, *, complete: bool) -> tuple[Findings, tuple[Check, ...]]:

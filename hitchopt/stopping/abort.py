@@ -13,17 +13,18 @@ import numpy as np
 from hitchopt.checks import certify
 from hitchopt.checks.bounds.clock_stops import StopTable
 from hitchopt.checks.bounds.stop_rows import SWITCH
-from hitchopt.checks.bounds.verified_stops import stop_phases
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.phases import JOINT, CableState
-from hitchopt.motion.retiming import SHORTEST, before, followed, resting, retimed
+from hitchopt.motion.retiming import SHORTEST, followed, resting, retimed
 from hitchopt.motion.tensions import stated_tensions
 from hitchopt.steps.certified_motions import Certified, infeasible
-from hitchopt.stopping.grounding import descended, released
+from hitchopt.stopping.enclosures import Enclosures
+from hitchopt.stopping.grounding import check_obstacles, descended, released
 from hitchopt.stopping.player import Player
+from hitchopt.stopping.stopped_motion import until_stop
 from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import choice, not_negative
 
@@ -34,12 +35,16 @@ WAYS: tuple[How, ...] = get_args(How)
 HOLD = 1.0
 """[s] Time at rest at the end of a hold."""
 
-APART = 0.1
-"""[s] Rests that are tried one after the other are at least so far apart."""
+APART, FARTHER = 0.1, 1.5
+"""[s] The clock's stops that are tried first are at least so far apart, and how many times farther
+each time one is refused."""
 
 TRIES = 8
 """Number of the clock's stops from which a continuation is tried; later ones begin where the plan
 is at rest by itself: legs that lean against friction stand straight there."""
+
+LANDINGS = ("release_and_land", "land")
+"""Those of them that end on the ground."""
 
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States between hanging and hitched cables, that nothing but the clock leads out of."""
@@ -92,6 +97,7 @@ class Aborts:
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self.player = Player(motion)
+        self.enclosures = Enclosures(motion)
 
     @cached_property
     def stops(self) -> StopTable:
@@ -115,7 +121,8 @@ class Aborts:
         time: plan time of the command [s].
         how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
             cables hang free, or to the start without cables; ``release_and_land`` stops, unties
-            what is tied and lands; ``land`` stops and goes straight down, tied or not.
+            what is tied and lands; ``land`` stops and goes straight down, tied or not. An object
+            that has been lifted is set down first, as the plan does.
 
         Raises
         ------
@@ -126,10 +133,9 @@ class Aborts:
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
-        later = None if how != "back" else TRIES  # what hangs free later is not behind
-        for stopped in islice(self.stopped(time), later):
+        for stopped, origin in self._tries(time, how):
             try:
-                certified = self.continued(stopped, how)
+                certified = self.continued(stopped, how, origin)
             except InfeasibleError as error:
                 refusal = refusal or error
             else:
@@ -138,12 +144,13 @@ class Aborts:
             raise _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
         raise refusal
 
-    def stopped(self, time: float) -> Iterator[Stopped]:
+    def stopped(self, time: float, *, landing: bool = False) -> Iterator[Stopped]:
         """Yield the plan stopped after a time [s], at the first rest and at later ones.
 
         After TRIES stops of the clock only those follow at which the plan is at rest by itself.
         Rests that the states of the cables do not allow are left out: before the chords of a swap
-        have met, or while tensions are not the team's.
+        have met, or while tensions are not the team's; and those for a landing from which the plan
+        has to go on until it has left an object.
         """
         starts, durations = self.stops.starts, self.stops.durations
         ahead = (starts >= time) & np.isfinite(durations)
@@ -155,7 +162,9 @@ class Aborts:
         options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
         latest, tries = -np.inf, 0
         for rest, start, duration in sorted(options):
-            if duration > 0.0 and (rest < latest + APART or tries == TRIES):
+            if duration > 0.0 and (rest < latest + APART * FARTHER**tries or tries == TRIES):
+                continue
+            if landing and (around := self.enclosures.at(rest)) and around.held and around.onward:
                 continue
             latest = rest
             found = self._stop(float(start), float(duration))
@@ -183,21 +192,41 @@ class Aborts:
                 return None
         return Stopped(whole, start, duration, time)
 
-    def continued(self, stopped: Stopped, how: str) -> Certified:
-        """Return the certified continuation of a plan at rest.
+    def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float | None]]:
+        """Yield stops after a time [s], and the plan times from which to go on; None for there.
 
-        Raises
-        ------
-        InfeasibleError: as found.
+        Single drones that can land from no rest ahead go back: plans may end above each other.
         """
-        whole = self.continuation(stopped, how)
+        landing, first = how in LANDINGS, None
+        later = None if how != "back" else TRIES  # what hangs free later is not behind
+        for stopped in islice(self.stopped(time, landing=landing), later):
+            first = first or stopped
+            around = self.enclosures.at(stopped.time) if landing else None
+            if around is None or not around.held:
+                yield stopped, None
+            if around is not None and not around.onward and around.way_out is not None:
+                yield stopped, around.way_out
+        if landing and first is not None and not self.motion.team.has_cables:
+            for back in APART * np.cumsum(FARTHER ** np.arange(TRIES)):
+                if first.time > back:
+                    yield first, first.time - float(back)
+
+    def continued(self, stopped: Stopped, how: str, origin: float | None = None) -> Certified:
+        """Return the certified continuation of a plan at rest, as ``continuation``."""
+        whole = self.continuation(stopped, how, origin)
+        if how in LANDINGS:
+            check_obstacles(whole, stopped.motion.duration)
         certificate = certify(whole)
         if not certificate.certified:
             raise infeasible(certificate, whole)
         return Certified(whole, certificate)
 
-    def continuation(self, stopped: Stopped, how: str) -> Motion:
+    def continuation(self, stopped: Stopped, how: str, origin: float | None = None) -> Motion:
         """Return the continuation of a plan at rest, not certified yet.
+
+        Parameters
+        ----------
+        origin: plan time to which the clock goes before it lands; None to land where it rests.
 
         Raises
         ------
@@ -210,8 +239,9 @@ class Aborts:
             whole = self._sought(whole, time, goal)
         elif how != "hold":
             if whole.phases[-1].state in PASSING:
-                time = self._way_out(time)
-                whole = self._sought(whole, stopped.time, time)
+                origin = self._way_out(time)
+            if origin is not None:
+                whole = self._sought(whole, time, origin)
             whole = released(whole) if how == "release_and_land" else descended(whole)
         if how in ("hold", "back"):
             whole = followed(whole, resting(whole, HOLD, phase))
@@ -258,21 +288,3 @@ class Aborts:
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
     return InfeasibleError([], f"no abort {when}; {remedy}")
-
-
-def until_stop(motion: Motion, start: float, duration: float, hold: float) -> tuple[Motion, float]:
-    """Return the motion until its clock has stopped, and the plan time of its rest [s].
-
-    Parameters
-    ----------
-    start, duration: of the stop [s]; no duration where the motion is at rest.
-    hold: how long it stays where it would not move at all [s].
-    """
-    parts, rest = [before(motion, start)] if start > JOINT else [], start
-    if duration > 0.0:
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        parts.append(retimed(motion, clock))
-        rest = float(clock.ends[-1, 0])
-    if not parts:
-        parts = [resting(motion, hold, first=True)]
-    return parts[0] if len(parts) == 1 else followed(*parts), rest

@@ -13,6 +13,10 @@ from hitchopt.values import Array
 SHORTEST = 1e-9
 """[s] Phases of a profile that are shorter are dropped."""
 
+NEAR = 1e-6
+"""[s] Rates that change sign so close to the end of a phase do so by rounding: polynomials cannot
+follow a phase as short as what would be cut off."""
+
 SAME = 1e-9
 """Rates closer than this to the fastest one are that: ruckig brakes for a rate that is faster by
 rounding, and leaves a slope that adds up along the way."""
@@ -92,7 +96,7 @@ def one_sign(phases: ClockPhases) -> ClockPhases:
     for (_, rate, slope, jerk), duration in zip(
         phases.jets.tolist(), phases.duration.tolist(), strict=True
     ):
-        cuts = [t for t in _zeros(rate, slope, 0.5 * jerk) if SHORTEST < t < duration - SHORTEST]
+        cuts = [t for t in _zeros(rate, slope, 0.5 * jerk) if NEAR < t < duration - NEAR]
         edges = [0.0, *sorted(cuts), duration]
         seconds += [last - first for first, last in pairwise(edges)]
         jerks += [jerk] * (len(edges) - 1)

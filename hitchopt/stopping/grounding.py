@@ -6,16 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from hitchopt.checks import Certificate
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.phases import CableState
-from hitchopt.motion.retiming import followed
+from hitchopt.motion.phases import JOINT, CableState
+from hitchopt.motion.retiming import beside_objects, followed
 from hitchopt.planners.forming.straight import straight
+from hitchopt.requirements import Requirements
 from hitchopt.steps import Land, Release
+from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.situation import Situation, StepTask
 from hitchopt.steps.tying_site import lifted
 from hitchopt.values import Array
+
+OBSTACLES = ("keep_out", "object_clearance")
+"""Checks of what stands in the way of a landing."""
 
 SAME = 1e-7
 """[m] Drones of a hitch found again stand where the plan has them, within this."""
@@ -60,9 +67,7 @@ def descended(whole: Motion) -> Motion:
         down = drones.copy()
         down[:, 2] = floor
         if whole.team.has_cables:
-            task = StepTask(
-                Situation(whole.team, drones), _index(whole), whole.requirements.planned
-            )
+            task = StepTask(Situation(whole.team, drones), _index(whole), _requirements(whole))
             return followed(whole, _certifiable(Land().plan(task).motion, whole))
         flight = straight(whole.team, whole.requirements.limits.planned, drones, down)
         phase = Phase("land", _index(whole), 0.0, flight.duration)
@@ -74,20 +79,43 @@ def descended(whole: Motion) -> Motion:
     return followed(whole, _certifiable(motion, whole))
 
 
+def check_obstacles(whole: Motion, since: float) -> None:
+    """Raise InfeasibleError where a plan comes too close to obstacles after a time [s].
+
+    They are what most landings fail on, and the checks of the whole plan take far longer.
+    """
+    breaks = whole.drones.breaks
+    first = int(np.searchsorted(breaks, since - JOINT))
+    ahead = whole.taken(slice(first, None), whole.overlapping(breaks[first], breaks[-1]))
+    for name in OBSTACLES:
+        check = RULE_OF[name].check(ahead)
+        if check is not None and not check.holds:
+            raise infeasible(Certificate(whole.duration, (check,)), whole)
+
+
 def _index(whole: Motion) -> int:
     return whole.phases[-1].step + 1
 
 
 def _certifiable(motion: Motion, whole: Motion) -> Motion:
-    """Return the motion under the requirements of the whole plan."""
-    return replace(motion, requirements=whole.requirements)
+    """Return the motion under the requirements of the whole plan, objects where that ends."""
+    return beside_objects(whole, replace(motion, requirements=whole.requirements))
+
+
+def _requirements(whole: Motion) -> Requirements:
+    """Return what a step has to satisfy that begins where a plan ends, with objects as it ends."""
+    objects = dict(whole.requirements.objects)
+    poses = whole.object_poses.coefficients[-1, ..., -1]
+    for pose, (name, body) in zip(poses, objects.items(), strict=True):
+        objects[name] = replace(body, at=pose[:3], yaw=float(np.arctan2(pose[4], pose[3])))
+    return replace(whole.requirements, objects=objects).planned
 
 
 def _task(whole: Motion) -> StepTask:
     """Return what a step is asked that begins where a plan has come to rest with a hitch."""
     hitch = resting_hitch(whole)
     before = Situation(whole.team, hitch.drones, hitch, _senses(whole))
-    return StepTask(before, _index(whole), whole.requirements.planned)
+    return StepTask(before, _index(whole), _requirements(whole))
 
 
 def _senses(whole: Motion) -> Array | None:

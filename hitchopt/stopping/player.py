@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine
 from hitchopt.stopping.clock_changes import STEADY, Change, ChangeSearch
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of, to_rate, to_time
+from hitchopt.stopping.clock_remedies import other_rate, other_rests
 from hitchopt.stopping.one_way_spans import earliest_return
 from hitchopt.stopping.sampler import Sampler, Setpoints
 from hitchopt.trajectory.clock_phases import ClockPhases
@@ -146,7 +148,8 @@ class Player(OneLine):
         found = self._first(change, rate)
         if rate == 0.0:
             found = self._sooner_stop(found)
-        return self._adopt(found, f"a rate of {rate:g}")
+        remedy = partial(other_rate, self.limits, rate, self.time)
+        return self._adopt(found, f"a rate of {rate:g}", remedy)
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
@@ -170,7 +173,7 @@ class Player(OneLine):
         InfeasibleError: as rate.
         """
         self._check_within("time", time)
-        return self._adopt(self._way_to(time), f"plan time {time:g} s")
+        return self._sought(time, self._way_to(time))
 
     def path(self, time: float, goal: float) -> ClockPhases:
         """Return the certified clock from rest at one plan time to rest at another one [s].
@@ -185,7 +188,7 @@ class Player(OneLine):
         self._check_within("goal", goal)
         self._schedule(np.array([[time, 0.0, 0.0, 0.0]]), np.array([self._now]))
         found = self._way_to(goal)
-        self._adopt(found, f"plan time {goal:g} s")
+        self._sought(goal, found)
         self._schedule(np.array([[goal, 0.0, 0.0, 0.0]]), np.array([self._now]))
         return NOTHING if found is None else found
 
@@ -235,11 +238,16 @@ class Player(OneLine):
             options.append(left.followed_by(phases_of(*run)))
         return min(options, key=lambda made: float(np.sum(made.duration)), default=found)
 
-    def _adopt(self, found: ClockPhases | None, goal: str) -> float:
+    def _sought(self, goal: float, found: ClockPhases | None) -> float:
+        def remedy() -> str:
+            return other_rests(self.limits, self.stops, goal)
+
+        return self._adopt(found, f"plan time {goal:g} s", remedy)
+
+    def _adopt(self, found: ClockPhases | None, goal: str, remedy: Callable[[], str]) -> float:
         if found is None:
             words = "no change of the clock was found that keeps all limits"
-            remedy = "ask later, for a smaller rate, or plan with limits.reserve below 1"
-            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
+            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy()}")
         if not len(found):
             time, rate, _, _ = self._jet()
             self._schedule(np.array([[time, rate, 0.0, 0.0]]), np.array([self._now]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -263,13 +264,38 @@ def test_the_longest_time_to_rest_is_that_of_samples(kind: str, plans: dict[str,
     assert np.all(limits.keep(clocks, len(found)))
 
 
-def test_a_slower_rate_is_refused_while_something_is_to_be_carried(
+def test_a_rate_at_which_nothing_can_be_carried_is_refused_and_another_one_named(
     plans: dict[str, ho.Plan],
 ) -> None:
     player = Player(plans["drum"], 0.5)
-    with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
+    with pytest.raises(ho.InfeasibleError, match="no change of the clock") as found:
         player.rate(0.5)
     assert player.clock_rate == 1.0
+    named = re.search(r"ask for ([\d.]+) or faster", str(found.value))
+    assert named is not None
+    assert 0.5 < float(named[1]) < 1.0
+    player.step(player.rate(float(named[1])))
+    assert player.clock_rate == pytest.approx(float(named[1]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_where_it_cannot_rest_other_times_are_named(kind: str, plans: dict[str, ho.Plan]) -> None:
+    motion = plans[kind].motion
+    first, (begin, end) = Player(motion), carried(motion)
+    refused = 0
+    for time, target in np.random.default_rng(7).uniform(begin, end, (5, 2)).tolist():
+        try:
+            Player(motion, time, like=first).seek(target)
+        except ho.InfeasibleError as error:
+            named = re.search(r"seek ([\d.]+) s or ([\d.]+) s", str(error))
+            assert named is not None
+            assert float(named[1]) <= target <= float(named[2])
+            for each in named.groups():
+                player = Player(motion, time, like=first)
+                player.step(player.seek(float(each)))
+                assert player.resting
+            refused += 1
+    assert refused
 
 
 @pytest.mark.parametrize("kind", KINDS)

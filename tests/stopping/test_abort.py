@@ -20,9 +20,10 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.phases import CableState
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.stopping.abort import Abort, Aborts, until_stop
+from hitchopt.stopping.abort import Abort, Aborts
 from hitchopt.stopping.abort_table import abort_table, read_aborts, save_aborts
 from hitchopt.stopping.grounding import resting_hitch
+from hitchopt.stopping.stopped_motion import until_stop
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -99,6 +100,15 @@ def test_single_drones_land_where_they_stop() -> None:
     found = check_abort(aborts, 0.4 * aborts.motion.duration, "land")
     whole = found.certified.motion
     assert np.max(whole.drones.at(whole.duration)[:, 2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_single_drones_that_end_above_each_other_go_back_to_land() -> None:
+    """They can land only where they are passing each other."""
+    aborts = aborts_of("swarms/stack")
+    with pytest.raises(ho.InfeasibleError, match="separation"):
+        aborts.continued(next(aborts.stopped(2.2)), "land")
+    found = check_abort(aborts, 2.2, "land").certified.motion
+    assert np.max(found.drones.at(found.duration)[:, 2]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_wrong_arguments_are_named() -> None:

@@ -113,6 +113,15 @@ def test_seeking_ends_at_the_plan_time() -> None:
         assert player.time == pytest.approx(target, abs=1e-9)
 
 
+def test_no_path_ends_with_a_phase_too_short_for_polynomials() -> None:
+    """Rates pass zero by rounding just before many of them end."""
+    for begin, goal, duration in np.random.default_rng(8).uniform(0.1, 20.0, (200, 3)).tolist():
+        clock = to_time(np.array([begin, 0.0, 0.0]), goal, 1.0, 2.0 / duration, 4.0 / duration**2)
+        assert clock is not None
+        assert np.min(clock.duration) > 1e-6
+        np.testing.assert_allclose(clock.ends[-1, :2], [goal, 0.0], atol=1e-9)
+
+
 def test_going_back_ends_at_the_start() -> None:
     plan = plan_of()
     player = Player(plan, 0.6 * plan.duration)

@@ -38,6 +38,9 @@ HALVINGS = 8
 TIGHT = 1e9
 """A ratio of slip load to load that none reaches: the search finds the smallest one closely."""
 
+TINY = 1e-12
+"""[N], [m/s²] Slack counts as at least this where values are divided by it."""
+
 EVEN = 0.01
 """Least share of a sum of two numbers that one of them is taken for."""
 
@@ -83,6 +86,20 @@ class CarriedInertia:
         begins, ends = self._spans.T
         found: Flags = np.any((ends > begin[:, None]) & (begins < end[:, None]), axis=1)
         return found
+
+    def least_rate(self, begin: float, end: float) -> float:
+        """Return the least constant rate that keeps the balance within a span of plan time [s].
+
+        It is found at samples, to tell what to ask for, and verifies nothing.
+        """
+        breaks = self.breaks
+        times = np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])])
+        times = times[(times >= begin) & (times <= end)]
+        pieces = np.searchsorted(breaks[1:-1], times)
+        added = self._added(times[:, None] * [1.0, 0.0, 0.0, 0.0], pieces)  # at rest
+        slack = np.maximum(self.slack[pieces], TINY)
+        over = max(1.0, float(np.max(added / slack, initial=0.0)))
+        return float(np.sqrt(1.0 - 1.0 / over))
 
     def broken(self, cells: ClockPhases, pieces: Indices, *, sampled: bool) -> Flags:
         """Return (cells,) whether the balance is not shown to be kept.

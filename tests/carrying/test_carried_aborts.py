@@ -1,0 +1,106 @@
+"""Aborts of plans that carry objects: where these end, and from where a hitch lands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from test_carried_tray import TO, tray
+
+import hitchopt as ho
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.motion.motion import Motion
+from hitchopt.stopping.abort import Abort, Aborts
+from hitchopt.stopping.enclosures import Enclosures
+from hitchopt.trajectory import PiecewisePolynomial
+
+BESIDE = {"transport": {"to": [-0.3, 2.6, 1.0]}}
+"""What leads the hitch away from the table on which the tray is set down."""
+
+
+@cache
+def aborts_of(steps: int = 1) -> Aborts:
+    """Of a tray that is carried to a table, left, and perhaps landed beside."""
+    problem = tray()
+    problem["mission"] = [*problem["mission"], BESIDE][:steps]
+    return Aborts(ho.solve(ho.problem_from_dict(problem)).motion)
+
+
+@cache
+def ending_in_the_air() -> Aborts:
+    """Of a tray that is lifted and not set down."""
+    problem = tray()
+    steps = [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}, {"lift": {"by": 0.2}}]
+    return Aborts(ho.solve(ho.problem_from_dict({**problem, "mission": steps})).motion)
+
+
+def during(motion: Motion, name: str, share: float = 0.5) -> float:
+    phase = next(p for p in motion.phases if p.name == name)
+    return phase.start + share * (phase.end - phase.start)
+
+
+def check_landed(found: Abort) -> Motion:
+    """It is certified, nothing jumps, and all drones end on the ground."""
+    whole = found.certified.motion
+    assert found.certified.certificate.certified
+    assert np.max(np.abs(whole.drones.at(whole.duration)[:, 2])) <= 0.2
+    left, right = whole.object_poses.ends(0)
+    np.testing.assert_allclose(left[1:], right[:-1], rtol=0.0, atol=1e-9)
+    return whole
+
+
+@pytest.mark.parametrize("how", ["land", "release_and_land"])
+def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
+    aborts = aborts_of(2)
+    left = during(aborts.motion, "leave", 0.0)
+    found = aborts.found(during(aborts.motion, "carry"), how)
+    assert found.rest >= left
+    whole = check_landed(found)
+    np.testing.assert_allclose(whole.object_poses.at(whole.duration)[0, :3], TO, atol=1e-9)
+
+
+def test_before_it_is_lifted_the_hitch_goes_back() -> None:
+    aborts = aborts_of(2)
+    time = during(aborts.motion, "grasp")
+    found = aborts.found(time, "release_and_land")
+    assert found.rest < during(aborts.motion, "grasp", 1.0)
+    whole = check_landed(found)
+    poses = whole.object_poses.coefficients[:, 0]
+    assert np.max(np.abs(poses - poses[:1, :, :1])) <= 1e-9
+
+
+def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> None:
+    aborts = ending_in_the_air()
+    for time in (during(aborts.motion, "lift"), aborts.motion.duration):
+        whole = check_landed(aborts.found(time, "release_and_land"))
+        poses = whole.object_poses.at(np.array([0.0, whole.duration]))[:, 0]
+        np.testing.assert_allclose(poses[1], poses[0], rtol=0.0, atol=1e-9)
+
+
+def test_an_object_that_jumps_is_found() -> None:
+    motion = aborts_of().motion
+    poses = motion.object_poses.coefficients.copy()
+    poses[-1, 0, 0] += 1e-3
+    jumping = replace(motion, poses=PiecewisePolynomial(motion.drones.breaks, poses))
+    check = RULE_OF["continuity"].check
+    own, found = check(motion), check(jumping)
+    assert own is not None
+    assert found is not None
+    assert (own.holds, found.holds) == (True, False)
+    assert found.where == ("tray",)
+    assert found.bound == pytest.approx(1e-3, abs=1e-6)
+
+
+def test_what_a_hitch_is_around_follows_from_where_it_is() -> None:
+    motion = aborts_of(2).motion
+    enclosures = Enclosures(motion)
+    for name, held, onward in (("grasp", True, False), ("carry", True, True)):
+        around = enclosures.at(during(motion, name))
+        assert around is not None
+        assert (around.name, around.held, around.onward) == ("tray", held, onward)
+        assert around.way_out is not None
+        assert enclosures.at(around.way_out) is None
+    assert enclosures.at(during(motion, "enclose", 0.0)) is None
+    assert enclosures.at(motion.duration) is None
