@@ -99,7 +99,8 @@ def test_specks_are_rotors_alone_where_the_drones_are() -> None:
     scene, camera = scene_of(short_motion()), Camera.toward(-115.0, 38.0)
     moment = scene.at(0.1)
     painter = Painter(scene, camera, step=SPECKS)
-    ((rotors, fills, _),) = painter.parts
+    assert len(painter.parts) == 1
+    rotors, fills, _ = painter.parts[0]
     q, r = fills[0::2], fills[1::2]
     np.testing.assert_allclose(r[:, :3], 0.5 * (q[:, :3] + 1.0))  # q and r of a cable share its hue
     painting = painter.painted(moment)
