@@ -279,18 +279,26 @@ def _batches(cells: Cells) -> Iterator[Cells]:
 
 
 def smallest(
-    cells: Cells, bound: Bound, target: float = -np.inf, first: First | None = None
+    cells: Cells,
+    bound: Bound,
+    target: float = -np.inf,
+    first: First | None = None,
+    absolute: float = ABSOLUTE,
 ) -> Extremum:
     """Return the smallest value over all cells; ``bound`` and ``first`` give lower bounds."""
-    search = Search(bound, target=target)
+    search = Search(bound, target=target, absolute=absolute)
     search.add(cells, first)
     return search.finish()
 
 
 def largest(
-    cells: Cells, bound: Bound, target: float = np.inf, first: First | None = None
+    cells: Cells,
+    bound: Bound,
+    target: float = np.inf,
+    first: First | None = None,
+    absolute: float = ABSOLUTE,
 ) -> Extremum:
     """Return the largest value over all cells; ``bound`` and ``first`` give upper bounds."""
     upper = None if first is None else lambda part: first(part).negated()
-    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target, upper)
+    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target, upper, absolute)
     return Extremum(-found.worst, -found.value, found.item, found.time)

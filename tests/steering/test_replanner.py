@@ -384,3 +384,16 @@ def test_retargets_load_no_code() -> None:
         [sys.executable, "-c", probe], check=False, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_quick_bounds_of_answers_are_close() -> None:
+    """What flies ahead is bounded a little less closely than a whole plan is, and never below."""
+    replanner = steered()
+    answer = replanner.retarget(to=[1.5, 2.3, 1.3], yaw=0.4, at=moving(replanner))
+    assert answer.accepted
+    whole = certify(answer.ahead.untimed, reports=())
+    for check in whole.checks:
+        gap = answer.certificate[check.name].bound - check.bound
+        near = 0.02 * 5e-3 if check.name == "equilibrium" else 1e-12 * max(1.0, abs(check.bound))
+        assert abs(gap) <= near, check.name
+    assert answer.certificate["equilibrium"].bound >= whole["equilibrium"].bound - 2e-7
