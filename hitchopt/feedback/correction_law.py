@@ -19,8 +19,9 @@ def filtered(state: CorrectionState, vertices: Array, planned: Array, law: Law) 
     good = (error * error) @ ONES <= law.largest_error * law.largest_error  # false for nan
     weight = -np.expm1(state.age / -law.smoothing)
     weight[state.age > law.held] = 1.0
-    weight[~good] = 0.0
-    error[~good] = 0.0
+    if not good.all():
+        weight[~good] = 0.0
+        error[~good] = 0.0
     np.add(state.error, weight[:, None] * (error - state.error), out=state.error)
     state.age[good] = 0.0
 
