@@ -41,7 +41,7 @@ class KnownBound:
     noise: of positions [m].
     short: vectors this short have no direction [m].
     rounding: relative.
-    absolute: largest gap to an attained value, as of a Search.
+    absolute: largest gap of a largest value to an attained one, as of a Search.
     """
 
     kind: str
@@ -102,9 +102,7 @@ NOTHING = Directions(np.empty((0, 3, 1)), np.empty(0), np.empty((0, 1), dtype=np
 def smallest(cells: Cells, bound: Bound, known: KnownBound, target: float = -np.inf) -> Extremum:
     """Return what ``extremum.smallest`` does."""
     found = _compiled(cells, known, 1.0, target)
-    if found is not None:
-        return found
-    return extremum.smallest(cells, bound, target, absolute=known.absolute)
+    return extremum.smallest(cells, bound, target) if found is None else found
 
 
 def largest(

@@ -271,22 +271,18 @@ class Search:
 
 
 def _batches(cells: Cells) -> Iterator[Cells]:
-    if len(cells) <= BATCH:
-        yield from [cells] if len(cells) else []
+    if 0 < len(cells) <= BATCH:
+        yield cells
         return
     for first in range(0, len(cells), BATCH):
         yield cells.take(slice(first, first + BATCH))
 
 
 def smallest(
-    cells: Cells,
-    bound: Bound,
-    target: float = -np.inf,
-    first: First | None = None,
-    absolute: float = ABSOLUTE,
+    cells: Cells, bound: Bound, target: float = -np.inf, first: First | None = None
 ) -> Extremum:
     """Return the smallest value over all cells; ``bound`` and ``first`` give lower bounds."""
-    search = Search(bound, target=target, absolute=absolute)
+    search = Search(bound, target=target)
     search.add(cells, first)
     return search.finish()
 
@@ -299,6 +295,7 @@ def largest(
     absolute: float = ABSOLUTE,
 ) -> Extremum:
     """Return the largest value over all cells; ``bound`` and ``first`` give upper bounds."""
-    upper = None if first is None else lambda part: first(part).negated()
-    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target, upper, absolute)
-    return Extremum(-found.worst, -found.value, found.item, found.time)
+    search = Search(lambda blocks: bound(blocks).negated(), target=-target, absolute=absolute)
+    search.add(cells, None if first is None else lambda part: first(part).negated())
+    least = search.finish()
+    return Extremum(-least.worst, -least.value, least.item, least.time)
