@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,17 +29,20 @@ from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
 from hitchopt.trajectory import bernstein, compiled_search, enclosure
 from hitchopt.trajectory.compiled_search import KnownBound
-from hitchopt.trajectory.extremum import Cells, Estimate, largest
+from hitchopt.trajectory.extremum import ABSOLUTE, Cells, Estimate, largest
 from hitchopt.values import Array
 
 LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
 
+NEAR = 0.02 * LIMIT
+"""How close to an attained value the residual is bounded where time is short."""
+
 SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
 """Signs of q̂_k, u_k, r̂_{k-1} and u_{k-1} in the balance."""
 
 
-def _find(motion: Motion, _: float) -> Finding:
+def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     The residual is ``P_q q̂_k + T_k u_k + P_r r̂_{k-1} - T_{k-1} u_{k-1} - W_k ẑ``; ``where`` names
@@ -60,7 +64,7 @@ def _find(motion: Motion, _: float) -> Finding:
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
     count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
-    known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING)
+    known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING, absolute)
     shared = partial(clasp_directions, motion) if motion.contacts is None else None  # of edges
     bound = partial(_bound, noise=noise)
     found = compiled_search.largest(cells, bound, known, directions=shared)
@@ -205,6 +209,9 @@ def _over(force: Array, tension: Array) -> Array:
 
 
 RULE = CheckRule("equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE),))
+
+QUICK = replace(RULE, finders=(Finder(partial(_find, absolute=NEAR), HITCHED_STATE),))
+"""The same, bounded within NEAR."""
 
 
 def pressed_loads(motion: Motion) -> Array | None:

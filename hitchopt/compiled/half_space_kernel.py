@@ -7,6 +7,12 @@ import numpy as np
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.values import Array, Indices
 
+Spaces = tuple[Indices, Array, Array]
+"""Half-spaces: two drones each (m, 2), their parts of the rows (m, 2, 3), and bounds (m,)."""
+
+Box = tuple[Array, Array]
+"""Least and largest common shift, (3,) each."""
+
 
 @kernel
 def _broken(pairs: Indices, rows: Array, bounds: Array, own: Array, out: Array) -> bool:
@@ -32,19 +38,12 @@ def _mean(offsets: Array) -> Array:
 
 
 @kernel
-def within(
-    spaces: tuple[Indices, Array, Array],
-    box: tuple[Array, Array],
-    offsets: Array,
-    passes: int,
-    size: float,
-) -> Array:
+def within(spaces: Spaces, box: Box, offsets: Array, passes: int, size: float) -> Array:
     """Return offsets (drones, 3) of the set near the given ones.
 
     Parameters
     ----------
-    spaces: half-spaces: two drones each (m, 2), their parts of the rows (m, 2, 3), and bounds.
-    box: least and largest common shift.
+    spaces, box: see Spaces and Box.
     passes: rounds of projection.
     size: largest offset besides the common shift.
     """

@@ -11,6 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
+from hitchopt.values import Array
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _ON: ContextVar[bool] = ContextVar("on", default=False)
@@ -53,6 +57,14 @@ def kernel(function: F) -> F:
         return cast(F, compile_it(function, cache=True))
     except (OSError, RuntimeError):  # no sources, or no place that can be written
         return cast(F, compile_it(function))
+
+
+def writable(values: Array) -> Array:
+    """Return an array as kernels take it, a copy where it is read-only or not in order.
+
+    Code is compiled for one kind of memory.
+    """
+    return values if values.flags.carray else np.array(values, order="C")
 
 
 @cache

@@ -11,14 +11,11 @@ taken to be where they are planned, but for the reserve.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import part_points, positions
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
@@ -59,12 +56,13 @@ class HalfSpaces:
     lower: Array
     upper: Array
 
-    @cached_property
-    def by_drones(self) -> tuple[Indices, Array, Array]:
-        """Two drones of every half-space (m, 2), their parts of its row (m, 2, 3), its bound."""
+    @property
+    def by_drones(self) -> tuple[tuple[Indices, Array, Array], tuple[Array, Array]]:
+        """Half-spaces and box as compiled code takes them; see ``half_space_kernel``."""
         parts = self.rows.reshape(len(self.rows), -1, 3)
         two = np.argsort(~np.any(parts != 0.0, axis=-1), axis=1, kind="stable")[:, :2]
-        return two, np.take_along_axis(parts, two[..., None], axis=1), self.bounds
+        rows = np.take_along_axis(parts, two[..., None], axis=1)
+        return (two, rows, self.bounds), (self.lower, self.upper)
 
     def within(self, offsets: Array) -> Array:
         """Return offsets (2n, 3) [m] of the set near the given ones."""
@@ -89,19 +87,6 @@ class HalfSpaces:
             each = each * (LARGEST / largest)
         found: Array = each + common
         return found
-
-
-def projection() -> Callable[[HalfSpaces, Array], Array]:
-    """Return ``HalfSpaces.within``, compiled where that is on: the same to rounding."""
-    if not kernels_on():
-        return HalfSpaces.within
-    from hitchopt.compiled.half_space_kernel import within
-
-    def compiled(cell: HalfSpaces, offsets: Array) -> Array:
-        box = cell.lower, cell.upper
-        return within(cell.by_drones, box, offsets, PASSES, LARGEST)
-
-    return compiled
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.compiled.correction_records import CorrectionState, Law, StepFlags, StepTimes
 from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InputError, UnsupportedError
-from hitchopt.feedback.covered_set import ONES, cell_breaks, covered_set, projection
+from hitchopt.feedback.correction_law import steps, uncorrected
+from hitchopt.feedback.covered_set import LARGEST, ONES, PASSES, cell_breaks, covered_set
 from hitchopt.feedback.vertex_response import vertex_response
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
@@ -56,6 +58,23 @@ FAR = 0.15
 
 GAIN = 36.0
 """[1/s²] Stiffness over mass of drones of which none is stated."""
+
+STEADY = (1.0, 0.0, 0.0)
+"""Rate of the plan's own clock, and its derivatives."""
+
+LAW = Law(
+    PROPORTIONAL,
+    INTEGRAL,
+    LEAD,
+    UNWINDING,
+    SMOOTHING,
+    LARGEST_ERROR,
+    LARGEST_MOVE,
+    HELD,
+    FADING,
+    PASSES,
+    LARGEST,
+)
 
 
 class Feedback(OneLine):
@@ -106,8 +125,6 @@ class Feedback(OneLine):
         covered = covered_set(motion, breaks, not_negative("reserve", reserve))
         states = states_at(motion, 0.5 * (breaks[1:] + breaks[:-1]))
         self._cells = covered.cells
-        with kernels():
-            self._within = projection()
         self._breaks = breaks.tolist()
         formed = np.array([cell is not None for cell in covered.cells])
         found = vertex_response(
@@ -118,7 +135,8 @@ class Feedback(OneLine):
             self._stiffness,
         )
         self._row = (np.cumsum(formed) - 1).tolist()
-        self._forward, self._inverse = found.forward, found.inverse
+        inverse = np.ascontiguousarray(found.inverse)
+        self._response = list(zip(found.forward, inverse, strict=True))
         self._spans = [
             (s.drones.breaks[0], s.drones.breaks[-1]) for s in motion.spans(HITCHED_STATE)
         ]
@@ -126,9 +144,15 @@ class Feedback(OneLine):
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
         self._drones = Sampler(motion.drones)
         self._vertices = Sampler(PiecewisePolynomial(motion.vertices.breaks, clasps))
+        with kernels() as compiled:
+            self._filtered, self._corrected = steps(compiled=compiled)
+        self._spaces = [
+            cell.by_drones if compiled and cell is not None else cell for cell in self._cells
+        ]
         self.reset()
-        for cell in filter(None, self._cells):  # compiles, and lays out, before the first step
-            self._within(cell, self._offsets)
+        for first, last in self._spans[:1]:  # loads or compiles code before the first step
+            self.step(0.5 * (first + last), 1e-3, np.zeros((len(team.layout.clasps), 3)))
+        self.reset()
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"
@@ -137,18 +161,15 @@ class Feedback(OneLine):
     def reset(self) -> None:
         """Forget all measurements and corrections."""
         clasps = len(self.motion.team.layout.clasps)
-        self._error = np.zeros((clasps, 3))
-        self._integral = np.zeros((clasps, 3))
-        self._speed = np.zeros((clasps, 3))
-        self._age = np.full(clasps, math.inf)
-        self._offsets = np.zeros((self.motion.team.drones, 3))
-        self._velocities = np.zeros_like(self._offsets)
+        error, speed, integral = np.zeros((3, clasps, 3))
+        offsets, self._velocities = np.zeros((2, self.motion.team.drones, 3))
+        self._state = CorrectionState(error, speed, integral, np.full(clasps, math.inf), offsets)
         self._here = -1
 
     @property
     def offsets(self) -> Array:
         """(2n, 3) [m]: corrections of the drones' setpoints in force."""
-        return self._offsets.copy()
+        return self._state.offsets.copy()
 
     @property
     def velocities(self) -> Array:
@@ -163,7 +184,7 @@ class Feedback(OneLine):
         drones: ArrayLike | None = None,
         *,
         measured: float | None = None,
-        clock: tuple[float, float, float] = (1.0, 0.0, 0.0),
+        clock: tuple[float, float, float] = STEADY,
     ) -> Setpoints:
         """Return the corrected setpoints at a plan time.
 
@@ -183,81 +204,51 @@ class Feedback(OneLine):
         """
         seconds = not_negative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
-        jet = _shaped("clock", clock, (3,), "give a rate and its two derivatives").tolist()
-        planned = self._drones.at(time, *jet)
+        jet = clock
+        if clock is not STEADY:
+            jet = _shaped("clock", clock, (3,), "give a rate and its two derivatives").tolist()
+        planned = self._drones.values(time, *jet)
         here = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)
         if seconds > 0.0:
             if vertices is not None:
                 then = time - jet[0] * self._delay
                 then = then if measured is None else finite("measured", measured)
-                self._measure(_shaped("vertices", vertices, self._error.shape), then, jet[0])
-            self._age += seconds
-            growing = drones is None or not self._strayed(planned, drones)
+                self._measure(_shaped("vertices", vertices, self._state.error.shape), then, jet[0])
+            np.add(self._state.age, seconds, out=self._state.age)
+            growing = drones is None or not self._strayed(planned[0], drones)
             self._correct(time, here, seconds, growing=growing)
-        return Setpoints(
-            planned.time,
-            planned.rate,
-            planned.positions + self._offsets,
-            planned.velocities + self._velocities,
-            planned.accelerations,
-            planned.jerks,
-        )
+        planned[0] += self._state.offsets
+        planned[1] += self._velocities
+        return Setpoints(time, jet[0], *planned)
 
-    def _strayed(self, planned: Setpoints, drones: ArrayLike) -> bool:
+    def _strayed(self, planned: Array, drones: ArrayLike) -> bool:
         """Return whether a drone is far from where it was last told to be."""
-        away = _shaped("drones", drones, self._offsets.shape) - planned.positions - self._offsets
+        away = _shaped("drones", drones, planned.shape) - planned - self._state.offsets
         return bool(np.fmax.reduce((away * away) @ ONES) > FAR * FAR)
 
     def _measure(self, vertices: Array, time: float, rate: float) -> None:
         """Filter the errors of the vertices that a measurement of a plan time holds."""
         if self._row[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._row) - 1)] < 0:
             return
-        there = self._vertices.at(min(max(time, 0.0), self._end), 1.0, 0.0, 0.0)
-        self._speed = rate * there.velocities
-        error = there.positions - vertices
-        good = (error * error) @ ONES <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
-        weight = -np.expm1(self._age / -SMOOTHING)
-        weight[self._age > HELD] = 1.0
-        if not good.all():
-            weight[~good] = 0.0
-            error[~good] = 0.0
-        self._error += weight[:, None] * (error - self._error)
-        self._age[good] = 0.0
+        there = self._vertices.values(min(max(time, 0.0), self._end))
+        np.multiply(there[1], rate, out=self._state.speed)
+        self._filtered(self._state, vertices, there[0], LAW)
 
     def _correct(self, time: float, here: int, seconds: float, *, growing: bool) -> None:
         """Advance the integral and the offsets by some time."""
-        error, speed = self._error, self._speed
-        if np.maximum.reduce(self._age) > HELD:
-            fresh = self._age <= HELD
-            error, speed = fresh[:, None] * error, fresh[:, None] * speed
-            self._integral[~fresh] *= math.exp(-seconds / FADING)
-        if growing:
-            self._integral += (INTEGRAL * seconds) * error
-        np.minimum(np.maximum(self._integral, -LARGEST_MOVE), LARGEST_MOVE, out=self._integral)
-        share, asked = self._authority(time), None
-        cell = self._cells[here]
+        offsets, share = self._state.offsets, self._authority(time)
+        cell, following = self._cells[here], self._cells[min(here + 1, len(self._cells) - 1)]
+        followed = following is not None and following is not cell
+        times = StepTimes(seconds, self._rate * seconds, share)
+        flags = StepFlags(growing, followed, here != self._here)
+        self._here, row = here, self._row[here]
         if cell is None or share == 0.0:
-            goal = np.zeros_like(self._offsets)
+            found = uncorrected(self._state, cell, times, flags, LAW)
         else:
-            row = self._row[here]
-            wanted = PROPORTIONAL * error + self._integral + LEAD * speed
-            asked = (self._inverse[row] @ (share * wanted).ravel()).reshape(-1, 3)
-            goal = self._within(cell, asked)
-            following = self._cells[min(here + 1, len(self._cells) - 1)]
-            if following is not None and following is not cell:
-                goal = self._within(following, goal)
-        change = goal - self._offsets
-        largest = math.sqrt(np.maximum.reduce((change * change) @ ONES))
-        step = min(1.0, self._rate * seconds / largest) if largest > 0.0 else 0.0
-        offsets = self._offsets + step * change
-        if cell is not None and here != self._here:  # else between two of the same convex set
-            offsets = self._within(cell, offsets)
-        self._here = here
-        if asked is not None:
-            missed = (self._forward[self._row[here]] @ (offsets - asked).ravel()).reshape(-1, 3)
-            self._integral += min(seconds / UNWINDING, 1.0) * missed
-        self._velocities = (offsets - self._offsets) / seconds
-        self._offsets = offsets
+            cells = self._spaces[here], self._spaces[here + followed]
+            found = self._corrected(self._state, cells, self._response[row], times, flags, LAW)
+        self._velocities = (found - offsets) / seconds
+        offsets[:] = found
 
     def _authority(self, time: float) -> float:
         """Return the share of the correction that applies: it fades where the hitch is untied."""

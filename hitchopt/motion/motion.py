@@ -103,17 +103,15 @@ class Motion(OneLine):
             if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
         check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
-        states = [str(phase.state) for phase in self.phases]
-        if any((state == CableState.NONE) is self.team.has_cables for state in states):
+        cabled = self.team.has_cables
+        if any((phase.state == CableState.NONE) is cabled for phase in self.phases):
             bound = "none without cables, another state with them"
+            states = [str(phase.state) for phase in self.phases]
             raise InputError("phases.state", states, bound, "give what cables do")
-        changes = np.array(
-            [b.start for a, b in pairwise(self.phases) if a.state != b.state], dtype=np.float64
-        )
-        apart = np.abs(changes[:, None] - self.drones.breaks)
-        if apart.size and np.max(np.min(apart, axis=1)) > JOINT:
+        changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
+        if any(np.min(np.abs(time - self.drones.breaks)) > JOINT for time in changes):
             bound = "breaks where states change"
-            raise InputError("phases", changes.tolist(), bound, "split the pieces there")
+            raise InputError("phases", changes, bound, "split the pieces there")
         roles = n if self.assignment is None else len(self.assignment.robots)
         if roles != n:
             raise InputError("assignment", roles, f"{n} robots", "give one per role")

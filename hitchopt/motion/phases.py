@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-
-import numpy as np
+from itertools import pairwise
 
 from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
@@ -108,11 +107,9 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     """
     if not phases:
         return
-    starts = np.array([phase.start for phase in phases])
-    ends = np.array([phase.end for phase in phases])
-    covered = starts[0] <= start + JOINT and ends[-1] >= end - JOINT
-    joined = np.all(np.abs(starts[1:] - ends[:-1]) <= JOINT)
-    if not (covered and joined and np.all(starts < ends)):
+    covered = phases[0].start <= start + JOINT and phases[-1].end >= end - JOINT
+    joined = all(abs(b.start - a.end) <= JOINT for a, b in pairwise(phases))
+    if not (covered and joined and all(phase.start < phase.end for phase in phases)):
         raise InputError(
             "phases",
             [[phase.start, phase.end] for phase in phases],

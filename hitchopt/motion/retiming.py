@@ -108,12 +108,13 @@ def before(motion: Motion, time: float) -> Motion:
     count = len(breaks) - 1
     start, end = motion.drones.breaks[count - 1 : count + 1]
     share = 1.0 if end - time <= SAME_BREAK else (time - start) / (end - start)
-    orders = {part.degree for part in vars(motion).values() if hasattr(part, "degree")}
+    orders = {part.degree for part in vars(motion).values() if hasattr(part, "degree")} - {0}
     cuts = {order: bernstein.restrict(np.eye(order + 1), 0.0, share) for order in orders}
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         found = whole.coefficients[:count].copy()
-        found[-1] = found[-1] @ cuts[whole.degree]
+        if whole.degree > 0:
+            found[-1] = found[-1] @ cuts[whole.degree]
         return PiecewisePolynomial(breaks, found)
 
     return motion.changed(part, phases)

@@ -35,7 +35,7 @@ from hitchopt.steering.retarget import (
     certified_retarget,
 )
 from hitchopt.steering.retarget_path import SAME_STATE, MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import WAITS, brakes, shortest_shift, turning_slowly
+from hitchopt.steering.retarget_timing import WAITS, brakes, load_timing, turning_slowly
 from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -103,19 +103,19 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        with kernels() as compiled:
+        with kernels():
             self._certificate = certify(self.motion, reports=IN_FLIGHT)
-            if compiled:
-                self._load()
+            self._load()
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 
     def _load(self) -> None:
-        """Load compiled code, or compile it, before the first goal is given."""
-        with suppress(NotNowError):
-            state = self._still(self.motion).state
-            path = RetargetPath.to(self.motion.team, state, self._goal, 0.0)
-            shortest_shift(path, self.requirements.planned.limits, 1.0)
+        """Load the solver, and load or compile code, before the first goal is given."""
+        goal, limits = self._goal, self.requirements.planned.limits
+        with suppress(NotNowError, InfeasibleError):
+            still = self._still(self.motion)
+            load_timing(RetargetPath.to(self.motion.team, still.state, goal, 0.0), limits)
+            self._end(goal.polygon, goal.altitude, goal.fractions, chosen=True)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"

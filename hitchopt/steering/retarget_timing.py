@@ -147,3 +147,9 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
             return None
         shift *= max(found / SHARE, GROWTH)
     return None
+
+
+def load_timing(path: RetargetPath, limits: Limits) -> None:
+    """Load compiled code that times paths, or compile it, before it is needed."""
+    shortest_shift(path, limits, 1.0)
+    list(_excesses(path, limits))

@@ -67,13 +67,19 @@ class Sampler:
 
     def at(self, time: float, rate: float, slope: float, jerk: float) -> Setpoints:
         """Return the setpoints at a plan time, the clock having these derivatives."""
+        return Setpoints(time, rate, *self.values(time, rate, slope, jerk))
+
+    def values(
+        self, time: float, rate: float = 1.0, slope: float = 0.0, jerk: float = 0.0
+    ) -> Array:
+        """Return positions and three derivatives by real time (4, drones, 3)."""
         piece = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._breaks) - 2)
         start = self._breaks[piece]
         x = min(max((time - start) / (self._breaks[piece + 1] - start), 0.0), 1.0)
         powers = [1.0]
         for _ in range(self._order):  # plain numbers are faster than an array of eight
             powers.append(powers[-1] * x)
-        values = np.dot(powers, self._rows[piece]).reshape(4, -1)
+        values: Array = np.dot(powers, self._rows[piece]).reshape(4, -1)
         if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
             chain = (
                 (1.0, 0.0, 0.0, 0.0, 0.0, rate, 0.0, 0.0)
@@ -81,4 +87,4 @@ class Sampler:
                 + (0.0, jerk, 3.0 * rate * slope, rate * rate * rate)
             )
             values = np.dot(np.array(chain).reshape(4, 4), values)
-        return Setpoints(time, rate, *values.reshape(4, self._drones, 3))
+        return values.reshape(4, self._drones, 3)

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.trajectory import bernstein, enclosure, extremum
 from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER, Enclosure
 from hitchopt.trajectory.extremum import Bound, Cells, Estimate, Extremum, First
@@ -41,6 +41,7 @@ class KnownBound:
     noise: of positions [m].
     short: vectors this short have no direction [m].
     rounding: relative.
+    absolute: largest gap of a largest value to an attained one, as of a Search.
     """
 
     kind: str
@@ -48,6 +49,7 @@ class KnownBound:
     noise: float = 0.0
     short: float = 0.0
     rounding: float = 0.0
+    absolute: float = extremum.ABSOLUTE
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ def enclosed_directions(vectors: Array, noise: float) -> Directions:
         from hitchopt.compiled.polynomial_kernels import directions
 
         weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
-        return Directions(*directions(np.array(vectors, order="C"), weights, noise), place)
+        return Directions(*directions(writable(vectors), weights, noise), place)
     order = bernstein.degree(vectors) + DIRECTION_ORDER
     coefficients, radius = np.empty((len(place), 3, order + 1)), np.empty(len(place))
     with np.errstate(all="ignore"):  # coefficients may be anything
@@ -129,7 +131,7 @@ def largest(
         def first(part: slice) -> Estimate:
             return bound(tuple(block[part] for block in cells.blocks), along=along.taken(part))
 
-    return extremum.largest(cells, bound, target, first)
+    return extremum.largest(cells, bound, target, first, known.absolute)
 
 
 def _compiled(
@@ -149,7 +151,8 @@ def _compiled(
     blocks = compiled_blocks(cells)
     if blocks is None:
         return None
-    blocks += [np.empty((len(cells), 0, 1))] * (BLOCKS - len(blocks))
+    if len(blocks) < BLOCKS:
+        blocks += [np.empty((len(cells), 0, 1))] * (BLOCKS - len(blocks))
     order = NORM_ORDER if known.kind == LENGTHS else DIRECTION_ORDER
     row = 1 if known.kind in ("thrust", "tilt") else 0
     along = NOTHING if directions is None else directions()
@@ -163,7 +166,7 @@ def _compiled(
         np.array([known.noise, known.short, known.rounding]),
         cells.item,
         np.array([cells.start, cells.end, cells.margin]),
-        np.array([extremum.RELATIVE, extremum.ABSOLUTE, target, HUGE]),
+        np.array([extremum.RELATIVE, known.absolute, target, HUGE]),
         (extremum.MAX_HALVINGS, extremum.MAX_CELLS),
     )
     return None if item < 0 else Extremum(sign * worst, sign * value, int(item), time)
@@ -173,7 +176,7 @@ def compiled_blocks(cells: Cells) -> list[Array] | None:
     """Return blocks as compiled code takes them, or None of high degrees."""
     if max(block.shape[-1] for block in cells.blocks) > MOST + 1:
         return None
-    return [np.array(block, order="C") for block in cells.blocks]
+    return [writable(block) for block in cells.blocks]
 
 
 @lru_cache

@@ -271,8 +271,8 @@ class Search:
 
 
 def _batches(cells: Cells) -> Iterator[Cells]:
-    if len(cells) <= BATCH:
-        yield from [cells] if len(cells) else []
+    if 0 < len(cells) <= BATCH:
+        yield cells
         return
     for first in range(0, len(cells), BATCH):
         yield cells.take(slice(first, first + BATCH))
@@ -288,9 +288,14 @@ def smallest(
 
 
 def largest(
-    cells: Cells, bound: Bound, target: float = np.inf, first: First | None = None
+    cells: Cells,
+    bound: Bound,
+    target: float = np.inf,
+    first: First | None = None,
+    absolute: float = ABSOLUTE,
 ) -> Extremum:
     """Return the largest value over all cells; ``bound`` and ``first`` give upper bounds."""
-    upper = None if first is None else lambda part: first(part).negated()
-    found = smallest(cells, lambda blocks: bound(blocks).negated(), -target, upper)
-    return Extremum(-found.worst, -found.value, found.item, found.time)
+    search = Search(lambda blocks: bound(blocks).negated(), target=-target, absolute=absolute)
+    search.add(cells, None if first is None else lambda part: first(part).negated())
+    least = search.finish()
+    return Extremum(-least.worst, -least.value, least.item, least.time)

@@ -20,7 +20,7 @@ from hitchopt.checks.bounds.static_thrust import StaticThrust
 from hitchopt.checks.certify import certify
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.compiled.kernel_switch import kernels, kernels_on
-from hitchopt.feedback.covered_set import cell_breaks, covered_set, projection
+from hitchopt.feedback.covered_set import LARGEST, PASSES, cell_breaks, covered_set
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import excess
 from hitchopt.trajectory import distance, enclosure
@@ -162,16 +162,17 @@ def test_constants_are_the_same() -> None:
 
 @pytest.mark.parametrize("scale", [0.1, 1.0])
 def test_projections_onto_half_spaces_agree(scale: float) -> None:
+    from hitchopt.compiled.half_space_kernel import within
+
     rng = np.random.default_rng(int(100.0 * scale))
     motion = random_motion(5, 4)
     cells = covered_set(motion, cell_breaks(motion), 0.01).cells
-    with kernels():
-        compiled = projection()
     moved = 0
     for cell in filter(None, cells):
         given = rng.normal(0.0, scale, (motion.team.drones, 3))
         plain = cell.within(given)
-        np.testing.assert_allclose(compiled(cell, given), plain, atol=1e-12)
+        found = within(*cell.by_drones, given, PASSES, LARGEST)
+        np.testing.assert_allclose(found, plain, atol=1e-12)
         moved += bool(np.any(np.abs(plain - given) > 1e-9))
     assert moved
 
@@ -245,3 +246,25 @@ def test_anybody_may_plan_with_compiled_code() -> None:
         here, there = (getattr(plan.motion, name).coefficients for plan in (plain, compiled))
         np.testing.assert_allclose(here, there, rtol=1e-12, atol=1e-12)
     agree(plain.certificate, compiled.certificate)
+
+
+def corrected(plan: ho.Plan) -> Array:
+    """Offsets of a flight with vertices that are off, some of them missing for a while."""
+    feedback, rng = ho.Feedback(plan), np.random.default_rng(5)
+    found = []
+    for i, time in enumerate(np.arange(0.0, plan.duration, 0.02).tolist()):
+        seen = plan.at(time).vertices + rng.normal([0.05, -0.1, -0.2], 0.02, (3, 3))
+        seen[1] = np.nan if 60 < i < 90 else seen[1]
+        feedback.step(time, 0.02, None if i % 3 == 0 else seen)
+        found.append(feedback.offsets)
+    return np.array(found)
+
+
+def test_corrections_do_not_depend_on_numba() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
+    plan = ho.morph(start, TRIANGLE * [0.9, 1.0], duration=4.0)
+    compiled = corrected(plan)
+    with without_numba():
+        plain = corrected(plan)
+    np.testing.assert_allclose(compiled, plain, rtol=0.0, atol=1e-12)
+    assert 0.05 < np.max(np.abs(plain)) < 0.4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -354,3 +356,44 @@ def test_brakes_are_the_same_compiled_or_not() -> None:
     alone = list(_excesses(still, limits))
     assert len(alone) == len(BRAKES)
     np.testing.assert_allclose(compiled, alone, rtol=1e-9)
+
+
+def test_retargets_load_no_code() -> None:
+    """Compiled code and the solver's plugin are loaded when a replanner is made."""
+    pytest.importorskip("numba")
+    probe = (
+        "import sys, hitchopt as ho\n"
+        "start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -1], [-0.4, 0.5], [0.4, 0.5]], 1.0)\n"
+        "steered = ho.Replanner(start.team, start)\n"
+        "def loaded():\n"
+        "    parts = [vars(m) for name, m in sys.modules.items() if 'hitchopt.compiled.' in name]\n"
+        "    found = {id(f): len(f.signatures) for part in parts for f in part.values()\n"
+        "             if hasattr(f, 'signatures')}\n"
+        "    libraries = {line.split()[-1] for line in open('/proc/self/maps') if '.so' in line}\n"
+        "    return sum(found.values()), libraries\n"
+        "before = loaded()\n"
+        "first = steered.retarget(to=[0.4, 0.2, 1.2], yaw=0.5, at=0.2)\n"
+        "steered.retarget(vertex=0, to=[0.4, -0.9], at=0.6)\n"
+        "steered.retarget(vertex=0, to=[0.4, -2.5], at=0.8)\n"
+        "steered.retarget([[0, -0.8], [-0.4, 0.6], [0.4, 0.6]], at=1.1)\n"
+        "assert before[0] > 5\n"
+        "assert before[0] == loaded()[0], (before[0], loaded()[0])\n"
+        "assert not loaded()[1] - before[1], loaded()[1] - before[1]\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", probe], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_quick_bounds_of_answers_are_close() -> None:
+    """What flies ahead is bounded a little less closely than a whole plan is, and never below."""
+    replanner = steered()
+    answer = replanner.retarget(to=[1.5, 2.3, 1.3], yaw=0.4, at=moving(replanner))
+    assert answer.accepted
+    whole = certify(answer.ahead.untimed, reports=())
+    for check in whole.checks:
+        gap = answer.certificate[check.name].bound - check.bound
+        near = 0.02 * 5e-3 if check.name == "equilibrium" else 1e-12 * max(1.0, abs(check.bound))
+        assert abs(gap) <= near, check.name
+    assert answer.certificate["equilibrium"].bound >= whole["equilibrium"].bound - 2e-7
