@@ -69,8 +69,10 @@ class SafeGroup(click.Group):
             ctx.exit(exit_code(error))
         except KeyboardInterrupt:  # raised by a solver that has caught the signal
             ctx.exit(INTERRUPTED)
-        except SystemExit as end:
-            ctx.exit(int(end.code or 0))
+        except SystemExit as end:  # raised by a signal; a library's own may be a message
+            if not isinstance(end.code, int):
+                raise
+            ctx.exit(end.code)
         except OSError as error:  # a full disk, a directory that may not be written
             place = f"{error.filename}: " if error.filename else ""
             message = f"{place}{error.strerror or error}; check the path and its disk"

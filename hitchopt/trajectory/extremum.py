@@ -99,10 +99,8 @@ class Cells:
         blocks = []
         for block in self.blocks:
             flat = block.reshape(-1, block.shape[-1])  # one product of matrices, not one a cell
-            if block.shape[-1] > 1:
-                halves = np.concatenate(bernstein.halve(flat))
-            else:
-                halves = np.concatenate([flat, flat])
+            parts = bernstein.halve(flat) if block.shape[-1] > 1 else (flat, flat)
+            halves = np.concatenate(parts)
             blocks.append(halves.reshape(2 * len(block), *block.shape[1:]))
         middle = 0.5 * (self.start + self.end)
         return Cells(
