@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass, replace
@@ -384,7 +385,9 @@ def test_copies_share_nothing_but_what_nobody_can_change(name: str) -> None:
     assert len(mine) == len(theirs) > 20
     assert not mine.keys() & theirs.keys()
     for array in arrays_in(other):
-        array.shape = (1, *array.shape)
+        with warnings.catch_warnings():  # numpy 2.5 deprecates it, and people do it
+            warnings.simplefilter("ignore", DeprecationWarning)
+            array.shape = (1, *array.shape)
     assert bits(ho.solve(PROBLEMS[name])) == bits(one) != bits(other)
 
 
