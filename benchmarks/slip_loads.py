@@ -141,12 +141,13 @@ drum-3-gentle, -sticky and -smooth were predicted by the new law before they wer
 
 It is within 6.5 % in eight of ten cases without a sharp corner (and in the one with, by nodes), and
 too high by 11 and 12 % where cables hardly rub: drum-3-even (0.05) and drum-3-smooth (0.08). There
-friction would hold edges at most 8 and 13 % tenser than legs, and the law has them so. In drum-3-even they are (1.05 to 1.08)
-until the drum leaves the ground; then it turns by 1.6° within 0.3 s, by 2.7° in all, cables run
-through the clasps, and edges end at 1.00 times what legs pull with, wraps at 71.5°. Both legs of a
-cable pull with 1.22 and 1.06 N then: they are of unequal lengths around the drum and of equal ones
-where it is gripped, so cables run as it closes, and rub on the drum. Without any friction at the
-clasps as it lifts the law has 0.97 and 0.89 times what is simulated.
+friction would hold edges at most 8 and 13 % tenser than legs, and the law has them so. In
+drum-3-even they are (1.05 to 1.08) until the drum leaves the ground; then it turns by 1.6° within
+0.3 s, by 2.7° in all, cables run through the clasps, and edges end at 1.00 times what legs pull
+with, wraps at 71.5°. Both legs of a cable pull with 1.22 and 1.06 N then: they are of unequal
+lengths around the drum and of equal ones where it is gripped, so cables run as it closes, and rub
+on the drum. Without any friction at the clasps as it lifts the law has 0.97 and 0.89 times what is
+simulated.
 
 Wraps at the slip as predicted, and simulated: 77° and 75° (drum-3), 61° and 58° (drum-3-rough), 67°
 and 67° (drum-3-small), 33° and 34° (box-4); edges pull with 1.11 and 1.09, 0.78 and 0.78, 1.02 and
