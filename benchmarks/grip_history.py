@@ -44,6 +44,36 @@ POINTS, WEIGHTS = 0.5 + 0.15**0.5 * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 8
 """Gauss's points on arcs, from 0 to 1, and their weights."""
 
 
+@dataclass(frozen=True)
+class Rounding:
+    """Corners about which simulated ropes bend: of these only the nodes touch objects.
+
+    Attributes
+    ----------
+    radius: of the corner and half of a rope's thickness [m].
+    segment: distance of a rope's nodes [m].
+    faces: angle between the normals of both faces [rad].
+    """
+
+    radius: float
+    segment: float
+    faces: float = 0.5 * np.pi
+
+    def pressed(self, bends: Array) -> Array:
+        """Return what two nodes on both sides of the corner press with, over tension times bend.
+
+        They press at angles φ to the corner's bisector, which the corner's rounding gives them, or
+        the faces, and the tension's sum is ``2 T sin(θ/2)``.
+
+        Parameters
+        ----------
+        bends: (n,) [rad]
+        """
+        away = min(np.arcsin(min(0.5 * self.segment / self.radius, 1.0)), 0.5 * self.faces)
+        shares: Array = 2.0 * np.sin(0.5 * bends) / (bends * np.cos(away))
+        return shares
+
+
 @dataclass(frozen=True, eq=False)
 class LoadedGrip(OneLine):
     """A grip that carries a weight, in balance.
@@ -63,9 +93,16 @@ class LoadedGrip(OneLine):
     wraps: Wraps
     imbalance: float
 
-    def slip_load(self, friction: float) -> float:
-        """Return the weight [N] at which an object with that friction slips, without factor."""
-        return friction * float(self.level @ self.wraps.angles)
+    def slip_load(self, friction: float, corners: Rounding | None = None) -> float:
+        """Return the weight [N] at which an object with that friction slips, without factor.
+
+        Parameters
+        ----------
+        corners: of simulated ropes, where every edge bends about a single corner of the section.
+        """
+        angles = self.wraps.angles
+        shares = 1.0 if corners is None else corners.pressed(angles)
+        return friction * float(self.level @ (shares * angles))
 
 
 @dataclass(frozen=True, eq=False)

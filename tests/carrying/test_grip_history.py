@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hitchopt as ho
-from benchmarks.grip_history import BOTH_SLIDE, GripHistory
+from benchmarks.grip_history import BOTH_SLIDE, GripHistory, Rounding
 from hitchopt.holding.grip_statics import Grip
 from hitchopt.values import Array
 
@@ -137,3 +137,23 @@ def test_friction_between_two_sliding_cables_acts_at_half_a_right_angle() -> Non
     along, other = np.array([1.0, 0.0]), np.array([0.0, 1.0])
     relative = along - other
     assert units(relative) @ along == pytest.approx(BOTH_SLIDE)
+
+
+@pytest.mark.parametrize("bend", [0.2, 0.6, 1.1])
+@pytest.mark.parametrize(("radius", "segment"), [(0.006, 0.01), (0.026, 0.01), (0.006, 0.0025)])
+def test_nodes_of_ropes_press_on_corners_as_forces_balance(
+    bend: float, radius: float, segment: float
+) -> None:
+    """Two nodes without friction, the link between them included, are in balance."""
+    sharp = math.asin(0.5 * segment / radius) > 0.25 * math.pi
+    away = 0.25 * math.pi if sharp else math.asin(0.5 * segment / radius)
+    normals = np.array([[-math.sin(away), math.cos(away)], [math.sin(away), math.cos(away)]])
+    pull = np.array([math.cos(0.5 * bend), -math.sin(0.5 * bend)])  # of the right end
+    balance = np.zeros((4, 3))  # of both nodes: their normal forces, and the link's tension
+    balance[:2, 0], balance[2:, 1] = normals
+    balance[0, 2], balance[2, 2] = 1.0, -1.0
+    ends = np.concatenate([[-pull[0], pull[1]], pull])
+    forces = np.linalg.lstsq(balance, -ends)[0]
+    np.testing.assert_allclose(balance @ forces, -ends, atol=1e-12)
+    shares = Rounding(radius, segment).pressed(np.array([bend]))
+    np.testing.assert_allclose(shares, np.sum(forces[:2]) / bend, rtol=1e-12)
