@@ -10,15 +10,9 @@ import numpy as np
 
 from hitchopt.compiled.cable_kernels import balance, band, lengths, turns
 from hitchopt.compiled.distance_kernel import distance
+from hitchopt.compiled.enclosure_kernels import directions, work_space
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import (
-    Blocks,
-    Found,
-    Known,
-    column_norms,
-    directions,
-    values_at,
-)
+from hitchopt.compiled.polynomial_kernels import Blocks, Found, Known, largest_column, value_at
 from hitchopt.compiled.thrust_kernels import thrust, tilt
 from hitchopt.values import Array, Indices
 
@@ -38,33 +32,45 @@ KINDS = {
 
 
 @kernel
-def _norm(v: Array) -> Found:
-    """Return bound, value and place as ``norm_bound``."""
-    sizes = column_norms(v)
-    k = np.argmax(sizes)
-    x = k / max(1, len(sizes) - 1)
-    there = values_at(v, x)
-    return sizes[k], np.sqrt(np.sum(there * there)), x
+def _norm(v: Array, enough: float) -> Found:
+    """Return bound, value and place as ``norm_bound``; no value of a bound that is ``enough``."""
+    size, x = largest_column(v)
+    if size <= enough:
+        return size, -np.inf, x
+    square = 0.0
+    for i in range(len(v)):
+        square += value_at(v[i], x) ** 2
+    return size, np.sqrt(square), x
 
 
 @kernel
 def _bounded(
-    kind: int, blocks: Blocks, weights: Array, along: Known, place: Indices, numbers: Array
+    kind: int,
+    blocks: Blocks,
+    weights: Array,
+    along: Known,
+    place: Indices,
+    numbers: Array,
+    space: Array,
+    enough: float,
 ) -> Found:
-    """Return bound, value and place of one cell, given the directions that its kind takes."""
-    rows = blocks[0]
+    """Return bound, value and place of one cell, given the directions that its kind takes.
+
+    The value of a largest one is -inf where the bound is no larger than ``enough``.
+    """
+    rows, short = blocks[0], numbers[1]
     if kind == NORM:
-        found = _norm(rows)
+        found = _norm(rows, enough)
     elif kind == DISTANCE:
-        found = distance(rows)
+        found = distance(rows, space[:, :1])
     elif kind == THRUST:
-        found = thrust(blocks, along[0][place[0]], along[1][place[0]], numbers)
+        found = thrust(blocks, along[0][place[0]], along[1][place[0]], short, enough)
     elif kind == TILT:
-        found = tilt(blocks, along[0][place[0]], along[1][place[0]], numbers)
+        found = tilt(blocks, along[0][place[0]], along[1][place[0]], short, enough)
     elif kind == BALANCE:
-        found = balance(rows, blocks[1], along[0], along[1], place, numbers)
+        found = balance(rows, blocks[1], along[0], along[1], place, numbers, enough)
     elif kind == LENGTHS:
-        found = lengths(rows, blocks[1], weights)
+        found = lengths(rows, blocks[1], weights, space, enough)
     elif kind == TURNS:
         found = turns(rows, blocks[1][0, 0], numbers)
     else:
@@ -108,8 +114,8 @@ def _halved(block: Array, chosen: Indices) -> Array:
 def _below(block: Array, most: float) -> bool:
     """Return whether all numbers are smaller than one; nan is not."""
     fine = True
-    for number in block.flat:
-        fine = fine and bool(abs(number) < most)
+    for number in block.reshape(-1):
+        fine &= abs(number) < most
     return fine
 
 
@@ -149,6 +155,7 @@ def search(
     most: numbers of halvings and of cells.
     """
     value, which, time, floor, looked, depth = np.inf, -1, 0.0, np.inf, 0, 0
+    space = work_space()
     if not (
         _below(blocks[0], aims[3])
         and _below(blocks[1], aims[3])
@@ -161,8 +168,11 @@ def search(
         if len(along[2]) < len(item):
             along = _directed(kind, blocks, weights, numbers[0])
         for c in range(len(item)):
+            largest = -value if sign < 0.0 else -np.inf
             cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
-            low, here, x = _bounded(kind, cell, weights, along, along[2][c], numbers)
+            low, here, x = _bounded(
+                kind, cell, weights, along, along[2][c], numbers, space, largest
+            )
             low, here = sign * low, sign * here
             if np.isnan(low + here):
                 low, here = -np.inf, -np.inf

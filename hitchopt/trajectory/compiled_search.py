@@ -81,7 +81,7 @@ def enclosed_directions(vectors: Array, noise: float) -> Directions:
     """Enclose the directions of vectors (m, 3, degree + 1), as ``enclosure.direction`` does."""
     place = np.arange(len(vectors))
     if kernels_on() and vectors.shape[-1] <= MOST + 1 and np.max(np.abs(vectors)) < HUGE:
-        from hitchopt.compiled.polynomial_kernels import directions
+        from hitchopt.compiled.enclosure_kernels import directions
 
         weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
         return Directions(*directions(writable(vectors), weights, noise), place)

@@ -35,7 +35,7 @@ def values(coefficients: Array) -> Array:
 
 @pytest.mark.parametrize("degree", [1, 2, 5, 7, 11])
 def test_directions(degree: int) -> None:
-    from hitchopt.compiled.polynomial_kernels import directions
+    from hitchopt.compiled.enclosure_kernels import directions
 
     y = vectors(degree)
     found, radius = directions(y, interpolation_weights(degree, DIRECTION_ORDER), 1e-9)
@@ -52,12 +52,13 @@ def test_directions(degree: int) -> None:
 
 @pytest.mark.parametrize("degree", [1, 2, 5, 7, 11])
 def test_lengths(degree: int) -> None:
-    from hitchopt.compiled.polynomial_kernels import length
+    from hitchopt.compiled.enclosure_kernels import length, work_space
 
     y = vectors(degree)
     plain = enclosure.norm(y)
     for i, each in enumerate(y):
-        found, radius = length(each, interpolation_weights(degree, NORM_ORDER))
+        found = np.empty(NORM_ORDER + 1)
+        radius = length(found, each, interpolation_weights(degree, NORM_ORDER), work_space())
         scale = float(np.max(np.abs(each)))
         np.testing.assert_allclose(found, plain.coefficients[i], atol=1e-11 * scale)
         np.testing.assert_allclose(radius, plain.radius[i], rtol=1e-6, atol=1e-12 * scale)
