@@ -66,12 +66,18 @@ def _hanging(motion: Motion, limit: float) -> Finding:
 
 def _clasped(motion: Motion, limit: float) -> Finding:
     """Return the same of cables that share no clasp."""
-    layout = motion.team.layout
+    apart = _strangers(motion.team.layout)
+    return _closest(motion, plan_chords(motion), apart, limit, _cable_name)
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _strangers(layout: Layout) -> Allowed:
+    """Return which pairs of cables share no clasp."""
 
     def apart(i: Indices, j: Indices) -> NDArray[np.bool_]:
         return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
-    return _closest(motion, plan_chords(motion), apart, limit, _cable_name)
+    return apart
 
 
 def _cable_name(cable: int) -> str:

@@ -51,7 +51,7 @@ def kernel(function: F) -> F:
     """
     from numba import njit
 
-    compile_it = partial(njit, error_model="numpy", forceinline=True)
+    compile_it = partial(njit, error_model="numpy")
     try:
         function.__qualname__ += f"_{sources_digest(Path(function.__code__.co_filename).parent)}"
         return cast(F, compile_it(function, cache=True))

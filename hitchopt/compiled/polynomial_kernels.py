@@ -82,16 +82,15 @@ def rows_elevated(a: Array, order: int) -> Array:
 
 
 @kernel
-def basis_at(order: int, x: float) -> Array:
-    """Return the Bernstein polynomials of a degree at x."""
-    out, rising, falling = np.empty(order + 1), 1.0, 1.0
+def fill_basis(out: Array, x: float) -> None:
+    """Fill in the Bernstein polynomials of a degree at x."""
+    order, rising, falling = len(out) - 1, 1.0, 1.0
     for k in range(order + 1):
         out[k] = BINOMIALS[order, k] * rising
         rising *= x
     for k in range(order, -1, -1):
         out[k] *= falling
         falling *= 1.0 - x
-    return out
 
 
 @kernel
