@@ -36,7 +36,7 @@ def _find(motion: Motion, _: float) -> Finding:
         if part.pieces == 1:
             continue
         ends = [part.ends(derivative) for derivative in range(3)]
-        jump = length(np.stack([left[1:] - right[:-1] for left, right in ends]))
+        jump = length(np.array([left[1:] - right[:-1] for left, right in ends]))
         jump[0] += position_margin(motion)
         for derivative in (1, 2):
             margin = derivative_margin(part, derivative)

@@ -123,8 +123,10 @@ class CheckRule:
             for finder in self.finders
             if (finder.exported or not exported) and not here.isdisjoint(finder.states)
         ]
-        limit = self.limit_of(motion) if finders else None
-        if limit is None:
+        limit = self.limit
+        if finders and callable(limit):
+            limit = limit(motion)
+        if not finders or limit is None:
             return ()
         if exported and self.exported_limit is not None:
             limit = self.exported_limit

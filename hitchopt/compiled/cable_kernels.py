@@ -29,7 +29,7 @@ def balance(
     along: Array,
     wrong: Array,
     place: Indices,
-    numbers: Array,
+    numbers: tuple[float, float, float],
     enough: float,
 ) -> Found:
     """Return bound, value and place as the bound of ``equilibrium``, of clasps without loads.
@@ -114,7 +114,7 @@ def lengths(rows: Array, stored: Array, weights: Array, space: Array, enough: fl
 
 
 @kernel
-def turns(rows: Array, added: float, numbers: Array) -> Found:
+def turns(rows: Array, added: float, numbers: tuple[float, float, float]) -> Found:
     """Return bound, value and place as the bound of ``convexity``."""
     noise, short, rounding = numbers[0], numbers[1], numbers[2]
     degree = 2 * (rows.shape[1] - 1)

@@ -50,7 +50,7 @@ def _bounded(
     weights: Array,
     along: Known,
     place: Indices,
-    numbers: Array,
+    numbers: tuple[float, float, float],
     space: Array,
     enough: float,
 ) -> Found:
@@ -131,10 +131,10 @@ def search(
     blocks: Blocks,
     weights: Array,
     along: Known,
-    numbers: Array,
+    numbers: tuple[float, float, float],
     item: Indices,
-    spans: Array,
-    aims: Array,
+    cells: tuple[Array, Array, Array],
+    aims: tuple[float, float, float, float],
     most: tuple[int, int],
 ) -> tuple[float, float, int, float]:
     """Return worst, value, item and time of an extremum, times the sign; item -1 if not found.
@@ -149,13 +149,13 @@ def search(
         none where the kind takes none, or none are known.
     numbers: noise [m], length [m] without a direction, and relative rounding.
     item: (cells,)
-    spans: (3, cells), start [s], end [s] and margin.
+    cells: (cells,) each, start [s], end [s] and margin.
     aims: relative and absolute tightness, and target, as of a Search; and from which number on
         blocks are not looked at, as their products might overflow.
     most: numbers of halvings and of cells.
     """
     value, which, time, floor, looked, depth = np.inf, -1, 0.0, np.inf, 0, 0
-    space = work_space()
+    space, (start, end, margin) = work_space(), cells
     if not (
         _below(blocks[0], aims[3])
         and _below(blocks[1], aims[3])
@@ -179,7 +179,7 @@ def search(
             bounds[c] = max(bounds[c], low)
             if here < value or which < 0:
                 value, which = here, item[c]
-                time = spans[0, c] + x * (spans[1, c] - spans[0, c])
+                time = start[c] + x * (end[c] - start[c])
         looked += len(item)
         if depth == 0:
             enough = max(most[1], 10 * looked) + looked
@@ -192,15 +192,14 @@ def search(
             done[:] = True
         for c in range(len(item)):
             if done[c]:
-                floor = min(floor, bounds[c] - spans[2, c])
+                floor = min(floor, bounds[c] - margin[c])
         left = np.flatnonzero(~done)
         if len(left) == 0:
             return min(floor, value), value, which, time
-        middle = 0.5 * (spans[0] + spans[1])
-        both = np.empty((3, 2 * len(left)))
-        both[0] = np.concatenate((spans[0][left], middle[left]))
-        both[1] = np.concatenate((middle[left], spans[1][left]))
-        both[2] = _twice(spans[2], left)
+        middle = 0.5 * (start + end)
+        start = np.concatenate((start[left], middle[left]))
+        end = np.concatenate((middle[left], end[left]))
+        margin = _twice(margin, left)
         blocks = (
             _halved(blocks[0], left),
             _halved(blocks[1], left),
@@ -208,5 +207,5 @@ def search(
             _halved(blocks[3], left),
         )
         item = np.concatenate((item[left], item[left]))
-        bounds, spans, depth = _twice(bounds, left), both, depth + 1
+        bounds, depth = _twice(bounds, left), depth + 1
         along = along[0][:0], along[1][:0], along[2][:0]

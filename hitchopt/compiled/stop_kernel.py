@@ -157,16 +157,26 @@ def _force_keeps(tables: StopTables, row: _Row, drone: int, bent: float) -> bool
 @kernel
 def _keeps(tables: StopTables, row: _Row, drone: int) -> bool:
     """Return whether a drone is shown to keep all limits in a row."""
+    most, margins = (
+        _sized(*_sizes(tables, row.cell, drone), row),
+        tables.margins[:, tables.piece[row.cell], drone],
+    )
+    strongest, extra = tables.team[1, drone], tables.team[0, drone] * most[0] * (1.0 + SLACK)
+    if (
+        most[0] * (1.0 + SLACK) <= tables.limits[0]
+        and most[1] * (1.0 + SLACK) <= tables.limits[1]
+        and margins[5] + extra <= strongest
+        and margins[6] + extra <= 0.0
+    ):
+        return True
     bent, bend = _bent(tables, row, drone)
     begin, end = _ends(tables, row, drone, 0), _ends(tables, row, drone, 1)
-    most = _sized(*_sizes(tables, row.cell, drone), row)
     acceleration = min(max(begin[0], end[0]) + bent, most[0]) * (1.0 + SLACK)
     jerk = min(max(begin[1], end[1]) + bend, most[1]) * (1.0 + SLACK)
     if not (acceleration <= tables.limits[0] and jerk <= tables.limits[1]):
         return False
-    margins = tables.margins[:, tables.piece[row.cell], drone]
     extra = tables.team[0, drone] * acceleration
-    if margins[5] + extra <= tables.team[1, drone] and margins[6] + extra <= 0.0:
+    if margins[5] + extra <= strongest and margins[6] + extra <= 0.0:
         return True
     return _force_keeps(tables, row, drone, bent)
 

@@ -163,10 +163,10 @@ def _compiled(
         (blocks[0], blocks[1], blocks[2], blocks[3]),
         interpolation_weights(bernstein.degree(blocks[row]), order),
         (along.coefficients, along.radius, along.place.reshape(len(along.place), each)),
-        np.array([known.noise, known.short, known.rounding]),
+        (float(known.noise), known.short, known.rounding),
         cells.item,
-        np.array([cells.start, cells.end, cells.margin]),
-        np.array([extremum.RELATIVE, known.absolute, target, HUGE]),
+        (cells.start, cells.end, cells.margin),
+        (extremum.RELATIVE, known.absolute, float(target), HUGE),
         (extremum.MAX_HALVINGS, extremum.MAX_CELLS),
     )
     return None if item < 0 else Extremum(sign * worst, sign * value, int(item), time)
