@@ -123,10 +123,10 @@ class CheckRule:
             for finder in self.finders
             if (finder.exported or not exported) and not here.isdisjoint(finder.states)
         ]
-        limit = self.limit
-        if finders and callable(limit):
-            limit = limit(motion)
-        if not finders or limit is None:
+        if not finders:
+            return ()
+        limit = self.limit(motion) if callable(self.limit) else self.limit
+        if limit is None:
             return ()
         if exported and self.exported_limit is not None:
             limit = self.exported_limit

@@ -116,9 +116,10 @@ def near_cells(
     times: (pieces + 1,) [s], of the pieces.
     """
     kept = near_pairs(a, b, first, second, margin, count, slack)
-    cells, ends, others = np.sum(kept), a.shape[2], b.shape[2]
+    cells, ends, others = int(np.sum(kept)), a.shape[2], b.shape[2]
     rows = np.empty((cells, 3 * ends * others, a.shape[4]))
-    item, start, end, c = np.empty(cells, np.intp), np.empty(cells), np.empty(cells), 0
+    item, start, end = np.empty(cells, dtype=np.intp), np.empty(cells), np.empty(cells)
+    c = 0
     for piece in range(len(a)):
         for pair in range(len(first)):
             if not kept[piece, pair]:

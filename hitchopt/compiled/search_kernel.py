@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.compiled.cable_kernels import balance, band, lengths, turns
 from hitchopt.compiled.distance_kernel import distance
 from hitchopt.compiled.enclosure_kernels import directions, work_space
-from hitchopt.compiled.kernel_switch import kernel
+from hitchopt.compiled.kernel_switch import inlined, kernel
 from hitchopt.compiled.polynomial_kernels import Blocks, Found, Known, largest_column, value_at
 from hitchopt.compiled.thrust_kernels import thrust, tilt
 from hitchopt.values import Array, Indices
@@ -31,7 +31,7 @@ KINDS = {
 ``cable_length``, ``convexity`` and ``tension``."""
 
 
-@kernel
+@inlined
 def _norm(v: Array, enough: float) -> Found:
     """Return bound, value and place as ``norm_bound``; no value of a bound that is ``enough``."""
     size, x = largest_column(v)
@@ -43,38 +43,40 @@ def _norm(v: Array, enough: float) -> Found:
     return size, np.sqrt(square), x
 
 
-@kernel
+@inlined
 def _bounded(
     kind: int,
     blocks: Blocks,
+    c: int,
     weights: Array,
     along: Known,
-    place: Indices,
     numbers: tuple[float, float, float],
     space: Array,
     enough: float,
 ) -> Found:
-    """Return bound, value and place of one cell, given the directions that its kind takes.
+    """Return bound, value and place of a cell, given the directions that its kind takes.
 
     The value of a largest one is -inf where the bound is no larger than ``enough``.
     """
-    rows, short = blocks[0], numbers[1]
+    rows = blocks[0][c]
     if kind == NORM:
         found = _norm(rows, enough)
     elif kind == DISTANCE:
         found = distance(rows, space[:, :1])
-    elif kind == THRUST:
-        found = thrust(blocks, along[0][place[0]], along[1][place[0]], short, enough)
-    elif kind == TILT:
-        found = tilt(blocks, along[0][place[0]], along[1][place[0]], short, enough)
+    elif kind in (THRUST, TILT):
+        cell, k = (rows, blocks[1][c], blocks[2][c], blocks[3][c]), along[2][c, 0]
+        if kind == THRUST:
+            found = thrust(cell, along[0][k], along[1][k], numbers[1], enough)
+        else:
+            found = tilt(cell, along[0][k], along[1][k], numbers[1], enough)
     elif kind == BALANCE:
-        found = balance(rows, blocks[1], along[0], along[1], place, numbers, enough)
+        found = balance(rows, blocks[1][c], along[0], along[1], along[2][c], numbers, enough)
     elif kind == LENGTHS:
-        found = lengths(rows, blocks[1], weights, space, enough)
+        found = lengths(rows, blocks[1][c], weights, space, enough)
     elif kind == TURNS:
-        found = turns(rows, blocks[1][0, 0], numbers)
+        found = turns(rows, blocks[1][c, 0, 0], numbers)
     else:
-        found = band(rows[0], blocks[1][0, 0], blocks[1][1, 0])
+        found = band(rows[0], blocks[1][c, 0, 0], blocks[1][c, 1, 0])
     return found
 
 
@@ -115,7 +117,7 @@ def _below(block: Array, most: float) -> bool:
     """Return whether all numbers are smaller than one; nan is not."""
     fine = True
     for number in block.reshape(-1):
-        fine &= abs(number) < most
+        fine = fine & bool(abs(number) < most)
     return fine
 
 
@@ -169,10 +171,7 @@ def search(
             along = _directed(kind, blocks, weights, numbers[0])
         for c in range(len(item)):
             largest = -value if sign < 0.0 else -np.inf
-            cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
-            low, here, x = _bounded(
-                kind, cell, weights, along, along[2][c], numbers, space, largest
-            )
+            low, here, x = _bounded(kind, blocks, c, weights, along, numbers, space, largest)
             low, here = sign * low, sign * here
             if np.isnan(low + here):
                 low, here = -np.inf, -np.inf
