@@ -1,11 +1,12 @@
-"""Compiled enclosures say what those in numpy say, and hold at samples."""
+"""Compiled enclosures and derivatives say what those in numpy say, and hold at samples."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.compiled.kernel_switch import kernels
+from hitchopt.trajectory import PiecewisePolynomial, bernstein, enclosure
 from hitchopt.trajectory.compiled_search import interpolation_weights
 from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
 from hitchopt.values import Array
@@ -64,3 +65,16 @@ def test_lengths(degree: int) -> None:
         np.testing.assert_allclose(radius, plain.radius[i], rtol=1e-6, atol=1e-12 * scale)
         off = np.abs(values(found) - np.linalg.norm(values(each), axis=0))
         assert np.all(off <= radius + 1e-13 * scale)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3, 7])
+def test_derivatives(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    breaks, c = np.array([0.0, 0.3, 1.1]), rng.normal(size=(2, 4, 3, degree + 1))
+    plain, compiled = (PiecewisePolynomial(breaks, c) for _ in range(2))
+    for order in range(1, 7):
+        expected = plain.differentiated(order)
+        with kernels():
+            found = compiled.differentiated(order)
+        np.testing.assert_array_equal(found.coefficients, expected.coefficients)
+        assert found.breaks is compiled.breaks
