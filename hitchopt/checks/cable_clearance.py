@@ -7,16 +7,26 @@ seen from above.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.bodies import cable_parts, closest, drone_points
+from hitchopt.checks.bounds.bodies import (
+    LAYOUTS,
+    cable_parts,
+    closest,
+    drone_points,
+    parts_listed,
+)
 from hitchopt.checks.bounds.cable_states import phase_parts
 from hitchopt.checks.bounds.hanging_clearance import distance_to_drones, height_above_ground
 from hitchopt.checks.bounds.hanging_links import foreign, plan_chords, plan_points
+from hitchopt.checks.bounds.moving_bodies import Allowed
 from hitchopt.checks.bounds.rounding_margins import magnitude
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.broadphase import Indices
+from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.trajectory.extremum import Extremum
@@ -30,18 +40,25 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
 
     ``where`` names the drone and the cable. A drone at a chain's end stands on its own edge.
     """
-    parts, layout = cable_parts(motion), motion.team.layout
-    on_leg = layout.has_leg.ravel()
-
-    def apart(drones: Indices, bodies: Indices) -> NDArray[np.bool_]:
-        part = parts.part[bodies]
-        counted: NDArray[np.bool_] = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
-        return counted
-
+    parts = cable_parts(motion)
+    apart = _strange(motion.team.layout, wrapped=motion.contacts is not None)
     found = closest(motion, drone_points(motion), parts, apart, limit)
     drone, body = divmod(found.item, len(parts))
     where = (motion.team.drone_names[drone], f"cable {parts.part[body] // 3}")
     return Finding(found.worst, found.time, where, magnitude(motion))
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _strange(layout: Layout, *, wrapped: bool) -> Allowed:
+    """Return which pairs of a drone and a taut cable part count."""
+    listed, on_leg = parts_listed(layout, wrapped=wrapped), layout.has_leg.ravel()
+
+    def apart(drones: Indices, bodies: Indices) -> NDArray[np.bool_]:
+        part = listed[bodies]
+        counted: NDArray[np.bool_] = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
+        return counted
+
+    return apart
 
 
 def _to_hanging(motion: Motion, _: float) -> Finding:

@@ -67,11 +67,12 @@ def certify(
         if progress is not None and name in names:
             progress(f"{name}, {names.index(name)} of {len(names)}")
 
+    known = known or {}
     with shared_values():
         for rule in RULES:
             tell(rule.name)
-            found[rule.name] = (known or {}).get(rule.name) or rule.findings(motion)
-        checks = [most_pressing(each.check for each in spans) for spans in found.values()]
+            found[rule.name] = known.get(rule.name) or rule.findings(motion)
+        checks = [most_pressing(each.check for each in spans) for spans in found.values() if spans]
         for report in reports:
             tell(report.name)
             checks.append(report.check(motion, found, gamma))

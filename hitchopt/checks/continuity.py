@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import PART_NAMES
+from hitchopt.checks.bounds.bodies import LAYOUTS, PART_NAMES
 from hitchopt.checks.bounds.rounding_margins import derivative_margin, position_margin
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.geometry.vectors import length
@@ -25,22 +27,16 @@ def _find(motion: Motion, _: float) -> Finding:
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.poses is not None:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
+    legs = _leg_names(motion.team.robots)
     for span in motion.spans(HITCHED_STATE):
-        cables = range(span.team.robots)
-        parts += [
-            (span.vertices, span.team.point_names),
-            (
-                span.legs.reshaped(-1, 1),
-                tuple(f"{name} {k}" for k in cables for name in PART_NAMES[0::2]),
-            ),
-        ]
+        parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
     worst, time = 0.0, float(motion.drones.breaks[0])
     where: tuple[str, ...] = ()
     for part, names in parts:
         if part.pieces == 1:
             continue
         ends = [part.ends(derivative) for derivative in range(3)]
-        jump = length(np.stack([left[1:] - right[:-1] for left, right in ends]))
+        jump = length(np.array([left[1:] - right[:-1] for left, right in ends]))
         jump[0] += position_margin(motion)
         for derivative in (1, 2):
             margin = derivative_margin(part, derivative)
@@ -50,6 +46,11 @@ def _find(motion: Motion, _: float) -> Finding:
             worst, time = float(jump[place]), float(part.breaks[place[1] + 1])
             where = (names[place[2]],)
     return Finding(worst, time, where)
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _leg_names(cables: int) -> tuple[str, ...]:
+    return tuple(f"{name} {k}" for k in range(cables) for name in PART_NAMES[0::2])
 
 
 RULE = CheckRule("continuity", "m", "max", LIMIT, (Finder(_find),), whole=True)

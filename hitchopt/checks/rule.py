@@ -100,7 +100,8 @@ class CheckRule:
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None where the rule has nothing to check in it."""
-        if all(motion.cable_states.isdisjoint(finder.states) for finder in self.finders):
+        here = motion.cable_states
+        if all(here.isdisjoint(finder.states) for finder in self.finders):
             return None
         return self.limit(motion) if callable(self.limit) else self.limit
 
@@ -116,16 +117,23 @@ class CheckRule:
 
     def findings(self, motion: Motion, *, exported: bool = False) -> tuple[Found, ...]:
         """Return what is found on all spans of time in which the rule applies."""
-        limit = self.limit_of(motion)
+        here = motion.cable_states
+        finders = [
+            finder
+            for finder in self.finders
+            if (finder.exported or not exported) and not here.isdisjoint(finder.states)
+        ]
+        if not finders:
+            return ()
+        limit = self.limit(motion) if callable(self.limit) else self.limit
         if limit is None:
             return ()
         if exported and self.exported_limit is not None:
             limit = self.exported_limit
         return tuple(
             Found(finder.states, self._check(finder.find(span, limit), limit))
-            for finder in self.finders
-            if finder.exported or not exported
-            for span in motion.spans(finder.states)
+            for finder in finders
+            for span in ((motion,) if here <= finder.states else motion.spans(finder.states))
         )
 
     def _check(self, found: Finding, limit: float) -> Check:

@@ -57,19 +57,19 @@ def _find(motion: Motion, _: float) -> Finding:
 
 def _named(motion: Motion, worst: float, time: float, item: int) -> Finding:
     """Return the finding with an item of the cables, then the drones, named."""
-    names = (*(f"cable {k}" for k in range(motion.team.robots)), *motion.team.drone_names)
-    where = (names[item],) if worst > 0.0 else ()
+    if not worst > 0.0:
+        return Finding(worst, time)
+    cables = motion.team.robots
+    where = (f"cable {item}" if item < cables else motion.team.drone_names[item - cables],)
     return Finding(worst, time, where)
 
 
 def _jump_of_pulls(motion: Motion) -> Finding:
     """Return the largest jump of a cable's tension or of a leg's pull."""
-    ends = []
-    for end in (0, -1):
-        parts = (motion.tensions, motion.pulls)
-        each = np.concatenate([part.coefficients[..., end] for part in parts], axis=1)
-        ends.append(np.where(motion.formed[:, None], each, 0.0))
-    left, right = ends
+    each = motion.tensions.coefficients[..., [0, -1]]
+    if motion.leg_tensions is not None:  # else they jump as their cables' tensions do
+        each = np.concatenate([each, motion.pulls.coefficients[..., [0, -1]]], axis=1)
+    left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
     jumps = np.abs(left[1:] - right[:-1])
     jumps += ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
     return _largest_jump(motion, jumps, 0)
@@ -120,7 +120,8 @@ def _pulls_outside(motion: Motion) -> Finding:
 def _farthest(motion: Motion, blocks: list[Array], first: int) -> Finding:
     margin = ROUNDING * np.max(np.abs(blocks[0]))
     cells = Cells.over(motion.drones.breaks, blocks, margin)
-    cells = cells.take(np.repeat(motion.formed, blocks[0].shape[1]))
+    if not np.all(motion.formed):
+        cells = cells.take(np.repeat(motion.formed, blocks[0].shape[1]))
     friction, noise = motion.team.cable_friction, position_margin(motion)
     bound = partial(_bound, friction=friction, noise=noise)
     found = largest(cells, bound, KnownBound("band", 2))
@@ -146,7 +147,8 @@ def _bound(blocks: tuple[Array, ...], friction: float, noise: float) -> Estimate
 def _ranges(motion: Motion) -> Array:
     """Return (pieces, n, 2) [N] the range of every cable's tension, those of ramps from 0."""
     ranges = stated_tensions(motion)
-    ranges[..., 0] = np.where(_ramps(motion), 0.0, ranges[..., 0])
+    if not np.all(motion.formed):  # else there is no ramp, as it is next to a span without a hitch
+        ranges[..., 0] = np.where(_ramps(motion), 0.0, ranges[..., 0])
     return ranges
 
 
@@ -156,6 +158,8 @@ def _off_at_ends(motion: Motion) -> Finding:
     Not where an object is held before and after, as if on before and after the motion: the range is
     that of a grasp, which its steps share.
     """
+    if all(phase.tension is None for phase in motion.phases):
+        return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     if np.all(index < 0):
         return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
@@ -175,8 +179,6 @@ def _off_at_ends(motion: Motion) -> Finding:
 
 def _ramps(motion: Motion) -> Mask:
     """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch."""
-    if np.all(motion.formed):  # no span without a hitch that a ramp could be next to
-        return np.zeros((motion.drones.pieces, motion.team.robots), dtype=np.bool_)
     resting = motion.formed
     for part in (motion.drones, motion.vertices):
         resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)

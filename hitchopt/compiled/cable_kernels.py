@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hitchopt.compiled.enclosure_kernels import length
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.compiled.polynomial_kernels import (
     Found,
@@ -11,8 +12,6 @@ from hitchopt.compiled.polynomial_kernels import (
     column_norms,
     elevated,
     inner,
-    length,
-    product,
     rows_elevated,
     value_at,
     values_at,
@@ -25,7 +24,13 @@ _SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
 
 @kernel
 def balance(
-    rows: Array, pulls: Array, along: Array, wrong: Array, place: Indices, numbers: Array
+    rows: Array,
+    pulls: Array,
+    along: Array,
+    wrong: Array,
+    place: Indices,
+    numbers: tuple[float, float, float],
+    enough: float,
 ) -> Found:
     """Return bound, value and place as the bound of ``equilibrium``, of clasps without loads.
 
@@ -35,6 +40,7 @@ def balance(
     along, wrong: directions (m, 3, ·) and their errors (m,).
     place: (4,), the indices of this cell's.
     numbers: as of a search.
+    enough: no value is computed where the bound is no larger.
     """
     short, rounding = numbers[1], numbers[2]
     order = along.shape[2] + pulls.shape[1] - 2
@@ -52,8 +58,10 @@ def balance(
         reach = norms[k] / least[k] if least[k] > 0.0 else np.inf
         if pulling and norms[k] == 0.0 and least[k] == 0.0:
             reach = 0.0
-        if reach > bound:
+        if not reach <= bound:
             bound, x = reach, k / max(1, order)
+    if bound <= enough:
+        return bound, -np.inf, x
     there, P = values_at(rows, x), values_at(pulls, x)
     total, unknown = np.zeros(3), 0.0
     for i in range(4):
@@ -70,19 +78,31 @@ def balance(
 
 
 @kernel
-def lengths(rows: Array, stored: Array, weights: Array) -> Found:
-    """Return bound, value and place as the bound of ``cable_length``, of straight cables."""
-    order = max(weights.shape[1], stored.shape[1]) - 1
-    excess, given, errors = np.full(order + 1, -1.0), rows_elevated(stored, order), np.zeros(3)
+def lengths(rows: Array, stored: Array, weights: Array, space: Array, enough: float) -> Found:
+    """Return bound, value and place as the bound of ``cable_length``, of straight cables.
+
+    Parameters
+    ----------
+    space: memory of enclosures.
+    enough: no value is computed where the bound is no larger.
+    """
+    nodes = weights.shape[1]
+    order = max(nodes, stored.shape[1]) - 1
+    excess, given, part = np.full(order + 1, -1.0), rows_elevated(stored, order), np.empty(nodes)
+    errors, bound, x = 0.0, 0.0, 0.0
     for i in range(3):
-        part, errors[i] = length(rows[3 * i : 3 * i + 3], weights)
-        part = elevated(part, order)
-        excess += part
-        if i < 2:
-            given[i] = np.abs(given[i] - part) + errors[i]
-    reach = np.maximum(np.abs(excess) + np.sum(errors), np.maximum(given[0], given[1]))
-    k = np.argmax(reach)
-    x = k / max(1, order)
+        error = length(part, rows[3 * i : 3 * i + 3], weights, space)
+        whole, errors = elevated(part, order), errors + error
+        for k in range(order + 1):
+            excess[k] += whole[k]
+            if i < 2:
+                given[i, k] = abs(given[i, k] - whole[k]) + error
+    for k in range(order + 1):
+        reach = max(abs(excess[k]) + errors, given[0, k], given[1, k])
+        if not reach <= bound:
+            bound, x = reach, k / max(1, order)
+    if bound <= enough:
+        return bound, -np.inf, x
     there, legs, left, value = values_at(rows, x), values_at(stored, x), -1.0, 0.0
     for i in range(3):
         vector = there[3 * i : 3 * i + 3]
@@ -90,27 +110,43 @@ def lengths(rows: Array, stored: Array, weights: Array) -> Found:
         left += size
         if i < 2:
             value = max(value, abs(legs[i] - size))
-    return max(reach[k], 0.0), max(value, abs(left)), x
+    return bound, max(value, abs(left)), x
 
 
 @kernel
-def turns(rows: Array, added: float, numbers: Array) -> Found:
+def turns(rows: Array, added: float, numbers: tuple[float, float, float]) -> Found:
     """Return bound, value and place as the bound of ``convexity``."""
     noise, short, rounding = numbers[0], numbers[1], numbers[2]
-    along = product(rows[0], rows[2]) + product(rows[1], rows[3])
-    right = product(rows[1], rows[2]) - product(rows[0], rows[3])
+    degree = 2 * (rows.shape[1] - 1)
+    along, right = np.zeros(degree + 1), np.zeros(degree + 1)
+    add_product(along, 1.0, rows[0], rows[2])
+    add_product(along, 1.0, rows[1], rows[3])
+    add_product(right, 1.0, rows[1], rows[2])
+    add_product(right, -1.0, rows[0], rows[3])
     x0, y0 = value_at(along, 0.5), value_at(right, 0.5)
-    ahead, aside = x0 * along + y0 * right, x0 * right - y0 * along
-    relative, start = np.degrees(np.arctan2(aside, ahead)), np.degrees(np.arctan2(y0, x0))
-    least, sizes = np.min(ahead) / np.hypot(x0, y0), 0.0
+    size = np.hypot(x0, y0)
+    x0, y0 = (x0 / size, y0 / size) if size > 0.0 else (0.0, 0.0)  # as without direction
+    least, turned, most, sizes, x, low = np.inf, np.inf, -np.inf, 0.0, 0.0, -180.0
+    for k in range(degree + 1):
+        ahead, aside = x0 * along[k] + y0 * right[k], x0 * right[k] - y0 * along[k]
+        least = min(least, ahead)
+        most = max(most, aside / ahead)
+        if aside / ahead < turned:  # of no use unless all are ahead
+            turned, x = aside / ahead, k / max(1, degree)
     for i in range(4):
         sizes += np.max(np.abs(rows[i]))
-    spread = 4.0 * (rounding * np.max(np.abs(rows)) + noise)
-    spread = np.degrees(spread * sizes / least)
-    low, high = start + np.min(relative) - spread, start + np.max(relative) + spread
-    wedge = least > 0.0 and spread < 1.0 and high < 180.0
-    k = np.argmin(relative if wedge else np.arctan2(right, along))
-    x = k / max(1, len(along) - 1)
+    spread = np.degrees(4.0 * (rounding * np.max(np.abs(rows)) + noise) * sizes / least)
+    wedge = least > 0.0 and spread < 1.0
+    if wedge:
+        start = np.degrees(np.arctan2(y0, x0))
+        low = start + np.degrees(np.arctan(turned)) - spread
+        wedge = start + np.degrees(np.arctan(most)) + spread < 180.0
+    if not wedge:
+        turned = np.inf
+        for k in range(degree + 1):
+            angle = np.arctan2(right[k], along[k])
+            if angle < turned:
+                turned, x = angle, k / max(1, degree)
     bx, by, ax, ay = values_at(rows, x)
     value = -180.0
     if min(np.hypot(bx, by), np.hypot(ax, ay)) > short:
@@ -121,8 +157,11 @@ def turns(rows: Array, added: float, numbers: Array) -> Found:
 @kernel
 def band(pull: Array, least: float, most: float) -> Found:
     """Return bound, value and place as the bound of ``tension``, of legs without friction."""
-    k = np.argmax(np.maximum(pull - most, least - pull))
-    x = k / max(1, len(pull) - 1)
+    bound, at = -np.inf, 0
+    for k in range(len(pull)):
+        beyond = max(pull[k] - most, least - pull[k])
+        if not beyond <= bound:
+            bound, at = beyond, k
+    x = at / max(1, len(pull) - 1)
     here = value_at(pull, x)
-    bound = max(np.max(pull) - most, least - np.min(pull))
     return max(bound, 0.0), max(here - most, least - here, 0.0), x

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import Found, basis_at, elevated, rows_elevated
+from hitchopt.compiled.polynomial_kernels import Found, elevated, middle_of, rows_elevated
 from hitchopt.values import Array
 
 Vector = tuple[float, float, float]
@@ -93,15 +93,17 @@ def _squares(first: Vector, middle: Vector, last: Vector, order: int) -> Array:
 
 
 @kernel
-def distance(rows: Array) -> Found:
-    """Return bound, value and place as ``distance_bound``."""
+def distance(rows: Array, there: Array) -> Found:
+    """Return bound, value and place as ``distance_bound``.
+
+    ``there`` (12, 1) is memory for the middle.
+    """
     if rows.shape[1] < 3:
         rows = rows_elevated(rows, 2)
     order = rows.shape[1] + 1
-    half, there = basis_at(order - 2, 0.5), np.zeros((len(rows), 1))
+    there = there[: len(rows)]
     for i in range(len(rows)):
-        for k in range(order - 1):
-            there[i, 0] += half[k] * rows[i, k]
+        there[i, 0] = middle_of(rows[i])
     first, last = shortest_offset(rows, 0), shortest_offset(rows, order - 2)
     between = shortest_offset(there, 0)
     begin, end = np.sqrt(_dot(first, first)), np.sqrt(_dot(last, last))

@@ -43,7 +43,15 @@ def kernels(*, on: bool = True) -> Iterator[bool]:
         _ON.reset(token)
 
 
-def kernel(function: F) -> F:
+def inlined(function: F) -> F:
+    """Compile a function as ``kernel`` does, and what calls it with a copy of it.
+
+    For what is called from one place, many times.
+    """
+    return kernel(function, inline=True)
+
+
+def kernel(function: F, *, inline: bool = False) -> F:
     """Compile a function when it is first called, and keep the result on disk where that can be.
 
     Divisions by zero give what numpy makes of them. Numba notices changes of a kernel's own file
@@ -51,7 +59,7 @@ def kernel(function: F) -> F:
     """
     from numba import njit
 
-    compile_it = partial(njit, error_model="numpy")
+    compile_it = partial(njit, error_model="numpy", forceinline=inline)
     try:
         function.__qualname__ += f"_{sources_digest(Path(function.__code__.co_filename).parent)}"
         return cast(F, compile_it(function, cache=True))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hitchopt.compiled.distance_kernel import shortest_offset
 from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import basis_at
+from hitchopt.compiled.polynomial_kernels import fill_basis
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
@@ -82,7 +82,8 @@ def near_pairs(
     slack: relative, for rounding.
     """
     gaps, attained = np.empty((len(a), len(first))), np.inf
-    half = basis_at(a.shape[4] - 1, 0.5)
+    half = np.empty(a.shape[4])
+    fill_basis(half, 0.5)
     for piece in range(len(a)):
         drift = np.zeros((3, a.shape[4]))
         for i in range(a.shape[1]):
@@ -95,3 +96,42 @@ def near_pairs(
         for pair in _smallest(gaps[piece], count):
             attained = min(attained, _apart(a[piece, first[pair]], b[piece, second[pair]], half))
     return ~(gaps > (attained + margin) * (1.0 + slack))
+
+
+@kernel
+def near_cells(
+    a: Array,
+    b: Array,
+    first: Indices,
+    second: Indices,
+    times: Array,
+    margin: float,
+    count: int,
+    slack: float,
+) -> tuple[Array, Indices, Array, Array]:
+    """Return the cells of ``near_pairs``: differences of ends, items, starts and ends [s].
+
+    Parameters
+    ----------
+    times: (pieces + 1,) [s], of the pieces.
+    """
+    kept = near_pairs(a, b, first, second, margin, count, slack)
+    cells, ends, others = int(np.sum(kept)), a.shape[2], b.shape[2]
+    rows = np.empty((cells, 3 * ends * others, a.shape[4]))
+    item, start, end = np.empty(cells, dtype=np.intp), np.empty(cells), np.empty(cells)
+    c = 0
+    for piece in range(len(a)):
+        for pair in range(len(first)):
+            if not kept[piece, pair]:
+                continue
+            i, j, row = first[pair], second[pair], 0
+            for one in range(ends):
+                for other in range(others):
+                    for axis in range(3):
+                        here, there = a[piece, i, one, axis], b[piece, j, other, axis]
+                        for k in range(len(here)):
+                            rows[c, row, k] = here[k] - there[k]
+                        row += 1
+            item[c], start[c], end[c] = i * b.shape[1] + j, times[piece], times[piece + 1]
+            c += 1
+    return rows, item, start, end

@@ -10,15 +10,9 @@ import numpy as np
 
 from hitchopt.compiled.cable_kernels import balance, band, lengths, turns
 from hitchopt.compiled.distance_kernel import distance
-from hitchopt.compiled.kernel_switch import kernel
-from hitchopt.compiled.polynomial_kernels import (
-    Blocks,
-    Found,
-    Known,
-    column_norms,
-    directions,
-    values_at,
-)
+from hitchopt.compiled.enclosure_kernels import directions, work_space
+from hitchopt.compiled.kernel_switch import inlined, kernel
+from hitchopt.compiled.polynomial_kernels import Blocks, Found, Known, largest_column, value_at
 from hitchopt.compiled.thrust_kernels import thrust, tilt
 from hitchopt.values import Array, Indices
 
@@ -37,38 +31,52 @@ KINDS = {
 ``cable_length``, ``convexity`` and ``tension``."""
 
 
-@kernel
-def _norm(v: Array) -> Found:
-    """Return bound, value and place as ``norm_bound``."""
-    sizes = column_norms(v)
-    k = np.argmax(sizes)
-    x = k / max(1, len(sizes) - 1)
-    there = values_at(v, x)
-    return sizes[k], np.sqrt(np.sum(there * there)), x
+@inlined
+def _norm(v: Array, enough: float) -> Found:
+    """Return bound, value and place as ``norm_bound``; no value of a bound that is ``enough``."""
+    size, x = largest_column(v)
+    if size <= enough:
+        return size, -np.inf, x
+    square = 0.0
+    for i in range(len(v)):
+        square += value_at(v[i], x) ** 2
+    return size, np.sqrt(square), x
 
 
-@kernel
+@inlined
 def _bounded(
-    kind: int, blocks: Blocks, weights: Array, along: Known, place: Indices, numbers: Array
+    kind: int,
+    blocks: Blocks,
+    c: int,
+    weights: Array,
+    along: Known,
+    numbers: tuple[float, float, float],
+    space: Array,
+    enough: float,
 ) -> Found:
-    """Return bound, value and place of one cell, given the directions that its kind takes."""
-    rows = blocks[0]
+    """Return bound, value and place of a cell, given the directions that its kind takes.
+
+    The value of a largest one is -inf where the bound is no larger than ``enough``.
+    """
+    rows = blocks[0][c]
     if kind == NORM:
-        found = _norm(rows)
+        found = _norm(rows, enough)
     elif kind == DISTANCE:
-        found = distance(rows)
-    elif kind == THRUST:
-        found = thrust(blocks, along[0][place[0]], along[1][place[0]], numbers)
-    elif kind == TILT:
-        found = tilt(blocks, along[0][place[0]], along[1][place[0]], numbers)
+        found = distance(rows, space[:, :1])
+    elif kind in (THRUST, TILT):
+        cell, k = (rows, blocks[1][c], blocks[2][c], blocks[3][c]), along[2][c, 0]
+        if kind == THRUST:
+            found = thrust(cell, along[0][k], along[1][k], numbers[1], enough)
+        else:
+            found = tilt(cell, along[0][k], along[1][k], numbers[1], enough)
     elif kind == BALANCE:
-        found = balance(rows, blocks[1], along[0], along[1], place, numbers)
+        found = balance(rows, blocks[1][c], along[0], along[1], along[2][c], numbers, enough)
     elif kind == LENGTHS:
-        found = lengths(rows, blocks[1], weights)
+        found = lengths(rows, blocks[1][c], weights, space, enough)
     elif kind == TURNS:
-        found = turns(rows, blocks[1][0, 0], numbers)
+        found = turns(rows, blocks[1][c, 0, 0], numbers)
     else:
-        found = band(rows[0], blocks[1][0, 0], blocks[1][1, 0])
+        found = band(rows[0], blocks[1][c, 0, 0], blocks[1][c, 1, 0])
     return found
 
 
@@ -108,8 +116,8 @@ def _halved(block: Array, chosen: Indices) -> Array:
 def _below(block: Array, most: float) -> bool:
     """Return whether all numbers are smaller than one; nan is not."""
     fine = True
-    for number in block.flat:
-        fine = fine and bool(abs(number) < most)
+    for number in block.reshape(-1):
+        fine = fine & bool(abs(number) < most)
     return fine
 
 
@@ -125,10 +133,10 @@ def search(
     blocks: Blocks,
     weights: Array,
     along: Known,
-    numbers: Array,
+    numbers: tuple[float, float, float],
     item: Indices,
-    spans: Array,
-    aims: Array,
+    cells: tuple[Array, Array, Array],
+    aims: tuple[float, float, float, float],
     most: tuple[int, int],
 ) -> tuple[float, float, int, float]:
     """Return worst, value, item and time of an extremum, times the sign; item -1 if not found.
@@ -143,12 +151,13 @@ def search(
         none where the kind takes none, or none are known.
     numbers: noise [m], length [m] without a direction, and relative rounding.
     item: (cells,)
-    spans: (3, cells), start [s], end [s] and margin.
+    cells: (cells,) each, start [s], end [s] and margin.
     aims: relative and absolute tightness, and target, as of a Search; and from which number on
         blocks are not looked at, as their products might overflow.
     most: numbers of halvings and of cells.
     """
     value, which, time, floor, looked, depth = np.inf, -1, 0.0, np.inf, 0, 0
+    space, (start, end, margin) = work_space(), cells
     if not (
         _below(blocks[0], aims[3])
         and _below(blocks[1], aims[3])
@@ -161,15 +170,15 @@ def search(
         if len(along[2]) < len(item):
             along = _directed(kind, blocks, weights, numbers[0])
         for c in range(len(item)):
-            cell = (blocks[0][c], blocks[1][c], blocks[2][c], blocks[3][c])
-            low, here, x = _bounded(kind, cell, weights, along, along[2][c], numbers)
+            largest = -value if sign < 0.0 else -np.inf
+            low, here, x = _bounded(kind, blocks, c, weights, along, numbers, space, largest)
             low, here = sign * low, sign * here
             if np.isnan(low + here):
                 low, here = -np.inf, -np.inf
             bounds[c] = max(bounds[c], low)
             if here < value or which < 0:
                 value, which = here, item[c]
-                time = spans[0, c] + x * (spans[1, c] - spans[0, c])
+                time = start[c] + x * (end[c] - start[c])
         looked += len(item)
         if depth == 0:
             enough = max(most[1], 10 * looked) + looked
@@ -182,15 +191,14 @@ def search(
             done[:] = True
         for c in range(len(item)):
             if done[c]:
-                floor = min(floor, bounds[c] - spans[2, c])
+                floor = min(floor, bounds[c] - margin[c])
         left = np.flatnonzero(~done)
         if len(left) == 0:
             return min(floor, value), value, which, time
-        middle = 0.5 * (spans[0] + spans[1])
-        both = np.empty((3, 2 * len(left)))
-        both[0] = np.concatenate((spans[0][left], middle[left]))
-        both[1] = np.concatenate((middle[left], spans[1][left]))
-        both[2] = _twice(spans[2], left)
+        middle = 0.5 * (start + end)
+        start = np.concatenate((start[left], middle[left]))
+        end = np.concatenate((middle[left], end[left]))
+        margin = _twice(margin, left)
         blocks = (
             _halved(blocks[0], left),
             _halved(blocks[1], left),
@@ -198,5 +206,5 @@ def search(
             _halved(blocks[3], left),
         )
         item = np.concatenate((item[left], item[left]))
-        bounds, spans, depth = _twice(bounds, left), both, depth + 1
+        bounds, depth = _twice(bounds, left), depth + 1
         along = along[0][:0], along[1][:0], along[2][:0]

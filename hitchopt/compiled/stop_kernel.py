@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchopt.compiled.grid_kernel import stop_grid
 from hitchopt.compiled.kernel_switch import kernel
 from hitchopt.compiled.stop_tables import StopTables
 from hitchopt.values import Array
@@ -48,17 +49,28 @@ def _rate(p: float, late: bool, T: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _row(tables: StopTables, cell: int, start: float, T: float, late: bool) -> _Row:
-    """Return the part of a stop that lies in a cell."""
+def _row(
+    tables: StopTables,
+    cell: int,
+    start: float,
+    T: float,
+    late: bool,
+    known: tuple[float, float, float, float],
+) -> tuple[_Row, tuple[float, float, float, float]]:
+    """Return the part of a stop that lies in a cell, and the clock where it ends.
+
+    ``known`` is the clock where the part begins, at a cell's begin; elsewhere it is not used.
+    """
     begin, until, width = tables.begin[cell], tables.until[cell], tables.width[cell]
     first = max(begin, start + (SWITCH * T if late else 0.0))
     last = min(until, start + (0.5 if late else SWITCH) * T)
-    v0, w0, s0, a0 = _rate((first - start) / T, late, T)
-    _, w1, s1, a1 = _rate((last - start) / T, late, T)
+    v0, w0, s0, a0 = known if known[0] >= 0.0 else _rate((first - start) / T, late, T)
+    end = _rate((last - start) / T, late, T)
+    _, w1, s1, a1 = end
     j = (4.0 if late else -4.0) / T**2
     tau = ((first - begin) / width, (last - begin) / width)
     whole = first == begin and last == until
-    return _Row(cell, late, whole, T, tau, (s0, s1), (a0, a1), j, v0, (w1 - w0) * T)
+    return _Row(cell, late, whole, T, tau, (s0, s1), (a0, a1), j, v0, (w1 - w0) * T), end
 
 
 @kernel
@@ -145,16 +157,26 @@ def _force_keeps(tables: StopTables, row: _Row, drone: int, bent: float) -> bool
 @kernel
 def _keeps(tables: StopTables, row: _Row, drone: int) -> bool:
     """Return whether a drone is shown to keep all limits in a row."""
+    most, margins = (
+        _sized(*_sizes(tables, row.cell, drone), row),
+        tables.margins[:, tables.piece[row.cell], drone],
+    )
+    strongest, extra = tables.team[1, drone], tables.team[0, drone] * most[0] * (1.0 + SLACK)
+    if (
+        most[0] * (1.0 + SLACK) <= tables.limits[0]
+        and most[1] * (1.0 + SLACK) <= tables.limits[1]
+        and margins[5] + extra <= strongest
+        and margins[6] + extra <= 0.0
+    ):
+        return True
     bent, bend = _bent(tables, row, drone)
     begin, end = _ends(tables, row, drone, 0), _ends(tables, row, drone, 1)
-    most = _sized(*_sizes(tables, row.cell, drone), row)
     acceleration = min(max(begin[0], end[0]) + bent, most[0]) * (1.0 + SLACK)
     jerk = min(max(begin[1], end[1]) + bend, most[1]) * (1.0 + SLACK)
     if not (acceleration <= tables.limits[0] and jerk <= tables.limits[1]):
         return False
-    margins = tables.margins[:, tables.piece[row.cell], drone]
     extra = tables.team[0, drone] * acceleration
-    if margins[5] + extra <= tables.team[1, drone] and margins[6] + extra <= 0.0:
+    if margins[5] + extra <= strongest and margins[6] + extra <= 0.0:
         return True
     return _force_keeps(tables, row, drone, bent)
 
@@ -224,26 +246,40 @@ def _shown(tables: StopTables, t: float, T: float) -> bool:
             continue
         first = np.searchsorted(tables.begin, low, side="right") - 1
         last = np.searchsorted(tables.begin, high, side="left") - 1
+        clock = (-1.0, 0.0, 0.0, 0.0)
         for cell in range(first, last + 1):
-            if not _row_keeps(tables, _row(tables, cell, t, T, late)):
+            row, clock = _row(tables, cell, t, T, late, clock)
+            if not _row_keeps(tables, row):
                 return False
     return True
 
 
 @kernel
 def quick_stops(
-    tables: StopTables, starts: Array, samples: Array, span: Array, rounds: int, longer: Array
+    plan: tuple[Array, Array],
+    static: tuple[Array, Array],
+    team: Array,
+    limits: Array,
+    spacing: tuple[float, float, float],
+    rounding: tuple[float, float],
+    starts: Array,
+    samples: Array,
+    span: Array,
+    rounds: int,
+    longer: Array,
 ) -> Array:
     """Return the durations (m,) [s] of ``quick_stop_table``; infinite where no stop is shown.
 
     Parameters
     ----------
+    plan, static, team, limits, spacing, rounding: of ``stop_grid``.
     starts: (m,) [s]
     samples: (4, samples) plan time, rate and its derivatives, of a stop of one second.
     span: durations [s] between which the least ones lie.
     rounds: of bisection.
     longer: multiples of the least duration that are tried.
     """
+    tables = stop_grid(plan[0], plan[1], static, team, limits, spacing, rounding)
     durations = np.full(len(starts), np.inf)
     for i in range(len(starts)):
         least = _least(tables, starts[i], samples, span, rounds)

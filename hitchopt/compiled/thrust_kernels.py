@@ -9,24 +9,30 @@ from hitchopt.compiled.polynomial_kernels import (
     Blocks,
     Found,
     add_product,
-    column_norms,
     combined,
     inner,
+    largest_column,
     rows_elevated,
     value_at,
     values_at,
 )
 from hitchopt.values import Array, Indices
 
+NEAR = 1e-9
+"""Relative margin for rounding in comparing angles by their tangents."""
+
 
 @kernel
 def _enclosed(blocks: Blocks, along: Array, error: float) -> tuple[Array, float]:
     """Return a thrust and its error, as ``thrust_enclosure``, given the leg's direction."""
     free, _, pull, slop = blocks
+    most = 0.0
     out = rows_elevated(free, along.shape[1] + pull.shape[1] - 2)
     for i in range(3):
         add_product(out[i], 1.0, along[i], pull[0])
-    return out, np.max(np.abs(pull)) * error + slop[0, 0]
+    for k in range(pull.shape[1]):
+        most = max(most, abs(pull[0, k]))
+    return out, most * error + slop[0, 0]
 
 
 @kernel
@@ -72,22 +78,49 @@ def _beyond_horizon(f: Array, radius: float) -> float:
 @kernel
 def _leaning(f: Array, radius: float) -> tuple[float, float]:
     """Return the bound of ``tilt_bound`` and the place of the largest angle."""
-    upright, most, x = -np.inf, -np.inf, 0.0
+    steepest, smallest, x = -1.0, np.inf, 0.0
     for k in range(f.shape[1]):
         flat = np.sqrt(f[0, k] ** 2 + f[1, k] ** 2)
-        angle = angle_of(flat, f[2, k])
-        if angle > most:
-            most, x = angle, k / max(1, f.shape[1] - 1)
-        upright = max(upright, angle + _spread(radius, np.sqrt(flat**2 + f[2, k] ** 2)))
+        ratio = flat / f[2, k] if f[2, k] > 0.0 else np.inf
+        smallest = min(smallest, flat**2 + f[2, k] ** 2)
+        if ratio > steepest:
+            steepest, x = ratio, k / max(1, f.shape[1] - 1)
+    if not steepest < np.inf:
+        return _beyond_horizon(f, radius), _lowest(f)
+    # What is less steep by more than the radius can turn anything decides nothing.
+    least = angle_of(steepest, 1.0) - _spread(radius, np.sqrt(smallest))
+    least = (1.0 - NEAR) * np.tan(np.radians(least)) if least > 0.0 else 0.0
+    upright = -np.inf
+    for k in range(f.shape[1]):
+        flat = np.sqrt(f[0, k] ** 2 + f[1, k] ** 2)
+        if flat >= least * f[2, k]:
+            spread = _spread(radius, np.sqrt(flat**2 + f[2, k] ** 2))
+            upright = max(upright, angle_of(flat, f[2, k]) + spread)
     return (upright if upright < 90.0 else _beyond_horizon(f, radius)), x
 
 
 @kernel
-def tilt(blocks: Blocks, along: Array, error: float, numbers: Array) -> Found:
-    """Return bound, value and place as ``tilt_bound``, given the leg's direction."""
+def _lowest(f: Array) -> float:
+    """Return the place of the largest angle from vertical."""
+    most, x = -np.inf, 0.0
+    for k in range(f.shape[1]):
+        angle = angle_of(np.sqrt(f[0, k] ** 2 + f[1, k] ** 2), f[2, k])
+        if angle > most:
+            most, x = angle, k / max(1, f.shape[1] - 1)
+    return x
+
+
+@kernel
+def tilt(blocks: Blocks, along: Array, error: float, short: float, enough: float) -> Found:
+    """Return bound, value and place as ``tilt_bound``, given the leg's direction.
+
+    No value is computed where the bound is no larger than ``enough``.
+    """
     f, radius = _enclosed(blocks, along, error)
     bound, x = _leaning(f, radius)
-    there, off = _thrust_at(blocks, x, numbers[1])
+    if bound <= enough:
+        return bound, -np.inf, x
+    there, off = _thrust_at(blocks, x, short)
     size = np.sqrt(inner(there, there))
     if off >= size:
         return bound, 180.0, x
@@ -96,14 +129,17 @@ def tilt(blocks: Blocks, along: Array, error: float, numbers: Array) -> Found:
 
 
 @kernel
-def thrust(blocks: Blocks, along: Array, error: float, numbers: Array) -> Found:
-    """Return bound, value and place as ``thrust_bound``, given the leg's direction."""
+def thrust(blocks: Blocks, along: Array, error: float, short: float, enough: float) -> Found:
+    """Return bound, value and place as ``thrust_bound``, given the leg's direction.
+
+    No value is computed where the bound is no larger than ``enough``.
+    """
     f, radius = _enclosed(blocks, along, error)
-    sizes = column_norms(f)
-    k = np.argmax(sizes)
-    x = k / max(1, len(sizes) - 1)
-    there, off = _thrust_at(blocks, x, numbers[1])
-    return sizes[k] + radius, np.sqrt(inner(there, there)) + off, x
+    size, x = largest_column(f)
+    if size + radius <= enough:
+        return size + radius, -np.inf, x
+    there, off = _thrust_at(blocks, x, short)
+    return size + radius, np.sqrt(inner(there, there)) + off, x
 
 
 @kernel
@@ -126,6 +162,6 @@ def static_thrusts(
         found, radius = _enclosed(cell, along[place[c]], errors[place[c]])
         degree = found.shape[1] - 1
         thrusts[c] = combined(combined(found, lower[: degree + 1]), lower[degree + 1 :])
-        lost = column_norms(rows_elevated(thrusts[c], degree) - found)
-        radii[c] = radius + np.max(lost)
+        lost = largest_column(rows_elevated(thrusts[c], degree) - found)
+        radii[c] = radius + lost[0]
     return thrusts, radii

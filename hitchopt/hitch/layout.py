@@ -9,7 +9,7 @@ and has no leg.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,13 +65,13 @@ class Layout:
         """(c, 3): the points k-1, k and k+1 about every clasp."""
         return np.column_stack([self.starts[self.behind], self.clasps, self.ends[self.ahead]])
 
-    @property
+    @cached_property
     def parts(self) -> Index:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
         exists = np.insert(self.has_leg, 1, True, axis=1)
         return np.flatnonzero(exists)
 
-    @property
+    @cached_property
     def drones_with_legs(self) -> Index:
         """(legs,): the drones that hang on a leg, in order."""
         return np.flatnonzero(self.has_leg)

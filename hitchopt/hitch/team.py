@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -214,12 +215,12 @@ class Team(OneLine):
         """Return one value per drone from one per kind; both drones of a robot are of its kind."""
         return np.repeat(np.array(values, dtype=np.float64), 2)
 
-    @property
+    @cached_property
     def point_names(self) -> tuple[str, ...]:
         """(points,): p0, p1, …, names of the vertices or of a chain's points."""
         return tuple(f"p{k}" for k in range(self.layout.points))
 
-    @property
+    @cached_property
     def drone_names(self) -> tuple[str, ...]:
         """(2n,): q0, r0, q1, r1, …."""
         return tuple(f"{end}{k}" for k in range(self.robots) for end in "qr")

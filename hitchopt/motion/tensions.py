@@ -39,6 +39,8 @@ def stated_tensions(motion: Motion) -> Array:
     """
     teams = np.repeat(motion.team.tension[:, None], 2, axis=1)
     stated = np.tile(teams, (motion.drones.pieces, 1, 1))
+    if all(phase.tension is None for phase in motion.phases):
+        return stated
     index = ranged_phases(motion)
     for i in np.unique(index[index >= 0]):
         stated[index == i] = motion.phases[i].tension

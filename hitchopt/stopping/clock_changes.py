@@ -63,7 +63,8 @@ class ChangeSearch:
         also: durations that are tried as well [s].
         """
         longer = also[(also > DURATIONS[0]) & (also < SLOW_DURATIONS[-1])].tolist()
-        slow = slow_durations(self.limits) or SLOW_DURATIONS
+        carried = self.limits.inertia is not None
+        slow = slow_durations(self.limits.motion, carried=carried) or SLOW_DURATIONS
         for durations in ((*LADDER, *longer), slow):
             for before in self._bases(here, left):
                 begin = before.ends[-1, :3] if len(before) else here

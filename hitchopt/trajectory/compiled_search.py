@@ -81,7 +81,7 @@ def enclosed_directions(vectors: Array, noise: float) -> Directions:
     """Enclose the directions of vectors (m, 3, degree + 1), as ``enclosure.direction`` does."""
     place = np.arange(len(vectors))
     if kernels_on() and vectors.shape[-1] <= MOST + 1 and np.max(np.abs(vectors)) < HUGE:
-        from hitchopt.compiled.polynomial_kernels import directions
+        from hitchopt.compiled.enclosure_kernels import directions
 
         weights = interpolation_weights(bernstein.degree(vectors), DIRECTION_ORDER)
         return Directions(*directions(writable(vectors), weights, noise), place)
@@ -163,10 +163,10 @@ def _compiled(
         (blocks[0], blocks[1], blocks[2], blocks[3]),
         interpolation_weights(bernstein.degree(blocks[row]), order),
         (along.coefficients, along.radius, along.place.reshape(len(along.place), each)),
-        np.array([known.noise, known.short, known.rounding]),
+        (float(known.noise), known.short, known.rounding),
         cells.item,
-        np.array([cells.start, cells.end, cells.margin]),
-        np.array([extremum.RELATIVE, known.absolute, target, HUGE]),
+        (cells.start, cells.end, cells.margin),
+        (extremum.RELATIVE, known.absolute, float(target), HUGE),
         (extremum.MAX_HALVINGS, extremum.MAX_CELLS),
     )
     return None if item < 0 else Extremum(sign * worst, sign * value, int(item), time)

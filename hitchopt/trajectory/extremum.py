@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,8 +81,8 @@ class Cells:
         margins = np.empty((count, items))
         margins[...] = margin
         return cls(
-            tuple(block.reshape(count * items, *block.shape[2:]) for block in blocks),
-            np.arange(count * items) % max(1, items),
+            tuple([block.reshape(count * items, *block.shape[2:]) for block in blocks]),
+            _items(count, items),
             begin.repeat(items),
             end.repeat(items),
             margins.ravel(),
@@ -110,6 +110,12 @@ class Cells:
             np.concatenate([middle, self.end]),
             np.concatenate([self.margin, self.margin]),
         )
+
+
+@lru_cache(maxsize=64)
+def _items(count: int, items: int) -> Indices:
+    """Return the items (count · items,) of cells in a row, which nobody may change."""
+    return np.arange(count * items) % max(1, items)
 
 
 def joined_cells(parts: Sequence[Cells]) -> Cells:

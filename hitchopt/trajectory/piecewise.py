@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import factorial, isfinite, prod
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -12,9 +12,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.jet_weights import jet_weights, places
 from hitchopt.values import Array, as_array
 
 if TYPE_CHECKING:
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
 KEPT = 2**16
 """Numbers up to which a derivative is kept: 0.5 MB."""
 
-STORED = 500
-"""Times up to which the weights of jets at them are stored: 0.1 MB."""
+ORDERS = 5
+"""Highest order of derivatives that compiled code takes in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +170,7 @@ class PiecewisePolynomial(OneLine):
         InputError: as at.
         """
         times = np.asarray(t, dtype=np.float64)
-        found = _stored_weights if times.size <= STORED else _jet_weights
-        own = (self.breaks.tobytes(), times.tobytes(), times.shape, self.degree, count)
-        piece, basis, weights = found(*own)
+        piece, basis, weights = jet_weights(self.breaks, times, self.degree, count)
         c = self.coefficients[piece]
         jets: Array = c.reshape(*piece.shape, -1, c.shape[-1]) @ weights
         jets = jets.reshape(*piece.shape, *self.shape, count)
@@ -181,7 +181,7 @@ class PiecewisePolynomial(OneLine):
     def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         """Return the pieces (…) of times t, and where in them (…, 1, …, 1), from 0 to 1."""
         times = np.asarray(t, dtype=np.float64)
-        piece, x = _places(self.breaks, times)
+        piece, x = places(self.breaks, times)
         return piece, x.reshape(*times.shape, *(1,) * len(self.shape))
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
@@ -191,6 +191,9 @@ class PiecewisePolynomial(OneLine):
         kept = _DERIVATIVES.setdefault(self, {})
         if order in kept:
             return kept[order]
+        if kernels_on() and order <= ORDERS and self.coefficients.size <= KEPT:
+            kept.update(enumerate(self._slopes(), 1))
+            return kept[order]
         lower = self.differentiated(order - 1).coefficients
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
@@ -199,6 +202,14 @@ class PiecewisePolynomial(OneLine):
         if lower.size <= KEPT:
             kept[order] = found
         return found
+
+    def _slopes(self) -> Iterator[PiecewisePolynomial]:
+        """Yield the derivatives of the first ORDERS orders."""
+        from hitchopt.compiled.slope_kernel import slopes
+
+        c = writable(self.coefficients).reshape(self.pieces, -1, self.degree + 1)
+        for found in slopes(c, np.diff(self.breaks)):
+            yield self._with(found.reshape(*self.coefficients.shape[:-1], -1))
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
         """Return the same functions, their values arranged in another shape."""
@@ -241,41 +252,6 @@ class PiecewisePolynomial(OneLine):
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
         return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
 
-
-def _places(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the pieces (…) of times (…), and where in them (…), from 0 to 1."""
-    first, last = breaks[0], breaks[-1]
-    if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
-        raise InputError("t", times, f"within [{first:g}, {last:g}] s", "ask within the plan")
-    piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
-    return piece, np.clip((times - breaks[piece]) / np.diff(breaks)[piece], 0.0, 1.0)
-
-
-def _jet_weights(
-    breaks: bytes, times: bytes, shape: tuple[int, ...], order: int, count: int
-) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return what ``PiecewisePolynomial.jet`` takes of breaks and times alone.
-
-    Parameters
-    ----------
-    breaks, times: memory of the arrays, which is quickly compared.
-    shape: of the times, (…).
-    order: degree of the pieces.
-    count: of derivatives.
-
-    Returns
-    -------
-    (…), the pieces; (…, order + 1), the basis; (…, order + 1, count), it and its derivatives.
-    """
-    spans = np.frombuffer(breaks)
-    piece, x = _places(spans, np.frombuffer(times).reshape(shape))
-    weights = bernstein.jet_basis(x, order, count)
-    weights /= np.diff(spans)[piece][..., None, None] ** np.arange(count)
-    return piece, bernstein.basis(x, order), weights
-
-
-_stored_weights = lru_cache(maxsize=64)(_jet_weights)
-"""The same, stored: a search asks for the same few grids on all of its paths."""
 
 _DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomial]] = (
     WeakKeyDictionary()

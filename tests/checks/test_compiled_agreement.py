@@ -152,10 +152,10 @@ def test_what_nothing_bounds_is_as_bad_as_can_be() -> None:
 
 
 def test_constants_are_the_same() -> None:
-    from hitchopt.compiled import distance_kernel, polynomial_kernels, stop_kernel
+    from hitchopt.compiled import distance_kernel, enclosure_kernels, stop_kernel
 
     assert distance.TIE == distance_kernel.TIE
-    assert enclosure.ROUNDING == polynomial_kernels.ENCLOSED
+    assert enclosure.ROUNDING == enclosure_kernels.ENCLOSED
     assert stop_rows.SWITCH == stop_kernel.SWITCH
     assert stop_bounds.SLACK == stop_kernel.SLACK
 

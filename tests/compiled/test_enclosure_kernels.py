@@ -1,11 +1,12 @@
-"""Compiled enclosures say what those in numpy say, and hold at samples."""
+"""Compiled enclosures and derivatives say what those in numpy say, and hold at samples."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hitchopt.trajectory import bernstein, enclosure
+from hitchopt.compiled.kernel_switch import kernels
+from hitchopt.trajectory import PiecewisePolynomial, bernstein, enclosure
 from hitchopt.trajectory.compiled_search import interpolation_weights
 from hitchopt.trajectory.enclosure import DIRECTION_ORDER, NORM_ORDER
 from hitchopt.values import Array
@@ -35,7 +36,7 @@ def values(coefficients: Array) -> Array:
 
 @pytest.mark.parametrize("degree", [1, 2, 5, 7, 11])
 def test_directions(degree: int) -> None:
-    from hitchopt.compiled.polynomial_kernels import directions
+    from hitchopt.compiled.enclosure_kernels import directions
 
     y = vectors(degree)
     found, radius = directions(y, interpolation_weights(degree, DIRECTION_ORDER), 1e-9)
@@ -52,14 +53,28 @@ def test_directions(degree: int) -> None:
 
 @pytest.mark.parametrize("degree", [1, 2, 5, 7, 11])
 def test_lengths(degree: int) -> None:
-    from hitchopt.compiled.polynomial_kernels import length
+    from hitchopt.compiled.enclosure_kernels import length, work_space
 
     y = vectors(degree)
     plain = enclosure.norm(y)
     for i, each in enumerate(y):
-        found, radius = length(each, interpolation_weights(degree, NORM_ORDER))
+        found = np.empty(NORM_ORDER + 1)
+        radius = length(found, each, interpolation_weights(degree, NORM_ORDER), work_space())
         scale = float(np.max(np.abs(each)))
         np.testing.assert_allclose(found, plain.coefficients[i], atol=1e-11 * scale)
         np.testing.assert_allclose(radius, plain.radius[i], rtol=1e-6, atol=1e-12 * scale)
         off = np.abs(values(found) - np.linalg.norm(values(each), axis=0))
         assert np.all(off <= radius + 1e-13 * scale)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3, 7])
+def test_derivatives(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    breaks, c = np.array([0.0, 0.3, 1.1]), rng.normal(size=(2, 4, 3, degree + 1))
+    plain, compiled = (PiecewisePolynomial(breaks, c) for _ in range(2))
+    for order in range(1, 7):
+        expected = plain.differentiated(order)
+        with kernels():
+            found = compiled.differentiated(order)
+        np.testing.assert_array_equal(found.coefficients, expected.coefficients)
+        assert found.breaks is compiled.breaks

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from hitchopt.checks.bounds.moving_bodies import Allowed, Bodies
 from hitchopt.checks.bounds.proximity import smallest_distance
 from hitchopt.checks.bounds.rounding_margins import magnitude, position_margin
+from hitchopt.checks.bounds.shared_values import once
 from hitchopt.checks.certificate import within
 from hitchopt.geometry.broadphase import Indices
 from hitchopt.hitch.layout import Layout
@@ -24,6 +26,9 @@ from hitchopt.trajectory.extremum import Extremum
 from hitchopt.values import Array
 
 PART_NAMES = ("q-leg", "edge", "r-leg")
+
+LAYOUTS = 64
+"""Number of layouts of which indices are stored."""
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -40,18 +45,30 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 
 def leg_vectors(motion: Motion) -> Array:
     """Return (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
+    return once(motion, _leg_vectors)
+
+
+def _leg_vectors(motion: Motion) -> Array:
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
 
 
 def pull_vectors(motion: Motion) -> Array:
     """Return (pieces, 2n, 3, N+1) [m] to each drone along the straight piece of cable it ends."""
+    return leg_vectors(motion) if motion.team.layout.closed else once(motion, _pull_vectors)
+
+
+def _pull_vectors(motion: Motion) -> Array:
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.pulled_to]
 
 
 def edge_vectors(motion: Motion) -> Array:
     """Return the edges ``p_{k+1} - p_k`` (pieces, n, 3, N+1) [m]."""
+    return once(motion, _edge_vectors)
+
+
+def _edge_vectors(motion: Motion) -> Array:
     _, vertices = positions(motion)
     return motion.team.layout.edges(vertices, axis=1)
 
@@ -98,16 +115,18 @@ class CableParts(Bodies):
 
 def cable_parts(motion: Motion) -> CableParts:
     """Return the cable parts in the order of ``Layout.parts``, edges' segments in theirs."""
+    return once(motion, _cable_parts)
+
+
+def _cable_parts(motion: Motion) -> CableParts:
     drones, vertices = positions(motion)
     layout = motion.team.layout
     before, following = vertices[:, layout.starts], vertices[:, layout.ends]
     ends = [(before, drones[:, 0::2]), (before, following), (following, drones[:, 1::2])]
-    kinds, listed = [0, 1, 2], layout.parts
     if motion.contacts is not None:  # all hitches that are wrapped around something are closed
         order = max(bernstein.degree(vertices), motion.contacts.degree)
         first, last = np.moveaxis(motion.contacts.elevated(order).coefficients, 2, 0)
         ends[1:2] = [(before, first), (first, last), (last, following)]
-        kinds, listed = [0, 1, 1, 1, 2], np.arange(5 * layout.robots)
         ends = [
             (bernstein.elevate(first, order), bernstein.elevate(last, order))
             for first, last in ends
@@ -117,11 +136,20 @@ def cable_parts(motion: Motion) -> CableParts:
     for i, pair in enumerate(ends):
         for j, end in enumerate(pair):
             parts[:, :, i, j] = end
-    of = (3 * np.arange(layout.robots)[:, None] + kinds).ravel()
     every = parts.reshape(len(parts), -1, *parts.shape[3:])
-    if len(listed) < len(of):
-        every = every[:, listed]
-    return CableParts(every, of[listed])
+    if motion.contacts is None and not layout.closed:
+        every = every[:, layout.parts]
+    return CableParts(every, parts_listed(layout, wrapped=motion.contacts is not None))
+
+
+@lru_cache(maxsize=LAYOUTS)
+def parts_listed(layout: Layout, *, wrapped: bool) -> Indices:
+    """Return the parts (bodies,) that ``cable_parts`` lists, read-only."""
+    kinds = np.tile([0, 1, 1, 1, 2] if wrapped else [0, 1, 2], layout.robots)
+    every = 3 * np.repeat(np.arange(layout.robots), 5 if wrapped else 3) + kinds
+    listed: Indices = every if wrapped else every[layout.parts]
+    listed.setflags(write=False)
+    return listed
 
 
 def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:

@@ -192,11 +192,11 @@ def _most(bounds: StopBounds, starts: Array, rest: float) -> Array:
     return most
 
 
-def slow_durations(limits: ClockLimits) -> tuple[float, ...]:
+def slow_durations(motion: Motion, *, carried: bool) -> tuple[float, ...]:
     """Return long durations that are tried [s], with a reserve or something that is carried."""
-    if limits.inertia is not None:
+    if carried:
         return CARRYING_DURATIONS
-    return SLOW_DURATIONS if limits.motion.requirements.limits.reserve < 1.0 else ()
+    return SLOW_DURATIONS if motion.requirements.limits.reserve < 1.0 else ()
 
 
 def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, Array]:
@@ -208,7 +208,9 @@ def _bracketed(bounds: StopBounds, starts: Array, rest: float) -> tuple[Array, A
     high = np.full(len(starts), np.inf)
     low = np.full(len(starts), DURATIONS[0])
     most = _most(bounds, starts, rest)
-    for group in (USUAL_DURATIONS, LONG_DURATIONS, slow_durations(bounds.limits)):
+    limits = bounds.limits
+    slow = slow_durations(limits.motion, carried=limits.inertia is not None)
+    for group in (USUAL_DURATIONS, LONG_DURATIONS, slow):
         left = np.flatnonzero(np.isinf(high) & (min(group, default=np.inf) < most))
         if len(left):
             tried = np.tile(group, (len(left), 1))

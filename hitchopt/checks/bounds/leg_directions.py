@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from hitchopt.checks.bounds.bodies import edge_vectors, pull_vectors
+from hitchopt.checks.bounds.bodies import LAYOUTS, edge_vectors, pull_vectors
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.shared_values import once
+from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.compiled_search import Directions, enclosed_directions
 from hitchopt.values import Indices
@@ -14,8 +17,7 @@ from hitchopt.values import Indices
 
 def drone_directions(motion: Motion) -> Directions:
     """Enclose the directions of ``pull_vectors``, of every piece and drone in a row."""
-    items = np.arange(motion.team.drones)
-    return once(motion, _directions).placed(_places(motion, items).ravel())
+    return once(motion, _directions).placed(_drone_places(motion.drones.pieces, motion.team.layout))
 
 
 def clasp_directions(motion: Motion) -> Directions:
@@ -23,18 +25,27 @@ def clasp_directions(motion: Motion) -> Directions:
 
     They are those of its own leg and edge, and of the leg and the edge before.
     """
-    layout = motion.team.layout
-    ahead, behind, edges = layout.ahead, layout.behind, motion.team.drones
+    return once(motion, _directions).placed(_clasp_places(motion.drones.pieces, motion.team.layout))
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _drone_places(pieces: int, layout: Layout) -> Indices:
+    """Return the places (pieces · drones,) of drones in what ``_directions`` returns."""
+    return _places(pieces, layout, np.arange(2 * layout.robots)).ravel()
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _clasp_places(pieces: int, layout: Layout) -> Indices:
+    """Return the same (pieces · clasps, 4) of what meets at clasps."""
+    ahead, behind, edges = layout.ahead, layout.behind, 2 * layout.robots
     items = np.stack([2 * ahead, edges + ahead, 2 * behind + 1, edges + behind], axis=1)
-    return once(motion, _directions).placed(_places(motion, items).reshape(-1, 4))
+    return _places(pieces, layout, items).reshape(-1, 4)
 
 
-def _places(motion: Motion, items: Indices) -> Indices:
-    """Return the places (pieces, …) of items of every piece in what ``_directions`` returns."""
-    team = motion.team
-    count = team.drones + team.robots
-    pieces = count * np.arange(motion.drones.pieces).reshape(-1, *(1,) * items.ndim)
-    found: Indices = pieces + items
+def _places(pieces: int, layout: Layout, items: Indices) -> Indices:
+    """Return the places (pieces, …) of items of every piece."""
+    first = 3 * layout.robots * np.arange(pieces).reshape(-1, *(1,) * items.ndim)
+    found: Indices = first + items
     return found
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from hitchopt.checks.bounds.moving_bodies import (
     Metric,
     body_boxes,
 )
-from hitchopt.compiled.kernel_switch import kernels_on
+from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Indices, Pairs, all_pairs
 from hitchopt.trajectory import bernstein
@@ -63,8 +64,7 @@ def smallest_distance(
     count = len(first) if second is None else len(second)
     pairs = len(first) * (len(first) - 1) // 2 if second is None else len(first) * count
     if pairs <= FEW:
-        every = all_pairs(len(first), None if second is None else count)
-        every = every.take(allowed(every.first, every.second))
+        every = _few_pairs(len(first), None if second is None else count, allowed)
         whole = Span(breaks, first.corners, None if second is None else second.corners, every)
         alone = len(breaks) - 1 <= _group(every) and metric is DISTANCE and math.isinf(known)
         for cells in _near_cells(whole, count, margin, metric):
@@ -80,6 +80,13 @@ def smallest_distance(
     return _not_negative(search.finish())
 
 
+@lru_cache(maxsize=64)
+def _few_pairs(first: int, second: int | None, allowed: Allowed) -> Pairs:
+    """Return all allowed pairs of two groups of that many, or within the first one."""
+    every = all_pairs(first, second)
+    return every.take(allowed(every.first, every.second))
+
+
 def _group(pairs: Pairs) -> int:
     """Return how many pieces of pairs are looked at in one go."""
     return max(1, GROUP // max(1, len(pairs)))
@@ -92,10 +99,28 @@ def _near_cells(span: Span, count: int, margin: float, metric: Metric) -> Iterat
         a = span.first[start : start + group]
         b = a if span.second is None else span.second[start : start + group]
         times = span.times[start : start + group + 1]
+        if kernels_on() and metric is DISTANCE:
+            yield from _compiled_cells(times, a, b, span.pairs, margin)
+            continue
         piece, pair = _near(a, b, span.pairs, margin, metric)
         for i in range(0, len(piece), GROUP):
             part = slice(i, i + GROUP)
             yield _cells(times, a, b, piece[part], span.pairs.take(pair[part]), count, margin)
+
+
+def _compiled_cells(
+    times: Array, a: Array, b: Array, pairs: Pairs, margin: float
+) -> Iterator[Cells]:
+    """Give the same cells, in one go, if there are any."""
+    from hitchopt.compiled.near_kernel import near_cells
+
+    here = writable(a)
+    there, most = here if b is a else writable(b), min(NEIGHBOURS, len(pairs))
+    rows, item, start, end = near_cells(
+        here, there, pairs.first, pairs.second, writable(times), margin, most, SLACK
+    )
+    if len(item):
+        yield Cells((rows,), item, start, end, np.full(len(item), margin))
 
 
 def _near(
@@ -106,13 +131,6 @@ def _near(
     By the boxes over each piece of (pieces, bodies, 1 or 2, 3, degree + 1), held against what the
     few pairs are apart in a piece's middle whose boxes come closest.
     """
-    if kernels_on() and metric is DISTANCE and pairs:
-        from hitchopt.compiled.near_kernel import near_pairs
-
-        here, there, most = a.copy(), b.copy(), min(NEIGHBOURS, len(pairs))
-        kept = near_pairs(here, there, pairs.first, pairs.second, margin, most, SLACK)
-        piece, pair = np.nonzero(kept)
-        return piece, pair
     with np.errstate(all="ignore"):  # what is no number rules nothing out
         drift = np.mean(a, axis=(1, 2), keepdims=True)  # what all do together changes no distance
         own = body_boxes(a - drift)

@@ -36,11 +36,12 @@ LAST_PLACE = 2.0**-50
 
 def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of the plan [m]; all checks ask for it."""
-    if motion not in _MAGNITUDES:
+    found = _MAGNITUDES.get(motion)
+    if found is None:
         parts = (motion.drones, motion.vertices)
         sizes = (np.max(np.abs(part.coefficients), initial=0.0) for part in parts)
-        _MAGNITUDES[motion] = float(max(sizes))
-    return _MAGNITUDES[motion]
+        found = _MAGNITUDES[motion] = float(max(sizes))
+    return found
 
 
 def position_margin(motion: Motion) -> float:

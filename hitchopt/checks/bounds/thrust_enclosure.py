@@ -50,6 +50,8 @@ def thrust_cells(motion: Motion, unit: Array | None = None, *, moving: bool = Tr
     unit: (drones,) [N], what each drone's forces are divided by; None for newtons.
     moving: with the drones' accelerations; without, the thrusts of hovering at every place.
     """
+    if moving and unit is None:
+        return once(motion, _moving_cells)
     blocks = list(once(motion, _blocks))
     if not moving:
         hover = np.zeros((*blocks[0].shape[:3], 1))
@@ -61,6 +63,11 @@ def thrust_cells(motion: Motion, unit: Array | None = None, *, moving: bool = Tr
         share = (1.0 / unit)[:, None, None]
         blocks = [block if i in UNSCALED else share * block for i, block in enumerate(blocks)]
     return Cells.over(motion.drones.breaks, blocks)
+
+
+def _moving_cells(motion: Motion) -> Cells:
+    """Return the cells of moving drones, in newtons."""
+    return Cells.over(motion.drones.breaks, once(motion, _blocks))
 
 
 def _blocks(motion: Motion) -> list[Array]:
