@@ -28,10 +28,10 @@ def rests(motion: Motion) -> NDArray[np.intp]:
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
     start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
+    breaks = motion.drones.breaks[first : last + 1] - start
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        run = whole.taken(slice(first, last))
-        return PiecewisePolynomial(run.breaks - start, run.coefficients)
+        return whole.alike(whole.coefficients[first:last], breaks)
 
     phases = tuple(
         replace(phase, start=max(phase.start, start) - start, end=min(phase.end, end) - start)

@@ -108,14 +108,12 @@ def before(motion: Motion, time: float) -> Motion:
     count = len(breaks) - 1
     start, end = motion.drones.breaks[count - 1 : count + 1]
     share = 1.0 if end - time <= SAME_BREAK else (time - start) / (end - start)
-    orders = {part.degree for part in vars(motion).values() if hasattr(part, "degree")} - {0}
-    cuts = {order: bernstein.restrict(np.eye(order + 1), 0.0, share) for order in orders}
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         found = whole.coefficients[:count].copy()
         if whole.degree > 0:
-            found[-1] = found[-1] @ cuts[whole.degree]
-        return PiecewisePolynomial(breaks, found)
+            found[-1] = found[-1] @ bernstein.beginning(whole.degree, share)
+        return whole.alike(found, breaks)
 
     return motion.changed(part, phases)
 
@@ -125,11 +123,11 @@ def followed(first: Motion, second: Motion) -> Motion:
     motion = joined_motions([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
-    if replace(following, start=last.start, end=last.end) != last:
-        return motion
     one = replace(last, end=following.end)
+    if replace(following, start=last.start) != one:
+        return motion
     phases = (*motion.phases[: count - 1], one, *motion.phases[count + 1 :])
-    return replace(motion, phases=phases)
+    return motion.altered(phases=phases)
 
 
 def resting(
@@ -153,4 +151,4 @@ def beside_objects(past: Motion, fresh: Motion) -> Motion:
     if past.poses is None:
         return fresh
     left = past.poses.coefficients[-1, ..., -1]
-    return replace(fresh, poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))
+    return fresh.altered(poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -220,7 +219,7 @@ class Replanner(OneLine):
         still = self._still(past)
         state, team, need = still.state, past.team, self.requirements
         limits = turning_slowly(need.planned.limits)
-        durations = tuple(islice(brakes(still, limits), BRAKES))
+        durations = brakes(still, limits, BRAKES)
         if not durations:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         fractions = self._goal.fractions
@@ -291,10 +290,10 @@ class Replanner(OneLine):
         if not past.phases[-1].formed or past.phases[-1].hold is not None:
             why = "an object is held" if past.phases[-1].formed else "there is no hitch"
             raise NotNowError(f"{when} {why}")
-        state = MovingState.of(past, past.duration)
+        state = MovingState.at_end(past)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
-        if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
+        if away.max() > SAME_STATE or np.abs(model - state.drones[..., 0]).max() > SAME_STATE:
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return still

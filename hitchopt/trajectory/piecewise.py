@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import factorial, isfinite, prod
+from math import comb, factorial, isfinite, prod
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -61,8 +61,8 @@ class PiecewisePolynomial(OneLine):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def _with(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
-        """Return other functions, unchecked: computed from checked ones."""
+    def alike(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
+        """Return other functions, unchecked and without copies: computed from checked ones."""
         made = object.__new__(PiecewisePolynomial)
         breaks = self.breaks if breaks is None else breaks
         for array in (coefficients, breaks):
@@ -99,20 +99,12 @@ class PiecewisePolynomial(OneLine):
         """
         times = np.asarray(breaks, dtype=np.float64)
         m = len(left)
-        order = 2 * m - 1
-        h = np.diff(times).reshape(-1, *(1,) * (left.ndim - 2))
-        coefficients = np.empty((*left.shape[1:], order + 1))
-        # The j-th forward difference at an end is the j-th derivative times h^j (N-j)!/N!.
-        for end, sign, data in ((0, 1, left), (order, -1, right)):
-            differences = [
-                data[j] * (sign * h) ** j * (factorial(order - j) / factorial(order))
-                for j in range(m)
-            ]
-            for i in range(m):
-                coefficients[..., end + sign * i] = sum(
-                    bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
-                )
-        return cls(times, coefficients)
+        rows, orders = _from_ends(m)
+        powers = (times[1:] - times[:-1]) ** orders
+        powers = powers.reshape(*powers.shape, *(1,) * (left.ndim - 2))
+        data = np.concatenate([left, right]) * powers
+        data = data.transpose(*range(1, data.ndim), 0)
+        return cls(times, bernstein.combined(data, rows))
 
     @classmethod
     def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
@@ -195,34 +187,44 @@ class PiecewisePolynomial(OneLine):
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
         slope /= h
-        found = self._with(slope)
+        found = self.alike(slope)
         if lower.size <= KEPT:
             kept[order] = found
         return found
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
         """Return the same functions, their values arranged in another shape."""
-        return self._with(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
+        return self.alike(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
 
     def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
         """Return functions of values (m,) as several in a row, with values of given shapes."""
-        edges = np.cumsum([prod(shape) for shape in shapes])[:-1]
-        parts = np.split(self.coefficients, edges, axis=1)
-        return [
-            self._with(part.reshape(self.pieces, *shape, -1).copy())
-            for part, shape in zip(parts, shapes, strict=True)
-        ]
+        found, first, count = [], 0, self.degree + 1
+        for shape in shapes:
+            part = self.coefficients[:, first : first + prod(shape)]
+            found.append(self.alike(part.reshape(self.pieces, *shape, count).copy()))
+            first += prod(shape)
+        return found
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
         if order == self.degree:
             return self
-        return self._with(bernstein.elevate(self.coefficients, order))
+        return self.alike(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
         """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
         c = self.differentiated(derivative).coefficients
         return c[..., 0], c[..., -1]
+
+    def end_jet(self, count: int) -> Array:
+        """Return the value and derivatives by time at the end of all, (*shape, count)."""
+        steps, scale = self.coefficients[-1][..., -count:], 1.0
+        found = np.zeros((*self.shape, count))
+        for order in range(steps.shape[-1]):
+            found[..., order] = scale * steps[..., -1]
+            steps = steps[..., 1:] - steps[..., :-1]
+            scale *= (self.degree - order) / (self.breaks[-1] - self.breaks[-2])
+        return found
 
     def stretched(self, factor: float) -> PiecewisePolynomial:
         """Return the same curves flown ``factor`` times as slowly from the same start."""
@@ -234,7 +236,7 @@ class PiecewisePolynomial(OneLine):
         first, last, _ = pieces.indices(self.pieces)
         if last <= first:
             raise InputError("pieces", pieces, "at least one", "take a run of pieces")
-        return self._with(self.coefficients[first:last], self.breaks[first : last + 1])
+        return self.alike(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
         """Return the same curves flown backwards, over the same span of time."""
@@ -274,6 +276,22 @@ def _jet_weights(
     return piece, bernstein.basis(x, order), weights
 
 
+@lru_cache
+def _from_ends(m: int) -> tuple[Array, Array]:
+    """Return the coefficients (2m, 2m) of ``hermite`` by derivatives times powers of durations.
+
+    And these powers, (2m, 1).
+    """
+    order = 2 * m - 1
+    rows = np.zeros((order + 1, 2 * m))
+    for j in range(m):  # the j-th forward difference at an end is the j-th derivative times this
+        share = factorial(order - j) / factorial(order)
+        for i in range(j, m):
+            rows[i, j] = share * comb(i, j)
+            rows[order - i, m + j] = (-1) ** j * rows[i, j]
+    return rows, np.tile(np.arange(m, dtype=np.float64), 2)[:, None]
+
+
 _stored_weights = lru_cache(maxsize=64)(_jet_weights)
 """The same, stored: a search asks for the same few grids on all of its paths."""
 
@@ -295,7 +313,7 @@ def joined(
     order = max(part.degree for part in parts)
     coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
     if like is not None:
-        return like._with(coefficients)
+        return like.alike(coefficients)
     breaks = [parts[0].breaks[:1]]
     for part in parts:
         breaks.append(breaks[-1][-1] + (part.breaks[1:] - part.breaks[0]))
