@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,10 +31,10 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         return whole.alike(whole.coefficients[first:last], breaks)
 
-    phases = tuple(
-        replace(phase, start=max(phase.start, start) - start, end=min(phase.end, end) - start)
+    phases = [
+        phase.lasting(max(phase.start, start) - start, min(phase.end, end) - start)
         for phase in motion.overlapping(start, end)
-    )
+    ]
     return motion.changed(part, phases)
 
 

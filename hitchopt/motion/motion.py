@@ -239,7 +239,8 @@ class Motion(OneLine):
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""
-        return tuple(p for p in self.phases if p.end > start + JOINT and p.start < end - JOINT)
+        start, end = start + JOINT, end - JOINT
+        return tuple([p for p in self.phases if p.end > start and p.start < end])
 
     def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
         """Return the motion on a run of pieces, at the same times, and its phases."""
@@ -266,7 +267,7 @@ class Motion(OneLine):
 
     def slowed(self, factor: float) -> Motion:
         """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
-        phases = [replace(p, start=factor * p.start, end=factor * p.end) for p in self.phases]
+        phases = [p.lasting(factor * p.start, factor * p.end) for p in self.phases]
         return self.changed(lambda part: part.stretched(factor), phases)
 
 
@@ -281,8 +282,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     offset = 0.0
     for motion in motions:
         phases += [
-            replace(p, start=offset + p.start, end=offset + p.end) if offset else p
-            for p in motion.phases
+            p.lasting(offset + p.start, offset + p.end) if offset else p for p in motion.phases
         ]
         offset += motion.duration
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}

@@ -310,11 +310,17 @@ def joined(
     """
     if len(parts) == 1:
         return parts[0]
-    order = max(part.degree for part in parts)
-    coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
+    each = [part.coefficients for part in parts]
+    counts = {c.shape[-1] for c in each}
+    if len(counts) > 1:
+        each = [bernstein.elevate(c, max(counts) - 1) for c in each]
+    coefficients = np.concatenate(each)
     if like is not None:
         return like.alike(coefficients)
-    breaks = [parts[0].breaks[:1]]
+    spans = [parts[0].breaks[:1]]
     for part in parts:
-        breaks.append(breaks[-1][-1] + (part.breaks[1:] - part.breaks[0]))
-    return PiecewisePolynomial(np.concatenate(breaks), coefficients)
+        spans.append(spans[-1][-1] + (part.breaks[1:] - part.breaks[0]))
+    breaks = np.concatenate(spans)
+    if (breaks[1:] > breaks[:-1]).all():
+        return parts[0].alike(coefficients, breaks)
+    return PiecewisePolynomial(breaks, coefficients)  # refused: rounding swallows a piece
