@@ -97,7 +97,8 @@ def checked_roll(team: Team, given: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
     try:
-        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
+        each = np.asarray(given, dtype=np.float64)
+        roll = np.array(np.broadcast_to(each, clasps)) if each.ndim else np.full(clasps, each)
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
         raise InputError("roll", given, bound, "give radians") from None

@@ -250,8 +250,8 @@ class Motion(OneLine):
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
         """Return the motion with all of its polynomials changed alike, and other phases."""
-        fields = {name: vars(self)[name] for name in POLYNOMIALS + FURTHER}
-        parts = {name: change(part) for name, part in fields.items() if part is not None}
+        own, names = vars(self), POLYNOMIALS + FURTHER
+        parts = {name: change(own[name]) for name in names if own[name] is not None}
         return self.altered(phases=tuple(phases), **parts)
 
     def altered(self, **values: Any) -> Motion:
@@ -259,8 +259,8 @@ class Motion(OneLine):
 
         They come from motions that were checked when they were made: only phases are, once more.
         """
-        made = object.__new__(Motion)
-        vars(made).update({name: vars(self)[name] for name in self.__dataclass_fields__} | values)
+        made, own = object.__new__(Motion), vars(self)
+        vars(made).update({name: own[name] for name in self.__dataclass_fields__} | values)
         if "phases" in values:
             check_phases(made.phases, float(made.drones.breaks[0]), float(made.drones.breaks[-1]))
         return made

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import jets
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.steering.smooth_change import JET, STATE, SmoothChange
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
 
 SAME_STATE = 1e-6
@@ -30,6 +30,10 @@ SAME_STATE = 1e-6
 
 SIDE = 1e-9
 """Share of a piece by which one-sided derivatives are taken inside of it."""
+
+
+ORDERS = np.tile(np.arange(JET, dtype=np.float64), 2)[:, None]
+"""Orders of the derivatives at both ends of a piece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,10 +226,21 @@ class RetargetPath:
         left[:STATE, 1:] = right[:STATE, :-1]
         left[:STATE, 0] = start.T
         right[1:STATE, -1] = 0.0
-        both = PiecewisePolynomial.hermite(breaks, left, right)
+        ends = np.concatenate([left, right]) * ((breaks[1:] - breaks[:-1]) ** ORDERS)[..., None]
+        curves = bernstein.combined(ends.transpose(1, 2, 0), _septics())
+        both = PiecewisePolynomial(breaks, curves)
         drones, vertices, leg_curves = both.split([part.shape[:-1] for part in starts])
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
         return Flight(drones, vertices, leg_curves, both.alike(pulls))
+
+
+@cache
+def _septics() -> Array:
+    """Return coefficients (8, 8) by derivatives at both ends times powers of the duration."""
+    unit = np.eye(2 * JET)
+    curves = PiecewisePolynomial.hermite([0.0, 1.0], unit[:JET, None], unit[JET:, None])
+    by_order: Array = curves.coefficients[0].T
+    return by_order
 
 
 @lru_cache(maxsize=16)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import comb, factorial, isfinite, prod
+from math import factorial, isfinite, prod
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -99,12 +99,20 @@ class PiecewisePolynomial(OneLine):
         """
         times = np.asarray(breaks, dtype=np.float64)
         m = len(left)
-        rows, orders = _from_ends(m)
-        powers = (times[1:] - times[:-1]) ** orders
-        powers = powers.reshape(*powers.shape, *(1,) * (left.ndim - 2))
-        data = np.concatenate([left, right]) * powers
-        data = data.transpose(*range(1, data.ndim), 0)
-        return cls(times, bernstein.combined(data, rows))
+        order = 2 * m - 1
+        h = np.diff(times).reshape(-1, *(1,) * (left.ndim - 2))
+        coefficients = np.empty((*left.shape[1:], order + 1))
+        # The j-th forward difference at an end is the j-th derivative times h^j (N-j)!/N!.
+        for end, sign, data in ((0, 1, left), (order, -1, right)):
+            differences = [
+                data[j] * (sign * h) ** j * (factorial(order - j) / factorial(order))
+                for j in range(m)
+            ]
+            for i in range(m):
+                coefficients[..., end + sign * i] = sum(
+                    bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
+                )
+        return cls(times, coefficients)
 
     @classmethod
     def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
@@ -274,22 +282,6 @@ def _jet_weights(
     weights = bernstein.jet_basis(x, order, count)
     weights /= np.diff(spans)[piece][..., None, None] ** np.arange(count)
     return piece, bernstein.basis(x, order), weights
-
-
-@lru_cache
-def _from_ends(m: int) -> tuple[Array, Array]:
-    """Return the coefficients (2m, 2m) of ``hermite`` by derivatives times powers of durations.
-
-    And these powers, (2m, 1).
-    """
-    order = 2 * m - 1
-    rows = np.zeros((order + 1, 2 * m))
-    for j in range(m):  # the j-th forward difference at an end is the j-th derivative times this
-        share = factorial(order - j) / factorial(order)
-        for i in range(j, m):
-            rows[i, j] = share * comb(i, j)
-            rows[order - i, m + j] = (-1) ** j * rows[i, j]
-    return rows, np.tile(np.arange(m, dtype=np.float64), 2)[:, None]
 
 
 _stored_weights = lru_cache(maxsize=64)(_jet_weights)
