@@ -38,6 +38,10 @@ from hitchopt.steps.certified_motions import at_rest, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
+LEAST = 1e-3
+"""[s] Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer
+from rounding."""
+
 HOLD = 1.0
 """[s] Rest with which steering begins."""
 
@@ -264,7 +268,10 @@ class Replanner(OneLine):
         """Return the present plan until a time, resting after its end."""
         duration = self.motion.duration
         if at <= duration - 1e-6:
-            return before(self.motion, max(at, 1e-3))
+            breaks = self.motion.drones.breaks
+            piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
+            first, last = breaks[piece : piece + 2].tolist()
+            return before(self.motion, max(at, min(first + LEAST, last)))
         if at <= duration + 1e-3:
             return self.motion
         phase = replace(self.motion.phases[-1], name="hold", remark="")

@@ -350,6 +350,18 @@ def test_goals_that_are_too_close_are_not_planned_to_first(monkeypatch: pytest.M
     assert accepted
 
 
+@pytest.mark.parametrize("late", [-1e-7, 0.0, 1e-10, 1e-7, 1e-5, 9e-4])
+def test_plans_can_be_left_just_after_a_break(late: float) -> None:
+    """A piece that is hardly flown has derivatives of rounding alone: a little more is flown."""
+    replanner = steered()
+    moving(replanner)
+    at = float(replanner.motion.drones.breaks[3]) + late
+    answer = replanner.retarget(to=[0.3, 0.2, 1.1], at=at)
+    assert answer.accepted, answer.reason
+    assert at - 1e-9 <= answer.start <= at + 1e-3
+    assert answer.plan.certificate.certified
+
+
 def test_brakes_are_the_same_compiled_or_not() -> None:
     steering = steered()
     at = moving(steering)
