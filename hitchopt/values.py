@@ -145,8 +145,9 @@ def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: 
     array = as_array(value)
     if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
         raise InputError(key, value, bound, remedy)
-    bad = ~np.all(np.abs(array) <= MAX_COORDINATE, axis=1)  # also catches nan
-    if np.any(bad):
+    good = np.abs(array) <= MAX_COORDINATE  # not of nan
+    if not good.all():
+        bad = ~np.all(good, axis=1)
         k = int(np.argmax(bad))
         finite_within = f"finite and within ±{MAX_COORDINATE:g} m"
         remedy = "check the point's coordinates"

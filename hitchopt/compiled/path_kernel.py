@@ -85,7 +85,8 @@ def path_jets(
     t: (J,) [s]
     timing: brake [s], shift [s] and yaw [rad].
     stencil, has_leg: of the layout, (n, 4) and (n, 2).
-    team: (n, 5), cable lengths, tensions, masses of q and r, and the weight of one kilogramme.
+    team: (n, 7), cable lengths, tensions, masses of q and r, the weight of one kilogramme, and the
+        largest thrusts of q and r.
 
     Returns
     -------
@@ -134,14 +135,14 @@ def path_jets(
 
 @kernel
 def largest_shares(
-    vertices: Array, drones: Array, thrusts: Array, limits: Array, thrust_limits: Array
+    vertices: Array, drones: Array, thrusts: Array, limits: Array, team: Array
 ) -> float:
     """Return ``excess`` of ``retarget_timing`` for jets of ``path_jets``; nan if any is nan.
 
     Parameters
     ----------
     limits: speed, acceleration, jerk, speed of vertices, and tilt.
-    thrust_limits: (2n,) [N]
+    team: as of ``path_jets``.
     """
     most, total = np.zeros(6), np.sum(vertices) + np.sum(drones) + np.sum(thrusts)
     if not np.isfinite(total):
@@ -155,7 +156,7 @@ def largest_shares(
             if step > 0:
                 f = thrusts[step, i]
                 level = f[0] ** 2 + f[1] ** 2
-                most[4] = max(most[4], np.sqrt(level + f[2] ** 2) / thrust_limits[i])
+                most[4] = max(most[4], np.sqrt(level + f[2] ** 2) / team[i // 2, 5 + i % 2])
                 most[5] = max(most[5], np.arctan2(np.sqrt(level), f[2]) / limits[4])
         for i in range(vertices.shape[1] if step > 0 else 0):
             x = vertices[step, i, :, 1]
@@ -163,6 +164,22 @@ def largest_shares(
     speed = max(np.sqrt(most[1]) / limits[0], np.sqrt(most[0]) / limits[3])
     others = max(np.sqrt(most[2]) / limits[1], most[4], most[5])
     return float(max(speed, np.sqrt(others), np.cbrt(np.sqrt(most[3]) / limits[2])))
+
+
+@kernel
+def path_share(
+    start: Array,
+    goal: Array,
+    t: Array,
+    timing: Array,
+    stencil: Indices,
+    has_leg: NDArray[np.bool_],
+    team: Array,
+    limits: Array,
+) -> float:
+    """Return ``largest_shares`` of ``path_jets``."""
+    vertices, drones, _, thrusts = path_jets(start, goal, t, timing, stencil, has_leg, team)
+    return float(largest_shares(vertices, drones, thrusts, limits, team))
 
 
 @kernel
@@ -175,7 +192,7 @@ def brake_shares(
     has_leg: NDArray[np.bool_],
     team: Array,
     limits: Array,
-    thrust_limits: Array,
+    enough: tuple[int, float],
 ) -> Array:
     """Return (brakes,) ``largest_shares`` of paths that come to rest wherever that is.
 
@@ -183,12 +200,15 @@ def brake_shares(
     ----------
     places: of the samples, relative to a brake's duration.
     brakes: durations [s].
+    enough: so many that keep a share will do: what follows is left infinite.
     """
-    found = np.empty(len(brakes))
+    found, kept = np.full(len(brakes), np.inf), 0
     for i in range(len(brakes)):
         timing = np.array([brakes[i], np.inf, 0.0])
-        vertices, drones, _, thrusts = path_jets(
-            start, goal, brakes[i] * places, timing, stencil, has_leg, team
+        found[i] = path_share(
+            start, goal, brakes[i] * places, timing, stencil, has_leg, team, limits
         )
-        found[i] = largest_shares(vertices, drones, thrusts, limits, thrust_limits)
+        kept += found[i] <= enough[1]
+        if kept == enough[0]:
+            break
     return found

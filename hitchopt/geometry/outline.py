@@ -86,13 +86,14 @@ class Outline(OneLine, ABC):
         """(edges, 2): unit vectors ``u_k``, eq. (1) of the paper."""
         return self.edge_vectors / self.edge_lengths[:, None]
 
-    @property
+    @cached_property
     def exterior_angles(self) -> Array:
-        """(corners,) [rad]: angle by which the outline turns right at each corner."""
+        """(corners,) [rad], read-only: angle by which the outline turns right at each corner."""
         edges = self.edge_vectors
         ahead, behind = edges[self.corners], edges[self.corners - 1]
         right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
-        angles: Array = np.arctan2(right, np.sum(behind * ahead, axis=1))
+        angles: Array = np.arctan2(right, np.add.reduce(behind * ahead, axis=1))
+        angles.setflags(write=False)
         return angles
 
     def translated(self, offset: ArrayLike) -> Self:
@@ -123,7 +124,7 @@ class Outline(OneLine, ABC):
 
     def _check_turns(self) -> None:
         angles = self.exterior_angles
-        if np.all(angles < 0.0):
+        if (angles < 0.0).all():
             remedy = "list its points in the reverse order"
             raise self._refused("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
@@ -176,7 +177,7 @@ def centroids(polygons: Array) -> Array:
     """Return the centres (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
     origin = polygons[..., :1, :]
     points = polygons - origin
-    following = np.roll(points, -1, axis=-2)
+    following = np.concatenate([points[..., 1:, :], points[..., :1, :]], axis=-2)
     cross = points[..., 0] * following[..., 1] - points[..., 1] * following[..., 0]
     moments = np.sum((points + following) * cross[..., None], axis=-2)
     centres: Array = origin[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]

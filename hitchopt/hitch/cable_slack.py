@@ -55,8 +55,8 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
     slack: Array = team.cable_length - lengths
     if team.cable_density > 0.0:
         slack = cable_slack_of(team, polygon.edge_directions * lengths[:, None])
-    if np.min(slack) <= 0.0:
-        worst = int(np.argmin(slack))
+    worst = int(slack.argmin())
+    if slack[worst] <= 0.0:
         remedy = (
             f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
             f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable"
@@ -76,7 +76,7 @@ def balanced_legs(team: Team, polygon: Outline) -> Array:
 def checked_legs(team: Team, given: Array, slack: Array) -> Array:
     """Return the q-legs, exact at a chain's ends, or raise InfeasibleError."""
     d = team.layout.q_legs_of(given, slack)
-    k = int(np.argmax(np.abs(given - d) / team.cable_length))
+    k = int((np.abs(given - d) / team.cable_length).argmax())
     tolerance = FIXED_LEG if team.cable_density == 0.0 else SAGGING_LEG
     if abs(given[k] - d[k]) > tolerance * team.cable_length[k]:
         end = int(team.layout.has_leg[k, 0])
@@ -85,8 +85,8 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
         )
         sense = "max" if given[k] > d[k] else "min"
         raise _refusal(given[k], d[k], sense, f"q{k}", remedy)
-    legs = np.where(team.layout.has_leg, np.column_stack([d, slack - d]), np.inf)
-    k, end = (int(i) for i in np.unravel_index(int(np.argmin(legs)), legs.shape))
+    legs = np.where(team.layout.has_leg, np.stack([d, slack - d], axis=1), np.inf)
+    k, end = divmod(int(legs.argmin()), 2)
     if legs[k, end] <= 0.0:
         remedy = f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it"
         raise _refusal(legs[k, end], 0.0, "min", f"{'qr'[end]}{k}", remedy)
@@ -97,7 +97,8 @@ def checked_roll(team: Team, given: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
     try:
-        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
+        each = np.asarray(given, dtype=np.float64)
+        roll = np.array(np.broadcast_to(each, clasps)) if each.ndim else np.full(clasps, each)
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
         raise InputError("roll", given, bound, "give radians") from None

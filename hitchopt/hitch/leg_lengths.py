@@ -10,12 +10,14 @@ Marks and Wright 1978).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
-from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_program
 from hitchopt.hitch.leg_task import LegLengths, LegTask
 from hitchopt.hitch.parts import Parts
 from hitchopt.time_limit import check_time
@@ -39,17 +41,17 @@ def split_slack(task: LegTask) -> LegLengths:
     from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
     is linear in J·n.
     """
-    slack, bodies = task.slack, LegBodies(task, *leg_bounds(task))
+    slack, bodies = task.slack, LegBodies(task, *task.bounds)
     kept = reference_kept(task, bodies)
     if kept is not None:
         return kept
-    start = np.clip(task.reference, *leg_bounds(task))
+    start = np.clip(task.reference, *task.bounds)
     best = _refined(task, bodies, start)
     single = len(task.reference) == 1
     if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
         return best
     for pattern in _uneven_fractions(task):
-        start = np.clip(pattern * slack, *leg_bounds(task))
+        start = np.clip(pattern * slack, *task.bounds)
         found = _refined(task, bodies, start)
         if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
             best = found
@@ -58,7 +60,7 @@ def split_slack(task: LegTask) -> LegLengths:
 
 def split_slack_from(task: LegTask, start: Array) -> LegLengths:
     """Return the leg lengths that the search reaches from given ones (J, n) [m]."""
-    bounds = leg_bounds(task)
+    bounds = task.bounds
     return _refined(task, LegBodies(task, *bounds), np.clip(start, *bounds))
 
 
@@ -67,7 +69,7 @@ def reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
 
     To the last bit, where a solver would come within its tolerance.
     """
-    start = np.clip(task.reference, *leg_bounds(task))
+    start = np.clip(task.reference, *task.bounds)
     if task.roughness == 0.0 and np.array_equal(start, task.reference):
         margin = bodies.margin(task, start)
         if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
@@ -81,12 +83,19 @@ def quick_split(task: LegTask) -> LegLengths:
     The first ones that keep it, near the reference or else near uneven splits: ``split_slack``
     takes many times as long to come nearest.
     """
-    bodies, tried = LegBodies(task, *leg_bounds(task)), []
-    for start in (task.reference, *(_uneven_fractions(task)[:, None] * task.slack)):
-        tried.append(_refined(task, bodies, np.clip(start, *leg_bounds(task)), first=True))
+    bodies, tried = LegBodies(task, *task.bounds), []
+    for start in _starts(task):
+        tried.append(_refined(task, bodies, np.clip(start, *task.bounds), first=True))
         if tried[-1].margin >= task.wanted * (1.0 - 1e-9):
             return tried[-1]
     return max(tried, key=lambda found: found.margin)
+
+
+def _starts(task: LegTask) -> Iterator[Array]:
+    """Yield leg lengths (1, n) to begin from on one polygon: the reference, then uneven splits."""
+    yield task.reference
+    for pattern in _uneven_fractions(task):
+        yield pattern * task.slack
 
 
 def _uneven_fractions(task: LegTask) -> Array:
@@ -112,32 +121,32 @@ def reference_margin(task: LegTask) -> float:
 
     Pairs beyond the wanted margin may be left out.
     """
-    compiled = _compiled_margins(task)
-    if compiled is not None:
-        return float(np.min(compiled))
-    bodies = LegBodies(task, task.reference, task.reference)
-    return bodies.margin(task, task.reference)
+    return float(np.min(reference_margins(task)))
 
 
 def reference_margins(task: LegTask) -> Array:
     """Return the same (J,) of every polygon by itself."""
-    compiled = _compiled_margins(task)
-    if compiled is not None:
-        return compiled
-    return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
+    compiles = _compiles(task)
+    bodies = LegBodies(task, task.reference, task.reference, paired=not compiles)
+    return _margins(task, bodies, task.reference)
 
 
-def _compiled_margins(task: LegTask) -> Array | None:
-    """Return the same (J,) by compiled code where that is on, and few bodies are in one plane."""
-    parts = Parts.of(task.team.robots, task.team.topology)
-    if not kernels_on() or not task.level or parts.many:
-        return None
-    bodies = LegBodies(task, task.reference, task.reference, paired=False)
+def _compiles(task: LegTask) -> bool:
+    """Return whether compiled code is on and takes the task: few bodies, in one plane."""
+    few = not Parts.of(task.team.robots, task.team.topology).many
+    return kernels_on() and task.level and few
+
+
+def _margins(task: LegTask, bodies: LegBodies, d: Array) -> Array:
+    """Return the margins (J,) of leg lengths, by compiled code where that takes the task."""
+    if not _compiles(task):
+        return bodies.margins(task, d)
     from hitchopt.compiled.margin_kernel import smallest_shares
 
-    nodes = bodies.nodes(task.reference).reshape(len(task.reference), bodies.count, 2)
+    parts, nodes = Parts.of(task.team.robots, task.team.topology), bodies.nodes(d)
     margins, cutoff = (task.margins, task.crossing_margins), bodies.cutoff(task)
     pairs, ends = parts.all_pairs, parts.nodes
+    nodes = nodes.reshape(len(d), bodies.count, 2)
     shares: Array = smallest_shares(nodes, ends, pairs, bodies.limits, margins, cutoff)
     if task.fixed is not None:  # fixed knots cannot change
         shares[task.fixed] = np.inf
@@ -154,7 +163,7 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
 
     Or the ``first`` ones on the way that keep the margin.
     """
-    d, settled = start, QUICKLY_SETTLED if first else SETTLED
+    d, settled, margin = start, QUICKLY_SETTLED if first else SETTLED, None
     for _ in range(ROUNDS):
         check_time()
         x = solve_qp(leg_program(task, bodies, d))
@@ -162,7 +171,8 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
             break
         moved = x[: d.size].reshape(d.shape)
         step = float(np.max(np.abs(moved - d)))
-        d = moved
-        if step < settled or (first and bodies.margin(task, d) >= task.wanted * (1.0 - 1e-9)):
+        d, margin = moved, float(np.min(_margins(task, bodies, moved))) if first else None
+        if step < settled or (margin is not None and margin >= task.wanted * (1.0 - 1e-9)):
             break
-    return LegLengths(d, bodies.margin(task, d), float(np.sum((d - task.reference) ** 2)))
+    margin = bodies.margin(task, d) if margin is None else margin
+    return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))

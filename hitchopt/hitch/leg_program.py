@@ -7,6 +7,8 @@ there.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -157,20 +159,6 @@ class LegBodies:
         self.second: Index = parts.nodes[j] + self.count * frame[:, None]
 
 
-def leg_bounds(task: LegTask) -> tuple[Array, Array]:
-    """Return the smallest and largest ``d`` (J, n) that leave both legs long enough.
-
-    The same one at the ends of a chain, where a cable has one leg only.
-    """
-    slack, layout = task.slack, task.team.layout
-    shortest = np.minimum(task.shortest_leg, 0.5 * slack)
-    lower = layout.q_legs_of(shortest, slack)
-    upper = layout.q_legs_of(slack - shortest, slack)
-    if task.fixed is not None:
-        lower[task.fixed] = upper[task.fixed] = task.reference[task.fixed]
-    return lower, upper
-
-
 def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
     J, n = d.shape
@@ -205,13 +193,12 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
     if task.requirements.arena is not None:
         _add_walls(rows, bodies, task.requirements.arena, size - 1)
-    squares = np.append(np.ones(J * n), [0.0, 0.0])
-    hessian = sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+    hessian = _squares(size)
     if task.roughness > 0.0 and J > 2:
         bends = sparse.block_diag([_roughness(task), sparse.csc_array((2, 2))])
         hessian = sparse.csc_array(hessian + bends)
     gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = leg_bounds(task)
+    lower, upper = task.bounds
     return QuadraticProgram(
         hessian,
         gradient,
@@ -219,6 +206,13 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
         np.append(lower.reshape(-1), [0.0, 0.0]),
         np.append(upper.reshape(-1), [np.inf, np.inf]),
     )
+
+
+@lru_cache(maxsize=16)
+def _squares(size: int) -> sparse.csc_array:
+    """Return the Hessian of half the sum of squares of all unknowns but the two slacks."""
+    squares = np.append(np.ones(size - 2), [0.0, 0.0])
+    return sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
 
 
 def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:

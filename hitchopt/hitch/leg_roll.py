@@ -17,7 +17,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.leg_lengths import reference_kept, reference_margin, split_slack
-from hitchopt.hitch.leg_program import LegBodies, leg_bounds
+from hitchopt.hitch.leg_program import LegBodies
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegLengths, LegTask
 from hitchopt.hitch.statics import leg_directions
 from hitchopt.values import Array
@@ -49,7 +49,7 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     task: of one polygon; its own roll is what legs have without need.
     """
     own = np.zeros(len(task.team.layout.clasps)) if task.roll is None else task.roll[0]
-    without = reference_kept(task, LegBodies(task, *leg_bounds(task)))
+    without = reference_kept(task, LegBodies(task, *task.bounds))
     if without is None and level_margin_bound(task) >= 1.0:
         without = split_slack(task)
     if without is not None and without.margin >= 1.0:

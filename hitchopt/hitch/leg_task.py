@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,25 +55,43 @@ class LegTask:
         """Whether all legs are level: they carry no weight and are not rolled."""
         return not self.team.loaded and (self.roll is None or not np.any(self.roll))
 
-    @property
+    @cached_property
     def margins(self) -> Array:
         """(J,): the margin of every knot."""
         return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
 
-    @property
+    @cached_property
     def crossing_margins(self) -> Array:
         """(J,): margin of the distances of two cables."""
         return np.minimum(self.margins, CROSSING_MARGIN)
 
-    @property
+    @cached_property
     def wanted(self) -> float:
         """The largest of the margins: the margin of leg lengths that keep them all."""
         return float(np.max(self.margins))
 
-    @property
+    @cached_property
     def slack(self) -> Array:
-        """(J, n) [m]: slack of each cable for its two legs."""
-        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
+        """(J, n) [m], read-only: slack of each cable for its two legs."""
+        slack = cable_slack_of(self.team, self.team.layout.edges(self.polygons))
+        slack.setflags(write=False)
+        return slack
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """The smallest and largest ``d`` (J, n) that leave both legs long enough, read-only.
+
+        The same one at the ends of a chain, where a cable has one leg only.
+        """
+        slack, layout = self.slack, self.team.layout
+        shortest = np.minimum(self.shortest_leg, 0.5 * slack)
+        lower = layout.q_legs_of(shortest, slack)
+        upper = layout.q_legs_of(slack - shortest, slack)
+        if self.fixed is not None:
+            lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
+        for each in (lower, upper):
+            each.setflags(write=False)
+        return lower, upper
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,15 +26,15 @@ def rests(motion: Motion) -> NDArray[np.intp]:
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
     start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
+    breaks = motion.drones.breaks[first : last + 1] - start
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        run = whole.taken(slice(first, last))
-        return PiecewisePolynomial(run.breaks - start, run.coefficients)
+        return whole.alike(whole.coefficients[first:last], breaks)
 
-    phases = tuple(
-        replace(phase, start=max(phase.start, start) - start, end=min(phase.end, end) - start)
+    phases = [
+        phase.lasting(max(phase.start, start) - start, min(phase.end, end) - start)
         for phase in motion.overlapping(start, end)
-    )
+    ]
     return motion.changed(part, phases)
 
 

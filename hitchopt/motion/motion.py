@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -147,7 +148,7 @@ class Motion(OneLine):
     def untimed(self) -> Motion:
         """The same motion without a limit on its duration."""
         needed = self.requirements.untimed
-        return self if needed is self.requirements else replace(self, requirements=needed)
+        return self if needed is self.requirements else self.altered(requirements=needed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -157,7 +158,7 @@ class Motion(OneLine):
         else:
             each = self.leg_tensions.coefficients
             each = each.reshape(len(each), -1, each.shape[-1])
-        return PiecewisePolynomial(self.drones.breaks, each)
+        return self.drones.alike(each)
 
     @property
     def object_poses(self) -> PiecewisePolynomial:
@@ -175,7 +176,7 @@ class Motion(OneLine):
         if self.borne is not None:
             c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
             shares = np.where(np.abs(c - nearest) <= ROUNDED, nearest, c)
-            return PiecewisePolynomial(self.borne.breaks, shares)
+            return self.borne.alike(shares)
         count = len(self.requirements.objects)
         return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
 
@@ -186,9 +187,9 @@ class Motion(OneLine):
             return self.contacts
         c, layout = self.vertices.coefficients, self.team.layout
         middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
-        return PiecewisePolynomial(self.vertices.breaks, np.stack([middles, middles], axis=2))
+        return self.vertices.alike(np.stack([middles, middles], axis=2))
 
-    @property
+    @cached_property
     def cable_states(self) -> frozenset[CableState]:
         """States of the cables in the phases; of no phases, hitched or without cables."""
         if not self.phases:
@@ -238,7 +239,8 @@ class Motion(OneLine):
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""
-        return tuple(p for p in self.phases if p.end > start + JOINT and p.start < end - JOINT)
+        start, end = start + JOINT, end - JOINT
+        return tuple([p for p in self.phases if p.end > start and p.start < end])
 
     def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
         """Return the motion on a run of pieces, at the same times, and its phases."""
@@ -248,16 +250,24 @@ class Motion(OneLine):
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
         """Return the motion with all of its polynomials changed alike, and other phases."""
-        parts: dict[str, Any] = {
-            name: change(part)
-            for name, part in vars(self).items()
-            if isinstance(part, PiecewisePolynomial)
-        }
-        return replace(self, phases=tuple(phases), **parts)
+        own, names = vars(self), POLYNOMIALS + FURTHER
+        parts = {name: change(own[name]) for name in names if own[name] is not None}
+        return self.altered(phases=tuple(phases), **parts)
+
+    def altered(self, **values: Any) -> Motion:
+        """Return the motion with other values of some fields, which fit it.
+
+        They come from motions that were checked when they were made: only phases are, once more.
+        """
+        made, own = object.__new__(Motion), vars(self)
+        vars(made).update({name: own[name] for name in self.__dataclass_fields__} | values)
+        if "phases" in values:
+            check_phases(made.phases, float(made.drones.breaks[0]), float(made.drones.breaks[-1]))
+        return made
 
     def slowed(self, factor: float) -> Motion:
         """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
-        phases = [replace(p, start=factor * p.start, end=factor * p.end) for p in self.phases]
+        phases = [p.lasting(factor * p.start, factor * p.end) for p in self.phases]
         return self.changed(lambda part: part.stretched(factor), phases)
 
 
@@ -272,8 +282,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     offset = 0.0
     for motion in motions:
         phases += [
-            replace(p, start=offset + p.start, end=offset + p.end) if offset else p
-            for p in motion.phases
+            p.lasting(offset + p.start, offset + p.end) if offset else p for p in motion.phases
         ]
         offset += motion.duration
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
@@ -282,10 +291,10 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     if any(motion.leg_tensions is not None for motion in motions):
         pulls = joined([motion.pulls for motion in motions])
         each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)
-        parts["leg_tensions"] = PiecewisePolynomial(pulls.breaks, each)
+        parts["leg_tensions"] = pulls.alike(each)
     if any(motion.poses is not None or motion.borne is not None for motion in motions):
         parts["poses"] = joined([motion.object_poses for motion in motions])
         parts["borne"] = joined([motion.object_shares for motion in motions])
     if any(motion.contacts is not None for motion in motions):
         parts["contacts"] = joined([motion.edge_contacts for motion in motions])
-    return replace(motions[0], phases=tuple(phases), **parts)
+    return motions[0].altered(phases=tuple(phases), **parts)

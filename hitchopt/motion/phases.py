@@ -99,6 +99,12 @@ class Phase(OneLine):
         """Whether the hitch exists; else the cables hang free, or slack in one another."""
         return self.state is CableState.HITCHED
 
+    def lasting(self, start: float, end: float) -> Phase:
+        """Return the same phase at other times [s]."""
+        made = object.__new__(Phase)
+        vars(made).update(vars(self), start=start, end=end)
+        return made
+
 
 def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     """Raise InputError unless phases follow one another and cover the time from start to end [s].
@@ -107,9 +113,11 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     """
     if not phases:
         return
-    covered = phases[0].start <= start + JOINT and phases[-1].end >= end - JOINT
-    joined = all(abs(b.start - a.end) <= JOINT for a, b in pairwise(phases))
-    if not (covered and joined and all(phase.start < phase.end for phase in phases)):
+    good = phases[0].start <= start + JOINT and phases[-1].end >= end - JOINT
+    good = good and phases[0].start < phases[0].end
+    for a, b in pairwise(phases):
+        good = good and -JOINT <= b.start - a.end <= JOINT and b.start < b.end
+    if not good:
         raise InputError(
             "phases",
             [[phase.start, phase.end] for phase in phases],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -93,7 +92,7 @@ def _phases(phases: Sequence[Phase], breaks: Array, index: Indices) -> list[Phas
     found, first = [], 0
     for i, run in groupby(index.tolist()):
         last = first + len(list(run))
-        found.append(replace(phases[i], start=float(breaks[first]), end=float(breaks[last])))
+        found.append(phases[i].lasting(float(breaks[first]), float(breaks[last])))
         first = last
     return found
 
@@ -101,21 +100,20 @@ def _phases(phases: Sequence[Phase], breaks: Array, index: Indices) -> list[Phas
 def before(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exactly."""
     breaks = motion.drones.breaks
-    breaks = np.append(breaks[breaks < time - 1e-9], time)
+    count = int(np.searchsorted(breaks, time - 1e-9))
+    start, end = breaks[count - 1 : count + 1].tolist()
+    breaks = np.concatenate([breaks[:count], [time]])
     phases = [
-        p if p.end <= time else replace(p, end=time) for p in motion.overlapping(breaks[0], time)
+        p if p.end <= time else p.lasting(p.start, time)
+        for p in motion.overlapping(breaks[0], time)
     ]
-    count = len(breaks) - 1
-    start, end = motion.drones.breaks[count - 1 : count + 1]
     share = 1.0 if end - time <= SAME_BREAK else (time - start) / (end - start)
-    orders = {part.degree for part in vars(motion).values() if hasattr(part, "degree")} - {0}
-    cuts = {order: bernstein.restrict(np.eye(order + 1), 0.0, share) for order in orders}
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         found = whole.coefficients[:count].copy()
         if whole.degree > 0:
-            found[-1] = found[-1] @ cuts[whole.degree]
-        return PiecewisePolynomial(breaks, found)
+            found[-1] = found[-1] @ bernstein.beginning(whole.degree, share)
+        return whole.alike(found, breaks)
 
     return motion.changed(part, phases)
 
@@ -125,11 +123,11 @@ def followed(first: Motion, second: Motion) -> Motion:
     motion = joined_motions([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
-    if replace(following, start=last.start, end=last.end) != last:
+    one = last.lasting(last.start, following.end)
+    if following.lasting(last.start, following.end) != one:
         return motion
-    one = replace(last, end=following.end)
     phases = (*motion.phases[: count - 1], one, *motion.phases[count + 1 :])
-    return replace(motion, phases=phases)
+    return motion.altered(phases=phases)
 
 
 def resting(
@@ -145,7 +143,7 @@ def resting(
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
 
     own = motion.phases[0 if first else -1] if phase is None else phase
-    return motion.changed(part, [replace(own, start=0.0, end=seconds)])
+    return motion.changed(part, [own.lasting(0.0, seconds)])
 
 
 def beside_objects(past: Motion, fresh: Motion) -> Motion:
@@ -153,4 +151,4 @@ def beside_objects(past: Motion, fresh: Motion) -> Motion:
     if past.poses is None:
         return fresh
     left = past.poses.coefficients[-1, ..., -1]
-    return replace(fresh, poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))
+    return fresh.altered(poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))

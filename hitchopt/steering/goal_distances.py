@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+from functools import lru_cache
 
-from hitchopt.geometry.segments import shortest_offset
+import numpy as np
+from numpy.typing import NDArray
+
 from hitchopt.geometry.vectors import dot
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.layout import Layout
 from hitchopt.requirements import Separation
+from hitchopt.values import Array
 
 CLEARLY = 1e-4
 """Share of a limit by which a distance is too small without a doubt: a plan ends within 1e-6 m of
@@ -27,15 +31,26 @@ def clearly_too_close(goal: Hitch, separation: Separation) -> bool:
     if team.robots > MOST:
         return False
     drones, ends = goal.drones, goal.vertices[team.layout.pulled_to]
-    cable = np.arange(team.drones) // 2
+    itself, counted = _pairs(team.layout)
     ratios = (drones[:, None] - drones) * separation.scale
-    squared = dot(ratios, ratios)
-    np.fill_diagonal(squared, np.inf)
-    if np.min(squared) < (1.0 - CLEARLY) ** 2:
+    if (dot(ratios, ratios) + itself).min() < (1.0 - CLEARLY) ** 2:
         return True
-    first, last = np.concatenate([drones, ends[::2]]), np.concatenate([ends, ends[1::2]])
-    offsets = shortest_offset(np.stack([drones[:, None] - first, drones[:, None] - last], axis=-2))
-    counted = cable[:, None] != np.append(cable, np.arange(team.robots))
-    counted[:, team.drones :] |= team.layout.has_leg.reshape(-1, 1)  # its own edge as well
-    near = np.min(dot(offsets, offsets), initial=np.inf, where=counted)
+    starts = np.concatenate([drones, ends[::2]])
+    along = np.concatenate([ends, ends[1::2]]) - starts
+    offsets = drones[:, None] - starts
+    share = np.einsum("ijd,jd->ij", offsets, along) / dot(along, along)
+    offsets -= np.minimum(np.maximum(share, 0.0), 1.0)[..., None] * along
+    near = dot(offsets, offsets).min(initial=np.inf, where=counted)
     return bool(near < ((1.0 - CLEARLY) * separation.cable) ** 2)
+
+
+@lru_cache(maxsize=16)
+def _pairs(layout: Layout) -> tuple[Array, NDArray[np.bool_]]:
+    """Return infinity for a drone and itself, and which segments count for each drone.
+
+    Those are legs, (2n, 2n), and edges, (2n, n): all foreign ones, and its own edge.
+    """
+    cable = np.arange(2 * layout.robots) // 2
+    counted = cable[:, None] != np.append(cable, np.arange(layout.robots))
+    counted[:, len(cable) :] |= layout.has_leg.reshape(-1, 1)
+    return np.diag(np.full(len(cable), np.inf)), counted

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,25 +19,28 @@ from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
 from hitchopt.hitch.leg_lengths import quick_split
 from hitchopt.hitch.leg_task import LIMIT_MARGIN, LegTask
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.retiming import before, followed, resting
+from hitchopt.motion.retiming import before, beside_objects, followed, resting
 from hitchopt.one_line import OneLine
 from hitchopt.plan import Plan
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steering.goal_distances import clearly_too_close
 from hitchopt.steering.retarget import (
     BRAKES,
-    FIRST,
     IN_FLIGHT,
     NotNowError,
+    Refusal,
     Retarget,
     braked_retarget,
-    certified_retarget,
 )
 from hitchopt.steering.retarget_path import SAME_STATE, MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import WAITS, brakes, load_timing, turning_slowly
-from hitchopt.steps.certified_motions import infeasible
+from hitchopt.steps.certified_motions import at_rest, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
+
+LEAST = 1e-3
+"""[s] Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer
+from rounding."""
 
 HOLD = 1.0
 """[s] Rest with which steering begins."""
@@ -217,15 +219,14 @@ class Replanner(OneLine):
     ) -> tuple[Retarget, Hitch]:
         """Return the answer of a plan that leaves the present one at a time, and its goal."""
         past = self._past(at)
-        still = self._still(past)
-        state, team, need = still.state, past.team, self.requirements
+        alone = self._still(past)
+        state, team, need = alone.state, past.team, self.requirements
         limits = turning_slowly(need.planned.limits)
-        durations = tuple(islice(brakes(still, limits), BRAKES))
+        durations = brakes(alone, limits, BRAKES)
         if not durations:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         fractions = self._goal.fractions
-        refusal: InfeasibleError | None = None
-        refused: tuple[RetargetPath, float] | None = None
+        refusal: InfeasibleError | Refusal | None = None
         given: Hitch | None = None
         hopeless: Hitch | None = None
         for chosen in (False, True):
@@ -241,22 +242,15 @@ class Replanner(OneLine):
                 hopeless = hopeless or end
                 continue
             path = RetargetPath.to(team, state, end, yaw)
-            found, brake = braked_retarget(past, path, durations, need)
+            found = braked_retarget(past, path, durations, need)
             if isinstance(found, Retarget):
                 return found, end
-            if refusal is None:
-                refusal, refused = found, (path, brake)
-        if hopeless is not None and hopeless is given:  # planned only to say what keeps it
-            path = RetargetPath.to(team, state, given, yaw)
-            found, brake = braked_retarget(past, path, durations, need)
-            if isinstance(found, Retarget):
-                return found, given
-            refusal, refused = found, (path, brake)
+            refusal = refusal or found
+        if hopeless is not None and hopeless is given:
+            still = beside_objects(past, at_rest(given, need))
+            raise infeasible(certify(still.untimed, reports=()), still, "at the goal")
         assert refusal is not None
-        if refused and all(each.constraint in FIRST for each in refusal.violations):
-            found = certified_retarget(past, *refused, need)  # all that is to be said of it
-            refusal = found if isinstance(found, InfeasibleError) else refusal
-        raise refusal
+        raise refusal.complete() if isinstance(refusal, Refusal) else refusal
 
     def _end(self, outline: Outline, altitude: float, fractions: Array, *, chosen: bool) -> Hitch:
         """Return the hitch of a goal: with the present split of the slack, or one within limits."""
@@ -274,7 +268,10 @@ class Replanner(OneLine):
         """Return the present plan until a time, resting after its end."""
         duration = self.motion.duration
         if at <= duration - 1e-6:
-            return before(self.motion, max(at, 1e-3))
+            breaks = self.motion.drones.breaks
+            piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
+            first, last = breaks[piece : piece + 2].tolist()
+            return before(self.motion, max(at, min(first + LEAST, last)))
         if at <= duration + 1e-3:
             return self.motion
         phase = replace(self.motion.phases[-1], name="hold", remark="")
@@ -291,10 +288,10 @@ class Replanner(OneLine):
         if not past.phases[-1].formed or past.phases[-1].hold is not None:
             why = "an object is held" if past.phases[-1].formed else "there is no hitch"
             raise NotNowError(f"{when} {why}")
-        state = MovingState.of(past, past.duration)
+        state = MovingState.at_end(past)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
         model = still.jets(np.zeros(1), 1.0, math.inf).drones[0, ..., 0]
-        if np.max(away) > SAME_STATE or np.max(np.abs(model - state.drones[..., 0])) > SAME_STATE:
+        if away.max() > SAME_STATE or np.abs(model - state.drones[..., 0]).max() > SAME_STATE:
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return still

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -109,35 +109,53 @@ class NotNowError(Exception):
     """A retarget cannot begin at this time."""
 
 
+@dataclass(frozen=True, eq=False)
+class Refusal:
+    """What keeps a path from being certified.
+
+    Attributes
+    ----------
+    error: what was found first.
+    ahead: the motion that it is of; None where there is none.
+    known: what rules have found on it.
+    """
+
+    error: InfeasibleError
+    ahead: Motion | None = None
+    known: Findings = field(default_factory=dict)
+
+    def complete(self) -> InfeasibleError:
+        """Return all that keeps it."""
+        if self.ahead is None or any(v.constraint not in FIRST for v in self.error.violations):
+            return self.error
+        certificate = certify(self.ahead.untimed, reports=(), known=self.known)
+        return infeasible(certificate, self.ahead)
+
+
 def braked_retarget(
     past: Motion, path: RetargetPath, durations: Sequence[float], requirements: Requirements
-) -> tuple[Retarget | InfeasibleError, float]:
-    """Return the answer for a path, or the first refusal, and the brake [s] that it is for.
+) -> Retarget | Refusal:
+    """Return the answer for a path, or the first refusal.
 
     Parameters
     ----------
     durations: of the brakes that are tried [s], at least one.
     """
-    first: tuple[InfeasibleError, float] | None = None
+    first: Refusal | None = None
     for brake in durations:
-        found = certified_retarget(past, path, brake, requirements, complete=False)
+        found = certified_retarget(past, path, brake, requirements)
         if isinstance(found, Retarget):
-            return found, brake
-        first = first or (found, brake)
-        if not {each.constraint for each in found.violations} <= SLOWER.keys():
+            return found
+        first = first or found
+        if not {each.constraint for each in found.error.violations} <= SLOWER.keys():
             break
     assert first is not None
     return first
 
 
 def certified_retarget(
-    past: Motion,
-    path: RetargetPath,
-    brake: float,
-    requirements: Requirements,
-    *,
-    complete: bool = True,
-) -> Retarget | InfeasibleError:
+    past: Motion, path: RetargetPath, brake: float, requirements: Requirements
+) -> Retarget | Refusal:
     """Return the answer for a path, or what keeps it from being certified.
 
     Parameters
@@ -146,12 +164,12 @@ def certified_retarget(
     path: from its end.
     brake: duration of the brake [s].
     requirements: what the plan must satisfy.
-    complete: whether an error tells all that keeps it; else what is looked at first may do.
     """
     shift = shortest_shift(path, turning_slowly(requirements.planned.limits), brake)
     if shift is None:
-        return InfeasibleError([], "no duration keeps all limits on the way to the goal")
-    finer, error = 1.0, None
+        why = "no duration keeps all limits on the way to the goal"
+        return Refusal(InfeasibleError([], why))
+    finer, first = 1.0, None
     recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
     for _ in range(ROUNDS):
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
@@ -160,8 +178,8 @@ def certified_retarget(
         ahead = followed(recent, fresh)
         checked = ahead.untimed
         with shared_values():
-            known, short = _looked_at(checked, complete=complete)
-            if short and not complete:
+            known, short = _looked_at(checked)
+            if short:
                 certificate = Certificate(ahead.duration, short)
             else:
                 known = {**known, QUICK_BALANCE.name: QUICK_BALANCE.findings(checked)}
@@ -173,11 +191,12 @@ def certified_retarget(
             motion = followed(past, fresh)
             return Retarget(True, past.duration, motion, ahead, certificate)
         broken = {check.name: check for check in certificate.violated}
-        error = error or infeasible(certificate, ahead)
+        refusal = Refusal(infeasible(certificate, ahead), ahead, known)
         if not broken.keys() <= SLOWER.keys() | FINER:
-            return infeasible(certificate, ahead)
+            return refusal
+        first = first or refusal
         if any(check.time <= recent.duration + brake for check in certificate.violated):
-            return error  # a longer shift does not change the brake
+            return first  # a longer shift does not change the brake
         ratios = [
             (broken[name].bound / broken[name].number) ** (1.0 / power)
             for name, power in SLOWER.items()
@@ -185,14 +204,14 @@ def certified_retarget(
         ]
         shift *= max([STRETCH * ratio for ratio in ratios], default=1.0)
         finer *= 0.5 if broken.keys() & FINER else 1.0
-    assert error is not None
-    return error
+    assert first is not None
+    return first
 
 
-def _looked_at(motion: Motion, *, complete: bool) -> tuple[Findings, tuple[Check, ...]]:
+def _looked_at(motion: Motion) -> tuple[Findings, tuple[Check, ...]]:
     """Return what the rules that are looked at FIRST find, and the checks that do not hold.
 
-    Up to the first kind of which some do not, unless all are asked for.
+    Up to the first kind of which some do not.
     """
     known: dict[str, Sequence[Found]] = {}
     short: list[Check] = []
@@ -200,7 +219,7 @@ def _looked_at(motion: Motion, *, complete: bool) -> tuple[Findings, tuple[Check
         for name in names:
             known[name] = RULE_OF[name].findings(motion)
             short += [each.check for each in known[name] if not each.check.holds]
-        if short and not complete:
+        if short:
             break
     return known, tuple(short)
 

@@ -7,21 +7,22 @@ hitch that is to be turned keeps its shape.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.compiled.kernel_switch import kernels_on
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.model.evaluation import FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import jets
 from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.steering.smooth_change import JET, SmoothChange
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.steering.smooth_change import JET, STATE, SmoothChange
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
 
 SAME_STATE = 1e-6
@@ -31,16 +32,20 @@ SIDE = 1e-9
 """Share of a piece by which one-sided derivatives are taken inside of it."""
 
 
+ORDERS = np.tile(np.arange(JET, dtype=np.float64), 2)[:, None]
+"""Orders of the derivatives at both ends of a piece."""
+
+
 @dataclass(frozen=True, eq=False)
 class MovingState:
     """A hitch in motion.
 
     Attributes
     ----------
-    vertices: (points, 3, 4), positions and their derivatives by time.
-    fractions: (n, 4), ``d_k / (d_k + e_k)``.
-    drones: (2n, 3, 4)
-    legs: (n, 2, 4)
+    vertices: (points, 3, 3), positions and their first two derivatives by time.
+    fractions: (n, 3), ``d_k / (d_k + e_k)``.
+    drones: (2n, 3, 3)
+    legs: (n, 2, 3)
     """
 
     vertices: Array
@@ -49,20 +54,36 @@ class MovingState:
     legs: Array
 
     @classmethod
-    def of(cls, motion: Motion, time: float) -> MovingState:
-        """Return the state of a motion at a time [s]."""
-        t = np.array([time])
-        legs = motion.legs.jet(t, JET)[0]
-        slack = np.sum(legs, axis=1)
-        has_both = np.all(motion.team.layout.has_leg, axis=1)
-        slack[~has_both, 0] = np.where(slack[~has_both, 0] > 0.0, slack[~has_both, 0], 1.0)
-        fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
-        return cls(motion.vertices.jet(t, JET)[0], fractions, motion.drones.jet(t, JET)[0], legs)
+    def at_end(cls, motion: Motion) -> MovingState:
+        """Return the state in which a motion ends."""
+        legs, layout = motion.legs.end_jet(STATE), motion.team.layout
+        slack = legs[:, 0] + legs[:, 1]
+        if not layout.closed:
+            has_both = np.all(layout.has_leg, axis=1)
+            slack[~has_both, 0] = np.where(slack[~has_both, 0] > 0.0, slack[~has_both, 0], 1.0)
+        fractions = np.empty_like(slack)
+        (d, v, a), (s, w, b), (f, g, h) = legs[:, 0].T, slack.T, fractions.T
+        np.divide(d, s, out=f)
+        np.divide(v - f * w, s, out=g)
+        np.divide(a - 2.0 * g * w - f * b, s, out=h)
+        return cls(motion.vertices.end_jet(STATE), fractions, motion.drones.end_jet(STATE), legs)
 
     @property
     def moves(self) -> bool:
         """Whether anything moves or accelerates."""
-        return bool(np.any(np.abs(self.drones[..., 1:3]) > 1e-9))
+        return bool((np.abs(self.drones[..., 1:]) > 1e-9).any())
+
+    @cached_property
+    def curves(self) -> Array:
+        """(3 + 3 points + n, 3): the mean point, the shape about it, and the fractions."""
+        centre = _mean(self.vertices)
+        shape = (self.vertices - centre).reshape(-1, STATE)
+        return np.concatenate([centre, shape, self.fractions])
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance of the farthest drone from the mean point [m]."""
+        return float(np.max(length(self.drones[..., 0] - self.curves[:3, 0])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,30 +134,25 @@ class RetargetPath:
         ----------
         yaw: that is asked for [rad]; full turns are chosen to come closest to it.
         """
-        left = _turn(state.vertices[:, :2, 0], end.vertices[:, :2])
-        left += 2.0 * np.pi * np.round((yaw - left) / (2.0 * np.pi))
-        return cls(team, state, end.vertices, end.fractions, left)
+        vertices = end.vertices
+        left = _turn(state.vertices[:, :2, 0], vertices[:, :2])
+        left += 2.0 * math.pi * round((yaw - left) / (2.0 * math.pi))
+        return cls(team, state, vertices, end.fractions, left)
 
     @cached_property
     def _change(self) -> SmoothChange:
         """Curves of the mean point, of the shape about it, and of the fractions, in a row."""
-        points = self.state.vertices[..., :3]
-        centre = points.mean(axis=0)
-        goal = self.end.mean(axis=0)
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        goal = _mean(self.end)
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        shape = (points - centre).reshape(-1, 3)
-        start = np.concatenate([centre, shape, self.state.fractions[..., :3]])
         ends = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
-        return SmoothChange(start, ends)
+        return SmoothChange(self.state.curves, ends)
 
     def farthest(self, brake: float) -> float:
         """Return about how far a shift takes the vertices, and its turn the drones [m]."""
-        vertices = self.state.vertices[..., :3]
-        rest = SmoothChange(vertices, self.end).braked(brake)
-        moved = float(np.max(length(self.end - rest)))
-        radius = float(np.max(length(self.state.drones[..., 0] - vertices[..., 0].mean(axis=0))))
-        return max(moved, 0.5 * abs(self.yaw) * radius)
+        away = self.end - SmoothChange(self.state.vertices, self.end).braked(brake)
+        moved = math.sqrt(float(np.max(dot(away, away))))
+        return max(moved, 0.5 * abs(self.yaw) * self.state.radius)
 
     def flat(self, t: Array, brake: float, shift: float) -> FlatJets:
         """Return the flat outputs' jets at times t (J,) [s]; the rest is of SmoothChange."""
@@ -186,8 +202,7 @@ class RetargetPath:
     @property
     def compiled(self) -> bool:
         """Whether compiled code takes this path."""
-        team = self.team
-        return kernels_on() and not team.loaded and bool(np.all(team.tension == team.tension[0]))
+        return kernels_on() and _pulls_alike(self.team)
 
     @property
     def arrays(self) -> tuple[Array, Array, Indices, NDArray[np.bool_], Array]:
@@ -200,35 +215,55 @@ class RetargetPath:
 
     def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
         """Return the polynomials, which meet the state itself at their start."""
-        h = np.diff(breaks)
-        count = len(h)
-        sides = np.concatenate([breaks[:-1] + SIDE * h, breaks[1:] - SIDE * h])
-        found = self.jets(sides, brake, shift)
+        count, h = len(breaks) - 1, SIDE * (breaks[1:] - breaks[:-1])
+        found = self.jets(np.concatenate([breaks[:-1] + h, breaks[1:] - h]), brake, shift)
         legs = found.legs * self.team.layout.has_leg[..., None]
-        each = (found.drones, found.vertices, legs)
         starts = (self.state.drones, self.state.vertices, self.state.legs)
-        values = np.concatenate([part.reshape(2 * count, -1, JET) for part in each], axis=1)
-        start = np.concatenate([part.reshape(-1, JET) for part in starts])
-        orders = np.moveaxis(values, -1, 0).copy()
+        each = [part.reshape(2 * count, -1, JET) for part in (found.drones, found.vertices, legs)]
+        start = np.concatenate([part.reshape(-1, STATE) for part in starts])
+        orders = np.moveaxis(np.concatenate(each, axis=1), -1, 0)
         left, right = orders[:, :count], orders[:, count:]
-        left[:3, 1:] = right[:3, :-1]
-        left[:3, 0] = start.T[:3]
-        right[1:3, -1] = 0.0
-        both = PiecewisePolynomial.hermite(breaks, left, right)
+        left[:STATE, 1:] = right[:STATE, :-1]
+        left[:STATE, 0] = start.T
+        right[1:STATE, -1] = 0.0
+        ends = np.concatenate([left, right]) * ((breaks[1:] - breaks[:-1]) ** ORDERS)[..., None]
+        curves = bernstein.combined(ends.transpose(1, 2, 0), _septics())
+        both = PiecewisePolynomial(breaks, curves)
         drones, vertices, leg_curves = both.split([part.shape[:-1] for part in starts])
-        tensions = PiecewisePolynomial.constant(breaks, self.team.tension)
-        return Flight(drones, vertices, leg_curves, tensions)
+        pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
+        return Flight(drones, vertices, leg_curves, both.alike(pulls))
+
+
+@cache
+def _septics() -> Array:
+    """Return coefficients (8, 8) by derivatives at both ends times powers of the duration."""
+    unit = np.eye(2 * JET)
+    curves = PiecewisePolynomial.hermite([0.0, 1.0], unit[:JET, None], unit[JET:, None])
+    by_order: Array = curves.coefficients[0].T
+    return by_order
 
 
 @lru_cache(maxsize=16)
 def _rows(team: Team) -> Array:
-    """Return the row of every robot that compiled code takes, (n, 5)."""
+    """Return the row of every robot that compiled code takes, (n, 7)."""
     columns = [team.cable_length, team.tension, team.mass.reshape(-1, 2)]
-    return np.column_stack([*columns, np.full(team.robots, GRAVITY)])
+    weight, thrust = np.full(team.robots, GRAVITY), team.max_thrust.reshape(-1, 2)
+    return np.column_stack([*columns, weight, thrust])
+
+
+@lru_cache(maxsize=16)
+def _pulls_alike(team: Team) -> bool:
+    """Return whether clasps carry nothing and all cables have the same tension."""
+    return not team.loaded and bool(np.all(team.tension == team.tension[0]))
+
+
+def _mean(points: Array) -> Array:
+    """Return the mean of points (k, …), in a part of the time that ``numpy.mean`` takes."""
+    mean: Array = np.add.reduce(points) / len(points)
+    return mean
 
 
 def _turn(first: Array, last: Array) -> float:
     """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
-    x, y = (points - points.mean(axis=0) for points in (first, last))
-    turned = np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0])
-    return float(np.arctan2(turned, np.sum(x * y)))
+    x, y = first - _mean(first), last - _mean(last)
+    return math.atan2(x[:, 0] @ y[:, 1] - x[:, 1] @ y[:, 0], np.vdot(x, y))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.hitch import GRAVITY
 from hitchopt.requirements import Limits
 from hitchopt.steering.retarget_path import RetargetPath
@@ -30,6 +28,10 @@ BRAKE_SAMPLES, SAMPLES = 8, 16
 
 AFTER = 1e-6
 """Share of a duration before its end at which one-sided derivatives are taken."""
+
+PLACES = np.linspace(0.0, 1.0, SAMPLES, endpoint=False)
+BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
+"""Those times over the duration, of the whole and of a brake."""
 
 SHORTEST = 0.3
 """[s] Shortest shift."""
@@ -62,14 +64,14 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     t: (J,) times [s], the first one 0.
     brake, shift: durations [s].
     """
-    found = path.jets(t, brake, shift)
-    if kernels_on():
-        from hitchopt.compiled.path_kernel import largest_shares
+    if path.compiled:
+        from hitchopt.compiled.path_kernel import path_share
 
-        share = largest_shares(
-            found.vertices, found.drones, found.thrusts, _row(limits), path.team.max_thrust
-        )
+        start, goal, stencil, has_leg, rows = path.arrays
+        timing = np.array([brake, shift, path.yaw])
+        share = path_share(start, goal, t, timing, stencil, has_leg, rows, _row(limits))
         return share if math.isfinite(share) else math.inf
+    found = path.jets(t, brake, shift)
     x, thrust = found.drones, found.thrusts
     squared = np.einsum("jdxk,jdxk->kjd", x, x)
     jerk = math.sqrt(float(np.max(squared[3]))) / limits.jerk
@@ -86,37 +88,41 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     return most if math.isfinite(most) else math.inf
 
 
-def brakes(still: RetargetPath, limits: Limits) -> Iterator[float]:
-    """Yield the durations [s] of BRAKES in which the state comes to rest within the limits.
+def brakes(still: RetargetPath, limits: Limits, most: int) -> list[float]:
+    """Return the durations [s] of BRAKES in which the state comes to rest within the limits.
 
     Parameters
     ----------
     still: a path from the state that does not turn; where it leads makes no difference.
+    most: number of durations that will do.
     """
     if not still.state.moves:
-        yield BRAKES[0]
-        return
-    left = []
-    for brake, found in zip(BRAKES, _excesses(still, limits), strict=True):
+        return [BRAKES[0]]
+    first, left = [], []
+    for brake, found in zip(BRAKES, _excesses(still, limits, most), strict=True):
         if found <= BRAKE_SHARES[0]:
-            yield brake
+            first.append(brake)
         elif found <= BRAKE_SHARES[1]:
             left.append(brake)
-    yield from left
+    return (first + left)[:most]
 
 
-def _excesses(alone: RetargetPath, limits: Limits) -> Iterator[float]:
-    """Yield what ``excess`` is for each of BRAKES; compiled code takes all of them in one go."""
-    places = np.append(np.linspace(0.0, 1.0, BRAKE_SAMPLES, endpoint=False), 1.0 - AFTER)
+def _excesses(alone: RetargetPath, limits: Limits, most: int = len(BRAKES)) -> list[float]:
+    """Return what ``excess`` is for each of BRAKES; compiled code takes all of them in one go.
+
+    It leaves out those that follow where as many as will do keep the smaller of BRAKE_SHARES.
+    """
     if not alone.compiled:
-        yield from (excess(alone, limits, b * places, b, math.inf) for b in BRAKES)
-        return
+        return [excess(alone, limits, b * BRAKE_PLACES, b, math.inf) for b in BRAKES]
     from hitchopt.compiled.path_kernel import brake_shares
 
     start, goal, stencil, has_leg, rows = alone.arrays
-    durations, most = np.array(BRAKES), alone.team.max_thrust
-    found = brake_shares(start, goal, places, durations, stencil, has_leg, rows, _row(limits), most)
-    yield from np.where(np.isfinite(found), found, math.inf).tolist()
+    durations, enough = np.array(BRAKES), (most, BRAKE_SHARES[0])
+    found: Array = brake_shares(
+        start, goal, BRAKE_PLACES, durations, stencil, has_leg, rows, _row(limits), enough
+    )
+    found[~np.isfinite(found)] = math.inf
+    return list(found)
 
 
 def _row(limits: Limits) -> Array:
@@ -137,9 +143,8 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
         SHORTEST,
     )
     for _ in range(ROUNDS):
-        end = max(shift, brake)
-        inner = np.linspace(0.0, end, SAMPLES, endpoint=False)
-        times = np.append(inner, [brake * (1.0 - AFTER), shift * (1.0 - AFTER)])
+        last = (brake * (1.0 - AFTER), shift * (1.0 - AFTER))
+        times = np.concatenate([max(shift, brake) * PLACES, last])
         found = excess(path, limits, times, brake, shift)
         if found <= SHARE * (1.0 + ROUNDING):  # a prolonged shift often just keeps it
             return shift
@@ -152,4 +157,5 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
 def load_timing(path: RetargetPath, limits: Limits) -> None:
     """Load compiled code that times paths, or compile it, before it is needed."""
     shortest_shift(path, limits, 1.0)
-    list(_excesses(path, limits))
+    path.jets(np.zeros(1), 1.0, 1.0)
+    _excesses(path, limits)

@@ -18,6 +18,9 @@ from hitchopt.values import Array
 JET = 4
 """Number of derivatives of a jet, the zeroth included."""
 
+STATE = 3
+"""Number of derivatives of a state, likewise."""
+
 QUINTIC = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 """Coefficients of the quintic from 0 to 1, by powers of time over duration."""
 
@@ -40,8 +43,7 @@ class SmoothChange:
 
     def braked(self, brake: float) -> Array:
         """Return where a brake of a duration [s] comes to rest, (*shape)."""
-        p, v, a = np.moveaxis(self.start, -1, 0)
-        rest: Array = p + 0.5 * brake * v + brake**2 / 12.0 * a
+        rest: Array = self.start @ np.array([1.0, 0.5 * brake, brake**2 / 12.0])
         return rest
 
     def jets(self, t: Array, brake: float, shift: float) -> Array:

@@ -63,8 +63,8 @@ class PiecewisePolynomial(OneLine):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def _with(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
-        """Return other functions, unchecked: computed from checked ones."""
+    def alike(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
+        """Return other functions, unchecked and without copies: computed from checked ones."""
         made = object.__new__(PiecewisePolynomial)
         breaks = self.breaks if breaks is None else breaks
         for array in (coefficients, breaks):
@@ -198,7 +198,7 @@ class PiecewisePolynomial(OneLine):
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
         slope /= h
-        found = self._with(slope)
+        found = self.alike(slope)
         if lower.size <= KEPT:
             kept[order] = found
         return found
@@ -213,27 +213,37 @@ class PiecewisePolynomial(OneLine):
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
         """Return the same functions, their values arranged in another shape."""
-        return self._with(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
+        return self.alike(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
 
     def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
         """Return functions of values (m,) as several in a row, with values of given shapes."""
-        edges = np.cumsum([prod(shape) for shape in shapes])[:-1]
-        parts = np.split(self.coefficients, edges, axis=1)
-        return [
-            self._with(part.reshape(self.pieces, *shape, -1).copy())
-            for part, shape in zip(parts, shapes, strict=True)
-        ]
+        found, first, count = [], 0, self.degree + 1
+        for shape in shapes:
+            part = self.coefficients[:, first : first + prod(shape)]
+            found.append(self.alike(part.reshape(self.pieces, *shape, count).copy()))
+            first += prod(shape)
+        return found
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the same functions written in degree ``order``."""
         if order == self.degree:
             return self
-        return self._with(bernstein.elevate(self.coefficients, order))
+        return self.alike(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
         """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
         c = self.differentiated(derivative).coefficients
         return c[..., 0], c[..., -1]
+
+    def end_jet(self, count: int) -> Array:
+        """Return the value and derivatives by time at the end of all, (*shape, count)."""
+        steps, scale = self.coefficients[-1][..., -count:], 1.0
+        found = np.zeros((*self.shape, count))
+        for order in range(steps.shape[-1]):
+            found[..., order] = scale * steps[..., -1]
+            steps = steps[..., 1:] - steps[..., :-1]
+            scale *= (self.degree - order) / (self.breaks[-1] - self.breaks[-2])
+        return found
 
     def stretched(self, factor: float) -> PiecewisePolynomial:
         """Return the same curves flown ``factor`` times as slowly from the same start."""
@@ -245,7 +255,7 @@ class PiecewisePolynomial(OneLine):
         first, last, _ = pieces.indices(self.pieces)
         if last <= first:
             raise InputError("pieces", pieces, "at least one", "take a run of pieces")
-        return self._with(self.coefficients[first:last], self.breaks[first : last + 1])
+        return self.alike(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
         """Return the same curves flown backwards, over the same span of time."""
@@ -268,11 +278,17 @@ def joined(
     """
     if len(parts) == 1:
         return parts[0]
-    order = max(part.degree for part in parts)
-    coefficients = np.concatenate([bernstein.elevate(p.coefficients, order) for p in parts])
+    each = [part.coefficients for part in parts]
+    counts = {c.shape[-1] for c in each}
+    if len(counts) > 1:
+        each = [bernstein.elevate(c, max(counts) - 1) for c in each]
+    coefficients = np.concatenate(each)
     if like is not None:
-        return like._with(coefficients)
-    breaks = [parts[0].breaks[:1]]
+        return like.alike(coefficients)
+    spans = [parts[0].breaks[:1]]
     for part in parts:
-        breaks.append(breaks[-1][-1] + (part.breaks[1:] - part.breaks[0]))
-    return PiecewisePolynomial(np.concatenate(breaks), coefficients)
+        spans.append(spans[-1][-1] + (part.breaks[1:] - part.breaks[0]))
+    breaks = np.concatenate(spans)
+    if (breaks[1:] > breaks[:-1]).all():
+        return parts[0].alike(coefficients, breaks)
+    return PiecewisePolynomial(breaks, coefficients)  # refused: rounding swallows a piece

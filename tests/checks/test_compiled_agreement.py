@@ -21,6 +21,7 @@ from hitchopt.checks.certify import certify
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.compiled.kernel_switch import kernels, kernels_on
 from hitchopt.feedback.covered_set import LARGEST, PASSES, cell_breaks, covered_set
+from hitchopt.motion.retiming import before
 from hitchopt.steering.retarget_path import MovingState, RetargetPath
 from hitchopt.steering.retarget_timing import excess
 from hitchopt.trajectory import distance, enclosure
@@ -96,7 +97,7 @@ def test_paths_agree(chain: bool, yaw: float) -> None:
     motion = random_chain(4, 3) if chain else random_motion(5, 4)
     n = motion.team.robots
     team = replace(motion.team, tension=np.full(n, 0.4), cable_density=0.0)
-    state = MovingState.of(motion, 0.45 * motion.duration)
+    state = MovingState.at_end(before(motion, 0.45 * motion.duration))
     assert state.moves
     end = state.vertices[..., 0] + [0.1, -0.2, 0.3]
     path = RetargetPath(team, state, end, 0.9 * state.fractions[:, 0], yaw)

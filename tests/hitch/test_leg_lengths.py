@@ -14,7 +14,7 @@ from hitchopt.hitch.leg_lengths import (
     reference_margins,
     split_slack,
 )
-from hitchopt.hitch.leg_program import LegBodies, leg_bounds, leg_program
+from hitchopt.hitch.leg_program import LegBodies, leg_program
 from hitchopt.hitch.leg_task import LegTask
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
 from hitchopt.requirements import Requirements
@@ -242,7 +242,7 @@ def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_ma
     arena = Arena([-9.0, -8.0, 0.0], [7.0, 6.0, 3.0])
     requirements = Requirements(arena=arena)
     task = LegTask(team, requirements, polygon.vertices[None], reference[None], 0.15, 1.5)
-    bodies = LegBodies(task, *leg_bounds(task))
+    bodies = LegBodies(task, *task.bounds)
     program = leg_program(task, bodies, reference[None])
     pair, _, _ = end_combinations(bodies.kind, bodies.first, bodies.second)
     margin = np.where(bodies.kind == CROSSING, 1.005, 1.5) * bodies.limits[bodies.kind]

@@ -122,6 +122,14 @@ def test_restriction(order: int, seed: int, one: float, other: float) -> None:
     )
 
 
+@pytest.mark.parametrize("share", [0.0, 1e-3, 0.4, 1.0])
+@pytest.mark.parametrize("order", [0, 1, 4, 7])
+def test_the_beginning_is_a_restriction(order: int, share: float) -> None:
+    c = np.random.default_rng(order).normal(size=(3, order + 1))
+    expected = bernstein.restrict(c, 0.0, share)
+    np.testing.assert_allclose(c @ bernstein.beginning(order, share), expected, atol=1e-14)
+
+
 def test_restriction_takes_its_own_span_for_each() -> None:
     c = some(4, 3, 2, 3)
     lower, upper = np.array([[0.1], [0.5]]), np.array([[0.4], [1.0]])

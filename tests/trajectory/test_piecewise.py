@@ -110,6 +110,25 @@ def test_parts_are_joined_like_others_with_the_same_breaks() -> None:
     np.testing.assert_array_equal(found.coefficients, both.coefficients)
 
 
+def test_a_piece_that_rounding_swallows_is_not_joined() -> None:
+    long = PiecewisePolynomial.constant([0.0, 1e9], 0.0)
+    short = PiecewisePolynomial.constant([0.0, 1e-8], 0.0)
+    with pytest.raises(InputError, match="strictly increasing"):
+        joined([long, short])
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 5])
+def test_the_end_has_the_values_and_derivatives_of_the_curve(order: int) -> None:
+    part = some(order)
+    expected = np.stack([part.at(2.3, k) for k in range(4)], axis=-1)
+    np.testing.assert_allclose(part.end_jet(4), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_what_stays_ends_at_rest_however_short_its_last_piece_is() -> None:
+    still = PiecewisePolynomial.constant([0.0, 1.0, 1.0 + 1e-6], [0.1, 0.7], order=7)
+    np.testing.assert_array_equal(still.end_jet(3), [[0.1, 0.0, 0.0], [0.7, 0.0, 0.0]])
+
+
 def test_values_are_split_and_reshaped() -> None:
     c = np.random.default_rng(3).normal(size=(3, 10, 6))
     rows, column = PiecewisePolynomial(BREAKS, c).split([(2, 4), (2,)])
