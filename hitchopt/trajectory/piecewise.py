@@ -209,7 +209,7 @@ class PiecewisePolynomial(OneLine):
 
         c = writable(self.coefficients).reshape(self.pieces, -1, self.degree + 1)
         for found in slopes(c, np.diff(self.breaks)):
-            yield self._with(found.reshape(*self.coefficients.shape[:-1], -1))
+            yield self.alike(found.reshape(*self.coefficients.shape[:-1], -1))
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
         """Return the same functions, their values arranged in another shape."""
