@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +61,7 @@ class Swarm(Team):
         """Return one value per drone; each drone has a kind of its own."""
         return np.array(values, dtype=np.float64)
 
-    @cached_property
+    @property
     def drone_names(self) -> tuple[str, ...]:
         """(N,): d0, d1, …."""
         return tuple(f"d{i}" for i in range(self.drones))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -215,17 +215,23 @@ class Team(OneLine):
         """Return one value per drone from one per kind; both drones of a robot are of its kind."""
         return np.repeat(np.array(values, dtype=np.float64), 2)
 
-    @cached_property
+    @property
     def point_names(self) -> tuple[str, ...]:
         """(points,): p0, p1, …, names of the vertices or of a chain's points."""
-        return tuple(f"p{k}" for k in range(self.layout.points))
+        return _names("p", self.layout.points)
 
-    @cached_property
+    @property
     def drone_names(self) -> tuple[str, ...]:
         """(2n,): q0, r0, q1, r1, …."""
-        return tuple(f"{end}{k}" for k in range(self.robots) for end in "qr")
+        return _names("qr", self.robots)
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
         """(2n,) [N]: the half of its cable's weight that each drone carries."""
         return np.repeat(0.5 * GRAVITY * self.cable_density * self.cable_length, 2)
+
+
+@lru_cache(maxsize=64)
+def _names(kinds: str, count: int) -> tuple[str, ...]:
+    """Return one name of every kind with the number 0, then with 1, and so on."""
+    return tuple(f"{kind}{k}" for k in range(count) for kind in kinds)

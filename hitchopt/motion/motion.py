@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -189,7 +188,7 @@ class Motion(OneLine):
         middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
         return self.vertices.alike(np.stack([middles, middles], axis=2))
 
-    @cached_property
+    @property
     def cable_states(self) -> frozenset[CableState]:
         """States of the cables in the phases; of no phases, hitched or without cables."""
         if not self.phases:
