@@ -152,6 +152,23 @@ def test_what_nothing_bounds_is_as_bad_as_can_be() -> None:
         assert largest(given, unused, KnownBound("balance", 2, 1e-9, 1e-5, 1e-12)).worst == np.inf
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e200])
+@pytest.mark.parametrize("name", ["drones", "vertices", "legs", "tensions"])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_numbers_that_nothing_may_be_hold_nowhere(name: str, wrong: float) -> None:
+    motion = random_motion(3, 1)
+    part = getattr(motion, name)
+    coefficients = part.coefficients.copy()
+    coefficients.reshape(-1)[1] = wrong
+    motion = motion.altered(**{name: part.alike(coefficients)})  # such numbers are refused else
+    plain = certify(motion, reports=())
+    with kernels():
+        compiled = certify(motion, reports=())
+    broken = {each.name for each in plain.violated}
+    assert broken
+    assert {each.name for each in compiled.violated} == broken
+
+
 def test_constants_are_the_same() -> None:
     from hitchopt.compiled import distance_kernel, enclosure_kernels, stop_kernel
 
