@@ -37,8 +37,9 @@ TIGHTER, LOOSER, LOOSER_TAUT = 0.8, 1.05, 1.002
 """Factors by which the time constant changes at most at once, the last one where ropes are taut:
 they yield a little, and would jerk."""
 
-FIRM_STEPS = 2.2
-"""Time constant of the ropes' lengths in refined steps; MuJoCo takes no less than 2."""
+FIRM_STEPS, FIRMER = 2.2, 0.95
+"""Time constant of the ropes' lengths in refined steps, of which MuJoCo takes at least 2, and the
+factor by which it falls at most at once: what ropes have yielded pulls by its square."""
 
 
 class World:
@@ -115,6 +116,7 @@ class World:
         self._vertex_dofs = model.jnt_dofadr[joints][:, None] + axes
         self._last_edges: Index = self.cable_vertices[1:-1] - 1  # none, from a cable to the next
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
+        self._firm = math.inf
 
     def place(self, cables: list[Array]) -> None:
         """Put every cable's nodes, its drones at the ends, at n of (segments + 1, 3) [m]."""
@@ -144,7 +146,10 @@ class World:
             self._edge_time, parts = self._longest_edge_time, 1
         parts = max(parts, finer)
         self.model.opt.timestep = step / parts
-        firm = FIRM_STEPS * step / parts if finer > 1 else math.inf
+        firm = math.inf
+        if finer > 1:
+            firm = max(FIRM_STEPS * step / parts, FIRMER * min(self._firm, self._edge_time))
+        self._firm = firm
         self.model.eq_solref[:, 0] = min(self._edge_time, firm)
         self._mujoco.mj_step(self.model, self.data, nstep=count * parts)
 

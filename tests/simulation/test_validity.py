@@ -41,6 +41,29 @@ def test_a_cable_that_hangs_is_valid_and_pulls_as_a_catenary_does(world: World) 
     assert np.max(pull) < 0.01 * 9.81 * 1.5
 
 
+def test_ropes_that_become_firmer_do_not_jerk() -> None:
+    """What they have yielded under their tension is not to pull at once when steps are refined."""
+    ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, ACCURATE)
+    world = World(ropes, np.full(4, 0.13), rigid=False)
+    world.place(hanging(ropes, PLACES, 0.0))
+    force = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]] * 2)
+    force[:, 2] = 9.81 * 0.1375
+
+    def largest(steps: int, finer: int) -> float:
+        found = 0.0
+        for _ in range(steps):
+            slowed = force - 2.0 * world.data.qvel[world.drone_dofs]
+            world.data.xfrc_applied[world.drone_bodies, :3] = slowed
+            world.step(10, finer=finer)
+            found = max(found, float(np.max(tensions(world))))
+        return found
+
+    largest(600, 1)
+    taut = largest(20, 1)
+    assert taut == pytest.approx(0.5, abs=0.05)
+    assert largest(100, 2) < 1.5 * taut
+
+
 def test_an_overloaded_cable_is_reported(world: World) -> None:
     with pytest.raises(InvalidRunError, match="ropes may have passed each other") as caught:
         pulled(world, 12.0, 2000)
