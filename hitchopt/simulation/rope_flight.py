@@ -64,9 +64,9 @@ RESTING_SAMPLE = 0.01
 REPORT_PERIOD = 50
 """Setpoints between two calls of ``progress``."""
 
-FALLING, FALLING_STEP = 2.5, 0.00034
-"""[s] Time after the loss of a drone in which steps are at most so long: ropes slide fast over each
-other at its clasp, and coarser ones strain by more than 2 % there."""
+FALLING, FALLING_STEP, FALLING_PARTS = 2.5, 0.00034, 3
+"""[s] Time after the loss of a drone in which steps are at most so long, and that part of the
+preset's: ropes slide fast over each other at its clasp, and strain by more than 2 % there else."""
 
 REST_HEIGHT = BODY_HALF_HEIGHT + 0.005
 """Height of the centre of a drone on the ground [m]."""
@@ -145,7 +145,8 @@ class _Run:
         self._period = self._substeps * ropes.preset.time_step
         self._damping = 0.0
         self._lost = _place_of(settings.lost, task)
-        self._fine = ceil(ropes.preset.time_step / FALLING_STEP - 1e-9)
+        least = ceil(ropes.preset.time_step / FALLING_STEP - 1e-9)
+        self._fine = max(least, FALLING_PARTS)
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
 

@@ -12,12 +12,13 @@ from scripted import regular_hitch, standing
 import hitchopt as ho
 from hitchopt.losing.flown_reaction import reacting
 from hitchopt.losing.reaction import Reactions
+from hitchopt.simulation import rope_flight
 from hitchopt.simulation.flight_outcome import judge
 from hitchopt.simulation.flight_records import Touch
 from hitchopt.simulation.flight_task import read_task
 from hitchopt.simulation.lost_drones import Loss, loss_outcome
 from hitchopt.simulation.rope_flight import fly
-from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Preset, Settings
 
 
 @pytest.mark.parametrize("text", ["q0", "q0@", "@1.0", "q0@soon", "q0@nan"])
@@ -34,6 +35,25 @@ def test_a_loss_that_cannot_be_is_refused(loss: Loss, words: str) -> None:
     task = standing(regular_hitch(3), 0.5)
     with pytest.raises(ho.InputError, match=words):
         fly(task, Settings(lost=loss))
+
+
+@pytest.mark.parametrize("preset", [FAST, ACCURATE])
+def test_steps_are_finer_after_a_loss(preset: Preset) -> None:
+    """Ropes that run over the lost drone's clasp strain too much with the preset's own."""
+    settings = Settings(lost=Loss("q0", 0.01), preset=preset, pull_test=False)
+    run = rope_flight._Run(standing(regular_hitch(3), 0.02), settings, None)
+    used = {preset.time_step}
+    step = run._world.step
+
+    def noted(count: int = 1, *, loose: bool = False, finer: int = 1) -> None:
+        step(count, loose=loose, finer=finer)
+        used.add(run._world.model.opt.timestep)
+
+    run._world.step = noted  # type: ignore[method-assign]
+    for time in (0.0, 0.02):
+        run._step(time, 0, 1.0)
+    assert min(used) <= min(preset.time_step / 3.0, 0.00034) * (1.0 + 1e-9)
+    assert max(used) == preset.time_step
 
 
 def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
