@@ -21,9 +21,6 @@ LETTING_GO = 0.3
 falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
 was let go at once, in twice the time, or only after the fall."""
 
-FADING = 0.1
-"""[s] Time in which survivors let go of a lost drone that lies on the ground."""
-
 
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return the task until the survivors react, then what they fly, to the ground.
@@ -97,10 +94,8 @@ def _forces(times: Array, planned: Array, reaction: Reaction) -> Array:
     gone = np.clip((times - reaction.course.begins) / LETTING_GO, 0.0, 1.0)
     keeps = 1.0 - gone**2 * (3.0 - 2.0 * gone)
     forces: Array = keeps[:, None, None] * planned
-    held = reaction.held
-    if held is not None:
-        risen = np.clip((times - held.begins) / (held.full - held.begins), 0.0, 1.0)
-        fallen = np.clip((times - held.ends) / FADING, 0.0, 1.0)
-        forces = (1.0 - risen)[:, None, None] * forces
-        forces = forces + (risen * (1.0 - fallen))[:, None, None] * held.pulls
+    if reaction.held is not None:
+        forces = reaction.held.added(times, forces)
+    if reaction.inward is not None:
+        forces = forces - reaction.inward.pushes(times)
     return forces

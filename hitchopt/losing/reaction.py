@@ -6,8 +6,9 @@ on the ground; drones above others go aside and land by themselves. All survivor
 tension go in a moment; where a hitch can hold the lost drone and it hangs still once it has swung
 down, they come to pull as its weight needs, until it lies on the ground. They do so at once where
 its leg or its partner's is short and its fall would end on the cable, not on the ground: on what
-has run by then it falls far, and draws its partner to its clasp. Where cables hang free the lost
-drone has to reach the ground before its cable is taut, since no drone carries two.
+has run by then it falls far, and draws its partner to its clasp. Else they push inward for a while,
+so that they do not spring back from where it has drawn them. Where cables hang free the lost drone
+has to reach the ground before its cable is taut, since no drone carries two.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN, free_fall, resting_place
+from hitchopt.losing.pushing import ROOM, TRIES, closer, inward
 from hitchopt.losing.reaction_records import Course, Held, Reaction
 from hitchopt.losing.sinking import SHARE, Sinking, alone, deepest_first, landed, stopped, sunk
 from hitchopt.losing.swinging import LEAST_LEG, swings
@@ -52,7 +54,7 @@ OVERSHOOT = 2.0
 STOPS = (1.0, 1.5, 2.2)
 """Durations of the clock's stop that are tried, over that of the shortest one."""
 
-TRIES = 12
+COURSES = 12
 """Number of courses that are certified, before one that sinks only after the stop."""
 
 SWUNG = 0.65
@@ -109,7 +111,7 @@ class Reactions:
         lost = names.index(drone)
         states = states_at(self.motion, time)
         if bool(states.formed):
-            return self._hitched(course, drone, lost)
+            return self._pushing(self._hitched(course, drone, lost), states, lost)
         return self._falling(course, drone, lost, states)
 
     def _course(self, time: float) -> Course:
@@ -119,7 +121,7 @@ class Reactions:
         begins = min(time + DELAY, motion.duration)
         stoppings = [stopped(motion, self._aborts.stops, begins, stop) for stop in STOPS]
         first = stoppings[0]
-        tries = deepest_first(stoppings, begins, time + SWUNG)[:TRIES]
+        tries = deepest_first(stoppings, begins, time + SWUNG)[:COURSES]
         tries.append(Sinking(first, first.motion.duration, SHARE))
         if motion.team.has_cables and not first.motion.phases[-1].formed:
             tries = [replace(tries[-1], share=0.0)]  # cables are not dragged over the ground
@@ -169,6 +171,18 @@ class Reactions:
             begins, full = AT_ONCE if short else CAUGHT
             held = Held(rest.pulls, course.time + begins, course.time + full, lands)
         return Reaction(drone, course, rest.thrust, nearest, held)
+
+    def _pushing(self, reaction: Reaction, states: States, lost: int) -> Reaction:
+        """Return a reaction of a hitch whose survivors push inward, if they may."""
+        motion, others = self.motion, np.arange(self.motion.team.drones) != lost
+        for share, across in TRIES:
+            by = share * closer(motion.team, states, lost, across=across)
+            found = inward(motion, reaction.course, by, lost, reaction.held)
+            nearest = _apart(motion, (states.positions + by)[others])
+            if found is not None and nearest >= ROOM:
+                nearest = min(nearest, reaction.nearest)
+                return replace(reaction, inward=found, nearest=nearest)
+        return reaction
 
     def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hitchopt.checks.certificate import Check
 from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine
@@ -37,6 +39,10 @@ class Course(OneLine):
         return self.sinking.duration + sum(each.duration for each in self.landing)
 
 
+FADING = 0.1
+"""[s] Time in which survivors let go of a lost drone that lies on the ground."""
+
+
 @dataclass(frozen=True, eq=False)
 class Held(OneLine):
     """How survivors hold a lost drone that hangs.
@@ -53,6 +59,38 @@ class Held(OneLine):
     full: float
     ends: float
 
+    def added(self, times: Array, forces: Array) -> Array:
+        """Return forces (k, 2n, 3) [N] that pass over into these pulls and fade, at times [s]."""
+        risen = np.clip((times - self.begins) / (self.full - self.begins), 0.0, 1.0)
+        fallen = np.clip((times - self.ends) / FADING, 0.0, 1.0)
+        pulls: Array = (risen * (1.0 - fallen))[:, None, None] * self.pulls
+        return (1.0 - risen)[:, None, None] * forces + pulls
+
+
+@dataclass(frozen=True, eq=False)
+class Inward(OneLine):
+    """How survivors stay where what fell has drawn them.
+
+    Attributes
+    ----------
+    forces: (2n, 3) [N], level, with which they push.
+    begins, full: times from which on they push, and from which on they do so fully [s].
+    fades, ends: times from which on they push less, and no longer [s].
+    """
+
+    forces: Array
+    begins: float
+    full: float
+    fades: float
+    ends: float
+
+    def pushes(self, times: Array) -> Array:
+        """Return their forces (k, 2n, 3) [N] at times [s]."""
+        risen = np.clip((times - self.begins) / (self.full - self.begins), 0.0, 1.0)
+        left = np.clip((self.ends - times) / (self.ends - self.fades), 0.0, 1.0)
+        pushes: Array = (risen * left)[:, None, None] * self.forces
+        return pushes
+
 
 @dataclass(frozen=True, eq=False)
 class Reaction(OneLine):
@@ -68,6 +106,7 @@ class Reaction(OneLine):
         radii.
     held: how they hold the lost drone once it has swung down; None where it lies on the ground by
         then, or no clasp holds its cable.
+    inward: how they stay close to it; None where they cannot, or no clasp holds its cable.
     """
 
     drone: str
@@ -75,3 +114,4 @@ class Reaction(OneLine):
     thrust: float
     nearest: float
     held: Held | None = None
+    inward: Inward | None = None

@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.losing import sinking
+from hitchopt.losing import pushing, reaction, sinking
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place
 from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, SWUNG, Reactions
@@ -252,6 +252,8 @@ def test_survivors_pull_at_once_where_a_leg_is_short(
     pulling = (flown.t > held.full) & (flown.t < held.ends)
     assert np.any(pulling) == (held.full < held.ends)
     forces = flown.setpoints.cable_forces[pulling]
+    if found.inward is not None:
+        forces = forces + found.inward.pushes(flown.t[pulling])
     np.testing.assert_allclose(forces - held.pulls, np.zeros_like(forces), atol=1e-9)
 
 
@@ -275,11 +277,94 @@ def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> N
     assert held.begins == TIME + 1.0
     letting_go = (flown.t > found.course.begins) & (flown.t < found.course.begins + LETTING_GO)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
-    assert np.max(np.abs(np.diff(forces[flown.t < held.begins], axis=0))) < 0.03
-    between = (flown.t >= found.course.begins + LETTING_GO) & (flown.t < held.begins)
+    smoothly = flown.t < found.course.time + 0.55
+    assert np.max(np.abs(np.diff(forces[smoothly], axis=0))) < 0.03
+    inward = found.inward
+    assert inward is not None
+    between = (flown.t >= found.course.begins + LETTING_GO) & (flown.t < inward.begins)
+    assert np.any(between)
     assert np.max(forces[between]) == 0.0
-    assert np.max(forces[flown.t > held.ends + 0.11]) == 0.0
-    rising = (flown.t > held.begins) & (flown.t < min(held.full, held.ends))
+    assert np.max(forces[flown.t > max(held.ends + 0.11, inward.ends)]) == 0.0
+    fully = (flown.t > inward.full) & (flown.t < held.begins)
+    pushes = np.broadcast_to(inward.forces, (int(np.sum(fully)), 8, 3))
+    np.testing.assert_allclose(-flown.setpoints.cable_forces[fully], pushes, atol=1e-9)
+    rising = (flown.t > held.begins) & (flown.t < min(held.full, held.ends, inward.fades))
     share = (flown.t[rising] - held.begins) / (held.full - held.begins)
-    expected = share[:, None, None] * held.pulls
+    expected = share[:, None, None] * held.pulls - inward.forces
     np.testing.assert_allclose(flown.setpoints.cable_forces[rising], expected, atol=1e-9)
+
+
+@cache
+def leaning(tilt: float) -> ho.Plan:
+    team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
+    start = ho.Hitch.spread(team, regular_polygon(4, 1.0).vertices, altitude=2.4)
+    return ho.transport(start, to=[0.7, 0.3, 2.4], limits=ho.Limits(tilt_deg=tilt))
+
+
+@pytest.mark.parametrize(("drone", "beside"), [("q0", ["r0", "r3"]), ("r2", ["q2", "q3"])])
+def test_survivors_push_level_and_inward(drone: str, beside: list[str]) -> None:
+    """On their position loops those beside the lost one come to its clasp, the others together."""
+    motion = leaning(60.0).motion
+    found, names = Reactions(motion).found(drone, TIME), motion.team.drone_names
+    pushed, lost, near = found.inward, names.index(drone), [names.index(name) for name in beside]
+    assert pushed is not None
+    assert not np.any(pushed.forces[lost])
+    assert not np.any(pushed.forces[:, 2])
+    states = states_at(motion, TIME)
+    places, by = states.positions, pushed.forces / (GAIN * motion.team.mass[:, None])
+    clasp = states.vertices[motion.team.layout.pulled_to[lost]]
+    for i in near:
+        before, after = (
+            np.linalg.norm((place - clasp)[:2]) for place in (places[i], places[i] + by[i])
+        )
+        assert before - after == pytest.approx(pushing.BESIDE)
+    others = [i for i in range(8) if i not in (*near, lost)]
+    middle = np.mean(places, axis=0)
+    far = np.linalg.norm((places - middle)[:, :2], axis=-1)
+    closer = far - np.linalg.norm((places + by - middle)[:, :2], axis=-1)
+    np.testing.assert_allclose(closer[others], pushing.CLOSER * far[others] / np.max(far))
+    survivors = (places + by)[[*near, *others]]
+    one, other = np.triu_indices(7, 1)
+    scale = motion.requirements.separation.scale
+    apart = np.min(np.linalg.norm((survivors[one] - survivors[other]) * scale, axis=-1))
+    assert found.nearest <= apart + 1e-9
+    assert apart >= pushing.ROOM
+
+
+def test_nobody_pushes_where_survivors_come_too_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    largest = []
+    for room in (1.0, 2.96, 3.4, 9.0):
+        monkeypatch.setattr(reaction, "ROOM", room)
+        pushed = reactions_of(2.4).found("q1", TIME).inward
+        largest.append(0.0 if pushed is None else float(np.max(np.abs(pushed.forces))))
+    assert largest[0] == max(largest) > 0.0
+    assert largest[-1] == 0.0
+
+
+@pytest.mark.parametrize("tilt", [25.0, 32.0, 45.0, 60.0])
+def test_who_pushes_leans_within_the_limit(tilt: float, tmp_path: Path) -> None:
+    """Thrusts by Newton's law from the setpoints that are flown."""
+    plan = leaning(tilt)
+    team, found = plan.motion.team, Reactions(plan.motion).found("q1", TIME)
+    flown = reacting(read_task(plan.save(tmp_path)), found)
+    setpoints = flown.setpoints
+    thrusts = team.mass[:, None] * (setpoints.accelerations + [0.0, 0.0, GRAVITY])
+    thrusts = (thrusts - setpoints.cable_forces)[:, np.arange(8) != 2]
+    angle = np.degrees(np.arctan2(np.linalg.norm(thrusts[..., :2], axis=-1), thrusts[..., 2]))
+    assert (found.inward is None) == (tilt == 25.0)
+    if found.inward is not None:
+        pushing = (flown.t >= found.inward.begins) & (flown.t <= found.inward.ends)
+        largest = np.max(angle[pushing])
+        assert 0.6 * min(tilt, 40.0) < largest <= tilt + 0.1
+        assert np.max(np.linalg.norm(thrusts, axis=-1)) <= np.min(team.max_thrust)
+
+
+def test_a_low_team_lands_upright() -> None:
+    assert reactions_of(1.0).found("q1", TIME).inward is not None
+    assert Reactions(plan_of(0.5).motion).found("q1", TIME).inward is None
+    for altitude in (1.0, 2.4):
+        found = reactions_of(altitude).found("q1", TIME)
+        pushed, flown = found.inward, found.course.sinking.drones
+        assert pushed is not None
+        assert np.min(flown.at(pushed.ends)[:, 2]) > 0.24
+        assert pushed.ends <= TIME + 2.2
