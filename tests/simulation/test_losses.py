@@ -72,6 +72,23 @@ def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
     assert judge(flight).failures == ()
 
 
+def test_who_pushes_inward_stays_inward(tmp_path: Path) -> None:
+    """Survivors that do not push are back at their setpoints once the lost drone lies."""
+    team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
+    corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    plan = ho.hold(ho.Hitch.spread(team, corners, altitude=2.0), 1.0)
+    task, loss = read_task(plan.save(tmp_path)), Loss("q0", 0.2)
+    found = Reactions(plan.motion).found("q0", 0.2)
+    assert found.inward is not None
+    out = []
+    for inward in (None, found.inward):
+        record = fly(reacting(task, replace(found, inward=inward)), Settings(lost=loss)).record
+        late = np.argmin(np.abs(record.t - 1.7))
+        level = record.drones[late, 1:, :2]
+        out.append(float(np.mean(np.linalg.norm(level - np.mean(corners, axis=0), axis=-1))))
+    assert out[0] - out[1] > 0.1
+
+
 def test_contacts_are_those_of_survivors() -> None:
     task = standing(regular_hitch(3), 0.3)
     loss = Loss("q0", 0.05)
