@@ -15,8 +15,12 @@ from open_chain_cases import random_chain
 
 import hitchopt as ho
 from hitchopt.checks.bounds import stop_bounds, stop_rows
+from hitchopt.checks.bounds.clock_limits import ClockLimits
+from hitchopt.checks.bounds.derivative_grid import CURVED, DENSER, NODES, DerivativeGrid
 from hitchopt.checks.bounds.quick_stops import quick_stop_table
+from hitchopt.checks.bounds.rounding_margins import LAST_PLACE, ROUNDING
 from hitchopt.checks.bounds.static_thrust import StaticThrust
+from hitchopt.checks.bounds.stop_rows import LimitTables
 from hitchopt.checks.certify import certify
 from hitchopt.checks.stoppable import QUICK
 from hitchopt.compiled.kernel_switch import kernels, kernels_on
@@ -89,6 +93,40 @@ def test_stops_agree(limit: float) -> None:
     np.testing.assert_allclose(compiled.durations, plain.durations, rtol=1e-9)
     np.testing.assert_allclose(enclosed.coefficients, thrust.coefficients, atol=1e-12)
     np.testing.assert_allclose(enclosed.radius, thrust.radius, rtol=1e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [4, 6])
+def test_tables_that_stops_are_held_against_agree(seed: int) -> None:
+    """Number by number: what is off by a little seldom shows in a certificate."""
+    from hitchopt.compiled.grid_kernel import stop_grid
+
+    motion = random_motion(4, seed)
+    limits, static, drones = ClockLimits(motion), StaticThrust.of(motion).thrust, motion.drones
+    grid = DerivativeGrid(limits, 0.02)
+    plain = LimitTables.of(limits, grid)
+    own, team = motion.requirements.limits, motion.team
+    found = stop_grid(
+        drones.coefficients.copy(),
+        drones.breaks.copy(),
+        (static.coefficients.copy(), static.radius.copy()),
+        np.stack([team.mass, team.max_thrust]),
+        np.array([own.acceleration, own.jerk, own.tilt]),
+        (max(0.02, drones.duration / NODES), CURVED, DENSER),
+        (LAST_PLACE, ROUNDING),
+    )
+    for name in ("begin", "until", "width", "piece", "left"):
+        np.testing.assert_allclose(getattr(found, name), getattr(grid, name), err_msg=name)
+    margins = found.margins.transpose(0, 2, 1)
+    scale = np.max(margins, axis=(1, 2), keepdims=True)
+    expected = plain.margins.reshape(5, -1, drones.pieces)
+    np.testing.assert_allclose(margins[:5] / scale[:5], expected / scale[:5], atol=1e-12)
+    np.testing.assert_allclose(margins[5:7], plain.loads, rtol=1e-12)
+    np.testing.assert_allclose(found.margins[8], grid.slope, rtol=1e-9)
+    np.testing.assert_allclose(found.margins[9], grid.bend, rtol=1e-9)
+    sizes = np.stack(found.sizes).transpose(0, 2, 1)
+    np.testing.assert_allclose(sizes, plain.sizes, rtol=1e-12)
+    np.testing.assert_allclose(found.largest.T, plain.largest, rtol=1e-12)
+    np.testing.assert_allclose(found.spare, plain.spare, rtol=1e-12)
 
 
 @pytest.mark.parametrize("yaw", [0.0, -0.8])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hitchopt.checks.cable_length import _bound
 from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.trajectory import PiecewisePolynomial, bernstein, enclosure
 from hitchopt.trajectory.compiled_search import interpolation_weights
@@ -65,6 +66,25 @@ def test_lengths(degree: int) -> None:
         np.testing.assert_allclose(radius, plain.radius[i], rtol=1e-6, atol=1e-12 * scale)
         off = np.abs(values(found) - np.linalg.norm(values(each), axis=0))
         assert np.all(off <= radius + 1e-13 * scale)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 5, 7])
+@pytest.mark.parametrize("off", [0.0, 0.03])
+def test_bounds_of_cables(degree: int, off: float) -> None:
+    """Cell by cell, the errors of all enclosures among them."""
+    from hitchopt.compiled.cable_kernels import lengths
+    from hitchopt.compiled.enclosure_kernels import work_space
+
+    turning = vectors(degree)[:30]  # errors of enclosures are about as large as what they enclose
+    rows = 0.3 * turning.reshape(10, 9, degree + 1)
+    stored = enclosure.norm(rows.reshape(10, 3, 3, -1)).coefficients[:, :2]
+    stored = stored + off * np.linspace(-1.0, 1.0, stored.shape[-1])
+    plain = _bound((rows, stored))
+    weights = interpolation_weights(degree, NORM_ORDER)
+    found = [lengths(*each, weights, work_space(), -1.0) for each in zip(rows, stored, strict=True)]
+    bounds, sums, _ = np.transpose(found)
+    np.testing.assert_allclose(bounds, plain.bound, rtol=1e-9)
+    assert np.all(sums <= bounds)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3, 7])
