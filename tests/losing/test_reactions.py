@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -248,6 +249,7 @@ def test_survivors_pull_at_once_where_a_leg_is_short(
     held = found.held
     assert held is not None
     assert held.begins == pytest.approx(TIME + waits)
+    assert (found.inward is None) == (waits == DELAY)  # who pulls at once does not push
     flown = reacting(read_task(plan.save(tmp_path)), found)
     pulling = (flown.t > held.full) & (flown.t < held.ends)
     assert np.any(pulling) == (held.full < held.ends)
@@ -294,9 +296,22 @@ def test_a_flown_reaction_is_the_plan_and_then_the_reaction(tmp_path: Path) -> N
     np.testing.assert_allclose(flown.setpoints.cable_forces[rising], expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("across", [False, True])
+def test_who_comes_closer_keeps_its_height(across: bool) -> None:
+    motion = plan_of(2.4).motion
+    states = states_at(motion, TIME)
+    by = pushing.closer(motion.team, states, 3, across=across)
+    tilted = states.positions + np.linspace(-0.3, 0.3, 8)[:, None] * [0.0, 0.0, 1.0]
+    moved = pushing.closer(motion.team, replace(states, positions=tilted), 3, across=across)
+    np.testing.assert_allclose(moved, by, atol=1e-15)
+    assert not np.any(moved[:, 2])
+    assert np.count_nonzero(np.linalg.norm(by, axis=-1)) == 7
+
+
 @cache
-def leaning(tilt: float) -> ho.Plan:
-    team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
+def leaning(tilt: float, thrust: float = 2.6) -> ho.Plan:
+    drone = ho.Quadrotor(max_thrust=thrust)
+    team = ho.Team(robots=4, cable_length=2.2, tension=0.5, quadrotor=drone)
     start = ho.Hitch.spread(team, regular_polygon(4, 1.0).vertices, altitude=2.4)
     return ho.transport(start, to=[0.7, 0.3, 2.4], limits=ho.Limits(tilt_deg=tilt))
 
@@ -332,19 +347,28 @@ def test_survivors_push_level_and_inward(drone: str, beside: list[str]) -> None:
 
 
 def test_nobody_pushes_where_survivors_come_too_close(monkeypatch: pytest.MonkeyPatch) -> None:
-    largest = []
+    largest, nearest = [], []
     for room in (1.0, 2.96, 3.4, 9.0):
         monkeypatch.setattr(reaction, "ROOM", room)
-        pushed = reactions_of(2.4).found("q1", TIME).inward
+        found = reactions_of(2.4).found("q1", TIME)
+        pushed = found.inward
         largest.append(0.0 if pushed is None else float(np.max(np.abs(pushed.forces))))
+        nearest.append(found.nearest)
     assert largest[0] == max(largest) > 0.0
     assert largest[-1] == 0.0
+    assert max(nearest) <= nearest[-1]  # what is nearest without pushing is so with it as well
 
 
-@pytest.mark.parametrize("tilt", [25.0, 32.0, 45.0, 60.0])
-def test_who_pushes_leans_within_the_limit(tilt: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("tilt", "thrust", "closer"),
+    [(25.0, 2.6, 0.21), (32.0, 2.6, 0.21), (45.0, 2.6, 0.21), (60.0, 2.6, 0.21), (75.0, 2.2, 0.4)],
+)
+def test_who_pushes_leans_within_the_limits(
+    tilt: float, thrust: float, closer: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Thrusts by Newton's law from the setpoints that are flown."""
-    plan = leaning(tilt)
+    monkeypatch.setattr(pushing, "CLOSER", closer)
+    plan = leaning(tilt, thrust)
     team, found = plan.motion.team, Reactions(plan.motion).found("q1", TIME)
     flown = reacting(read_task(plan.save(tmp_path)), found)
     setpoints = flown.setpoints
@@ -353,10 +377,11 @@ def test_who_pushes_leans_within_the_limit(tilt: float, tmp_path: Path) -> None:
     angle = np.degrees(np.arctan2(np.linalg.norm(thrusts[..., :2], axis=-1), thrusts[..., 2]))
     assert (found.inward is None) == (tilt == 25.0)
     if found.inward is not None:
-        pushing = (flown.t >= found.inward.begins) & (flown.t <= found.inward.ends)
-        largest = np.max(angle[pushing])
+        during = (flown.t >= found.inward.begins) & (flown.t <= found.inward.ends)
+        largest = np.max(angle[during])
         assert 0.6 * min(tilt, 40.0) < largest <= tilt + 0.1
-        assert np.max(np.linalg.norm(thrusts, axis=-1)) <= np.min(team.max_thrust)
+        sizes = np.linalg.norm(thrusts[during], axis=-1)
+        assert 0.9 * min(thrust, 1.8) < np.max(sizes) <= thrust
 
 
 def test_a_low_team_lands_upright() -> None:
