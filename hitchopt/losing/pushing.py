@@ -20,8 +20,8 @@ FROM, RISES, UNTIL, FADES = 0.55, 0.1, 2.2, 0.4
 """[s] Times after the loss between which survivors push, and in which they begin and cease to."""
 
 CLOSER, BESIDE = 0.21, 0.25
-"""[m] By how much, on its position loop, the outermost one comes closer to the middle, and those
-that share a cable or clasp with the lost drone to that clasp."""
+"""[m] Distances, on position loops, by which the outermost one comes closer to the middle, and
+those that share a cable or clasp with the lost drone to that clasp."""
 
 TRIES = ((1.0, True), (1.0, False), (0.75, False), (0.5, False))
 """Shares of that which are tried, and whether those beside go to the clasp or to the middle."""

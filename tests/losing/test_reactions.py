@@ -233,12 +233,12 @@ def test_a_wrong_drone_and_a_wrong_time_are_named() -> None:
 @cache
 def short_legs(altitude: float) -> ho.Plan:
     team = ho.Team(robots=4, cable_length=2.2, tension=0.5)
-    start = ho.Hitch(team, regular_polygon(4, 1.0), altitude, [0.85] * 4)  # legs of 0.35 m at r
+    start = ho.Hitch(team, regular_polygon(4, 1.0), altitude, [0.92] * 4)  # legs of 0.28 m at r
     return ho.transport(start, to=[0.7, 0.3, altitude])
 
 
 @pytest.mark.parametrize(
-    ("drone", "altitude", "waits"), [("q1", 2.4, DELAY), ("r1", 1.7, 1.0), ("r1", 2.4, DELAY)]
+    ("drone", "altitude", "waits"), [("q1", 2.4, DELAY), ("r1", 1.5, 1.0), ("r1", 2.4, DELAY)]
 )
 def test_survivors_pull_at_once_where_a_leg_is_short(
     drone: str, altitude: float, waits: float, tmp_path: Path
