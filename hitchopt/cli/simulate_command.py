@@ -164,12 +164,12 @@ def _lost(
         return settings, task
     found = Reactions(read_plan(directory / PLAN)).found(loss.drone, loss.time)
     course = found.course
-    held = "" if found.held is None else f"{loss.drone} is held until {found.held.ends:.3f} s, "
-    inward = found.inward
+    held, inward = found.held, found.inward
+    also = "" if held is None else f"{loss.drone} is held until {held.ends:.3f} s, "
     if inward is not None:
-        held += f"the others push inward from {inward.begins:.3f} to {inward.ends:.3f} s, "
+        also += f"the others push inward from {inward.begins:.3f} to {inward.ends:.3f} s, "
     say(
-        f"reaction: tension is let go from t = {course.begins:.3f} s on, {held}all are on the "
+        f"reaction: tension is let go from t = {course.begins:.3f} s on, {also}all are on the "
         f"ground at {course.duration:.3f} s; hovering with its weight takes up to "
         f"{found.thrust:.0%} of a thrust"
     )

@@ -7,11 +7,14 @@ setpoints that come closer takes too long within limits; thrust that leans inwar
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN
-from hitchopt.losing.reaction_records import Course, Held, Inward
+from hitchopt.losing.reaction_records import Course, Held, Inward, Reaction
+from hitchopt.losing.spacing import apart, to_lost
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
@@ -36,12 +39,37 @@ SAMPLE = 0.01
 """[s] Distance of the samples of their thrusts."""
 
 
-def inward(
+def pushing(motion: Motion, states: States, lost: int, reaction: Reaction, arcs: Array) -> Reaction:
+    """Return a reaction of a hitch whose survivors push inward; the same one if they may not.
+
+    Parameters
+    ----------
+    motion: the plan.
+    states: of the time of the loss.
+    lost: the drone.
+    reaction: to its loss.
+    arcs: (m, 3) [m], places through which it swings.
+    """
+    others = np.arange(motion.team.drones) != lost
+    for share, across in TRIES:
+        by = share * closer(motion.team, states, lost, across=across)
+        near = (states.positions + by)[others]
+        room, distance = apart(motion, near), to_lost(motion, near, arcs)
+        if room < ROOM or distance < 1.0:
+            continue
+        found = _inward(motion, reaction.course, by, lost, reaction.held)
+        if found is not None:
+            return replace(reaction, inward=found, nearest=min(room, distance, reaction.nearest))
+    return reaction
+
+
+def _inward(
     motion: Motion, course: Course, by: Array, lost: int, held: Held | None
 ) -> Inward | None:
     """Return how survivors push inward; None where thrust, tilt or height do not allow it.
 
-    Nor do they where they hold the lost drone at once. Thrust and tilt are looked at in samples.
+    Nor do they where they hold the lost drone at once. Thrust and tilt are looked at in samples;
+    what cables were planned to pull has been let go by then.
 
     Parameters
     ----------

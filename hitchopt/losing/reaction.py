@@ -25,9 +25,10 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.losing.falling import GAIN, free_fall, resting_place
-from hitchopt.losing.pushing import ROOM, TRIES, closer, inward
+from hitchopt.losing.pushing import pushing
 from hitchopt.losing.reaction_records import Course, Held, Reaction
 from hitchopt.losing.sinking import SHARE, Sinking, alone, deepest_first, landed, stopped, sunk
+from hitchopt.losing.spacing import apart, to_lost
 from hitchopt.losing.swinging import LEAST_LEG, swings
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
@@ -112,7 +113,7 @@ class Reactions:
         lost = names.index(drone)
         states = states_at(self.motion, time)
         if bool(states.formed):
-            return self._pushing(self._hitched(course, drone, lost), states, lost)
+            return pushing(self.motion, states, lost, *self._hitched(course, drone, lost))
         return self._falling(course, drone, lost, states)
 
     def _course(self, time: float) -> Course:
@@ -139,8 +140,11 @@ class Reactions:
             refusal = refusal or broken
         raise _none(time, _words(refusal))
 
-    def _hitched(self, course: Course, drone: str, lost: int) -> Reaction:
-        """Return the reaction of a hitch, whose clasps hold the lost drone's cable."""
+    def _hitched(self, course: Course, drone: str, lost: int) -> tuple[Reaction, Array]:
+        """Return the reaction of a hitch, whose clasps hold the lost drone's cable, but for pushes.
+
+        With it come places (m, 3) [m] through which the lost drone swings.
+        """
         motion, team = self.motion, self.motion.team
         states = states_at(motion, course.time)
         floor = motion.requirements.floor
@@ -154,9 +158,9 @@ class Reactions:
         longest = float(np.linalg.norm(end - rest.vertices[point]))
         arcs = swings(team, states, lost, longest, floor)
         nearest = min(
-            _ratio(motion, states.positions[others], arcs),
-            _ratio(motion, rest.positions[others], end[None]),
-            _apart(motion, rest.positions[others]),
+            to_lost(motion, states.positions[others], arcs),
+            to_lost(motion, rest.positions[others], end[None]),
+            apart(motion, rest.positions[others]),
         )
         _check_apart(course, nearest)
         t = np.linspace(course.begins, course.sinking.duration, 400)
@@ -171,21 +175,11 @@ class Reactions:
         if not rest.lies and lands > course.time + CAUGHT[0]:
             begins, full = AT_ONCE if short else CAUGHT
             held = Held(rest.pulls, course.time + begins, course.time + full, lands)
-        return Reaction(drone, course, rest.thrust, nearest, held)
+        return Reaction(drone, course, rest.thrust, nearest, held), arcs
 
-    def _pushing(self, reaction: Reaction, states: States, lost: int) -> Reaction:
-        """Return a reaction of a hitch whose survivors push inward, if they may."""
-        motion, others = self.motion, np.arange(self.motion.team.drones) != lost
-        for share, across in TRIES:
-            by = share * closer(motion.team, states, lost, across=across)
-            found = inward(motion, reaction.course, by, lost, reaction.held)
-            nearest = _apart(motion, (states.positions + by)[others])
-            if found is not None and nearest >= ROOM:
-                nearest = min(nearest, reaction.nearest)
-                return replace(reaction, inward=found, nearest=nearest)
-        return reaction
-
-    def _dropped(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
+    def _dropped(
+        self, course: Course, drone: str, lost: int, states: States
+    ) -> tuple[Reaction, Array]:
         """Return the reaction of a hitch that cannot hold a lost drone, but lets it down.
 
         All let go, and the partner gives way as far as the weight moves it: that and what the team
@@ -207,10 +201,10 @@ class Reactions:
         moved[partner] -= gives * legs[partner] / lengths[partner]
         others = np.arange(team.drones) != lost
         arcs = swings(team, states, lost, float(lengths[lost]) + gives, floor)
-        nearest = min(_apart(motion, moved[others]), _ratio(motion, moved[others], arcs))
+        nearest = min(apart(motion, moved[others]), to_lost(motion, moved[others], arcs))
         _check_apart(course, nearest)
         thrust = largest_static_thrust(motion)
-        return Reaction(drone, course, thrust, nearest)
+        return Reaction(drone, course, thrust, nearest), arcs
 
     def _falling(self, course: Course, drone: str, lost: int, states: States) -> Reaction:
         """Return the reaction of drones whose cables hang free, or that have none."""
@@ -222,7 +216,7 @@ class Reactions:
         there = whole.at(np.minimum(course.time + times, whole.breaks[-1]))
         others = np.arange(len(team.drone_names)) != lost
         nearest = min(
-            _ratio(motion, each[others], place[None])
+            to_lost(motion, each[others], place[None])
             for each, place in zip(there, places, strict=True)
         )
         if nearest < 1.0:
@@ -245,7 +239,7 @@ class Reactions:
         for part in parts:
             t = np.linspace(course.begins if part is parts[0] else 0.0, part.duration, 200)
             least = min(
-                least, _ratio(part, part.drones.at(t)[:, others].reshape(-1, 3), place[None])
+                least, to_lost(part, part.drones.at(t)[:, others].reshape(-1, 3), place[None])
             )
         if least < 1.0:
             raise _none(course.time, f"a survivor lands on {drone}, at {least:.3g}")
@@ -265,24 +259,6 @@ def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:
             yield found
             if not found.holds:
                 return
-
-
-def _ratio(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest distance of survivors (k, 3) and places of the lost drone (m, 3) [m].
-
-    It is over two radii in every direction: ellipsoids are higher for the downwash, which a drone
-    without motors has not, and does not mind.
-    """
-    apart = np.linalg.norm(survivors[:, None] - places, axis=-1)
-    return float(np.min(apart, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
-
-
-def _apart(motion: Motion, survivors: Array) -> float:
-    """Return the smallest separation of two survivors (k, 3) [m]."""
-    scale = motion.requirements.separation.scale
-    i, j = np.triu_indices(len(survivors), 1)
-    apart = np.linalg.norm((survivors[i] - survivors[j]) * scale, axis=-1)
-    return float(np.min(apart, initial=np.inf))
 
 
 def _check_apart(course: Course, nearest: float) -> None:

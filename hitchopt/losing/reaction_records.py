@@ -106,7 +106,7 @@ class Reaction(OneLine):
         radii.
     held: how they hold the lost drone once it has swung down; None where it lies on the ground by
         then, or no clasp holds its cable.
-    inward: how they stay close to it; None where they cannot, or no clasp holds its cable.
+    inward: how they stay where it has drawn them; None where they do not.
     """
 
     drone: str

@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 
 import hitchopt as ho
-from hitchopt.cli import main
+from hitchopt.cli import main, simulate_command
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.losing import pushing, reaction, sinking
+from hitchopt.losing import pushing, sinking
 from hitchopt.losing.falling import GAIN, Rest, free_fall, resting_place
 from hitchopt.losing.flown_reaction import LETTING_GO, reacting
 from hitchopt.losing.reaction import DELAY, SWUNG, Reactions
@@ -26,6 +26,7 @@ from hitchopt.motion.phases import CableState
 from hitchopt.motion.states import states_at
 from hitchopt.requirements import Requirements
 from hitchopt.simulation.flight_task import read_task
+from hitchopt.simulation.simulation_settings import Settings
 from hitchopt.stopping.abort import Aborts
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -349,7 +350,7 @@ def test_survivors_push_level_and_inward(drone: str, beside: list[str]) -> None:
 def test_nobody_pushes_where_survivors_come_too_close(monkeypatch: pytest.MonkeyPatch) -> None:
     largest, nearest = [], []
     for room in (1.0, 2.96, 3.4, 9.0):
-        monkeypatch.setattr(reaction, "ROOM", room)
+        monkeypatch.setattr(pushing, "ROOM", room)
         found = reactions_of(2.4).found("q1", TIME)
         pushed = found.inward
         largest.append(0.0 if pushed is None else float(np.max(np.abs(pushed.forces))))
@@ -357,6 +358,35 @@ def test_nobody_pushes_where_survivors_come_too_close(monkeypatch: pytest.Monkey
     assert largest[0] == max(largest) > 0.0
     assert largest[-1] == 0.0
     assert max(nearest) <= nearest[-1]  # what is nearest without pushing is so with it as well
+
+
+def test_nobody_pushes_into_the_swing() -> None:
+    """Survivors keep two radii from where the lost drone swings when they have come closer."""
+    motion, lost = leaning(60.0).motion, 2
+    states = states_at(motion, TIME)
+    found = Reactions(motion).found("q1", TIME)
+    bare = replace(found, inward=None)
+    assert found.inward is not None
+    by = found.inward.forces / (GAIN * motion.team.mass[:, None])
+    radius, place = motion.requirements.separation.radius, states.positions[3] + by[3]
+    for off, pushes in ((2.5, True), (1.9, False)):
+        arcs = (place + [0.0, 0.0, -off * radius])[None]
+        again = pushing.pushing(motion, states, lost, bare, arcs)
+        assert (
+            again.inward is not None and np.allclose(again.inward.forces, found.inward.forces)
+        ) == pushes
+        if pushes:
+            assert again.nearest == pytest.approx(min(bare.nearest, off / 2.0))
+
+
+def test_the_command_line_says_who_pushes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of(2.4)
+    plan.save(tmp_path)
+    simulate_command._lost(tmp_path, Settings(), read_task(tmp_path), f"q1@{TIME}", react=True)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"the others push inward from {TIME + 0.55:.3f} to {TIME + 2.2:.3f} s" in said
 
 
 @pytest.mark.parametrize(
