@@ -76,6 +76,9 @@ CASES = (*HELD, *SLIPPING)
 SLIPPED = 0.03
 """[m] Objects that slip so far are not held."""
 
+UNKNOWN = "unknown"
+"""Said of flights that were not simulated to their end before the object was lost."""
+
 DRUM: dict[str, Any] = {"circle": 0.2, "friction": 0.5}
 BOX: dict[str, Any] = {"outline": SIDES, "friction": 0.8}
 ROUND = {**BOX, "outline": rounded_sides()}
@@ -141,6 +144,14 @@ was stopped after 9 of 20 flights. box-4-sharp-slips, 1.5 times what ropes of no
 hold, was added, its load written down, before any of it was flown; its seeds begin at 6300 too.
 Accurate flights of drum-3 and drum-3-slips with seed 6000 were flown with the ropes that were too
 short.
+
+Of seeds 6300 to 6319 in the accurate preset, 20 a case, 0.8 of the largest mass was held in 20
+(drum-3), 19 (box-4), 20 and 20 (tray-3, tray-4), and 1.5 times the slip load lost in 20 and 20
+(drum-3-slips, box-4-round-slips). Heights are within 1.5 cm in 77 of the 80 that are held: two of
+tray-3 are 1.6 and 2.1 cm high, one of tray-4 1.53. Sixteen flights of box-4-sharp-slips broke off
+before the box was lifted, where a cable pulled harder than simulated ropes are made for (3.00 N,
+beyond 2.99): the four others lost it, which shows little. Until then such flights were counted as
+lost.
 """
 """What other flights found."""
 
@@ -254,11 +265,12 @@ def fly(task: Task, settings: Settings, case: str, mass: float) -> None:
     """Fly once, and add the run to the table."""
     simulation = simulate(task, settings)
     (state,) = simulation.outcome.objects
-    ended = simulation.flight.error is None
-    held = ended and np.isnan(state.dropped) and state.slipped <= SLIPPED
+    lost = not np.isnan(state.dropped) or state.slipped > SLIPPED
+    unknown = simulation.flight.error is not None
+    held = "no" if lost else UNKNOWN if unknown else "yes"
     values = (
         *(case, settings.preset.name, settings.seed, f"{1000.0 * mass:.1f}"),
-        *("yes" if held else "no", f"{100.0 * state.slipped:.2f}", f"{100.0 * state.lifted:.2f}"),
+        *(held, f"{100.0 * state.slipped:.2f}", f"{100.0 * state.lifted:.2f}"),
         *(f"{busy():.1f}", time.strftime("%Y-%m-%d")),
     )
     add_row(TABLE, COLUMNS, values)
@@ -279,21 +291,27 @@ def summarise() -> None:
         "20 held, 19 of 20 lost where it slips",
         "- limitations: as many flights as the table says; held means not 5 cm below its plan, not "
         "3 cm off the hitch, for 10 s; friction and mass are those of the plan",
-        "- lifted: mean height over the plan's",
+        "- lifted: mean height over the plan's, and the farthest from it",
+        "- unknown: not simulated to their end, before the object was lost; not counted",
         "",
-        "| case | preset | mass [g] | held (95 %) | slipped [cm] | lifted [cm] |",
-        "|---|---|---|---|---|---|",
+        "| case | preset | mass [g] | held (95 %) | unknown | slipped [cm] | lifted [cm] |",
+        "|---|---|---|---|---|---|---|",
     ]
     for case, preset in sorted({(label(row, PLANS_SINCE), row["preset"]) for row in found}):
-        runs = [row for row in found if (label(row, PLANS_SINCE), row["preset"]) == (case, preset)]
+        flown = [row for row in found if (label(row, PLANS_SINCE), row["preset"]) == (case, preset)]
+        runs = [row for row in flown if row["held"] != UNKNOWN]
+        if not runs:
+            lines.append(f"| {case} | {preset} | {flown[0]['mass_g']} | - | {len(flown)} | - | - |")
+            continue
         held = sum(row["held"] == "yes" for row in runs)
         low, high = wilson(held, len(runs))
         slipped, lifted = (
-            np.nanmean([float(row[name]) for row in runs]) for name in ("slipped_cm", "lifted_cm")
+            np.array([float(row[name]) for row in runs]) for name in ("slipped_cm", "lifted_cm")
         )
         lines.append(
-            f"| {case} | {preset} | {runs[0]['mass_g']} | {held} of {len(runs)} ({low:.0%} to "
-            f"{high:.0%}) | {slipped:.1f} | {lifted:.1f} |"
+            f"| {case} | {preset} | {flown[0]['mass_g']} | {held} of {len(runs)} ({low:.0%} to "
+            f"{high:.0%}) | {len(flown) - len(runs) or '-'} | {np.mean(slipped):.1f} | "
+            f"{np.mean(lifted):.1f} ({lifted[np.argmax(np.abs(lifted))]:.1f}) |"
         )
     SUMMARY.write_text("\n".join(lines) + "\n" + BESIDES, encoding="utf-8")
 
