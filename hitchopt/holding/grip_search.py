@@ -52,6 +52,9 @@ radius; the first pair where they do not alternate."""
 FEWEST = 3
 """Smallest number of cables."""
 
+PLACES = 12
+"""Decimal places of centroids: what rounding leaves of none is none."""
+
 TURNS = 3
 """Starting polygons, turned by equal parts of their symmetry, besides those that face sides."""
 
@@ -100,10 +103,21 @@ class GripTask:
 def best_grip(task: GripTask) -> Grip:
     """Return the grip whose slip load is largest, within all limits, before it lifts anything.
 
+    It is searched about the section's centroid: where the outline has its origin does not matter.
+
     Raises
     ------
     InfeasibleError: none was found; the violation is that of the nearest one.
     """
+    centre = np.round(task.section.centroid, PLACES)
+    if task.section.outline is None or not np.any(centre):
+        return _best_centred(task)
+    centred = replace(task, section=Section(task.section.outline - centre))
+    return task.grip(_best_centred(centred).vertices[..., :2] + centre)
+
+
+def _best_centred(task: GripTask) -> Grip:
+    """Return the best grip of a section whose centroid is the origin."""
     starts, best_first = _starts(task), partial(merit, task)
     for iterations, kept in ((SCREENING, FINALISTS), (ITERATIONS, 1)):
         found = [_refined(task, start, iterations) for start in starts]

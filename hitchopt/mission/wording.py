@@ -139,7 +139,7 @@ def _type_at(path: list[str | int], schema: Schema) -> str:
     names: list[str] = []
     for form in entries_at(schema, path):
         name = " or ".join(form["enum"]) if "enum" in form else _TYPES.get(form.get("type", ""), "")
-        if name == "a mapping":
+        if name == "a mapping" and "properties" in form:
             name = f"a mapping with keys of {', '.join(form['properties'])}"
         elif name == "a list" and "minItems" in form:
             name = _counted(path, schema) if form["minItems"] == form.get("maxItems") else "a list"

@@ -8,8 +8,9 @@ import jsonschema
 import pytest
 from problem_cases import BAD, GOOD, INFEASIBLE, TEMPLATE, header, triangle
 
-from hitchopt.errors import HitchoptError
+from hitchopt.errors import HitchoptError, InputError
 from hitchopt.mission.json_schema import SCHEMA_FILE, entries_at, problem_schema, schema_text
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.storage.yaml_file import read_yaml
 
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
@@ -98,3 +99,10 @@ def test_defaults_are_shown_and_valid_themselves() -> None:
 def test_a_path_leads_to_its_keys(path: list[str | int], keys: set[str]) -> None:
     found = {key for way in entries_at(problem_schema(), path) for key in way.get("properties", ())}
     assert found == keys
+
+
+@pytest.mark.parametrize("objects", [None, [{"circle": 0.1}], "tray", 3.0])
+def test_names_are_keys_of_a_mapping(objects: object) -> None:
+    given = {"team": {"robots": 3}, "objects": objects, "mission": [{"hold": {"seconds": 1.0}}]}
+    with pytest.raises(InputError, match=r"(?m)^objects = .*: must be a mapping; "):
+        problem_from_dict(given)

@@ -1,4 +1,4 @@
-"""Distances of carried objects to all others, bounded for all t.
+"""Distances of carried objects to all others and to the ground, bounded for all t.
 
 Upright bodies are as far apart as their level distance and the difference of their heights tell;
 each of the two is bounded on its own.
@@ -17,21 +17,27 @@ from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.bounds.slab_distance import nearest
 from hitchopt.checks.rule import Finding
 from hitchopt.motion.motion import Motion
-from hitchopt.objects import Slab
-from hitchopt.objects.placing import STILL, TOUCH
+from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Cells, Estimate, smallest
+from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, smallest
 from hitchopt.values import Array
+
+Mask = NDArray[np.bool_]
+
+GROUND = "ground"
+"""Stands for the ground where two objects are named."""
 
 TALL = 1e3
 """[m] Half of the height of what stands for an object as seen from above."""
 
 
 def carried_gap(motion: Motion) -> Finding:
-    """Return the smallest distance of an object that moves to another one [m].
+    """Return the smallest distance of an object that moves to another one, or to the ground [m].
 
-    While it goes straight up or down it may touch what is below it: there it counts only
-    that it does not go into that. ``where`` names the two.
+    While it goes straight up or down it may touch what it stands on before or after that, or what
+    is below it where the motion begins so: there it counts only that it does not go into that.
+    ``where`` names the two.
     """
     best = Finding(math.inf, 0.0)
     if motion.poses is None:
@@ -44,18 +50,25 @@ def carried_gap(motion: Motion) -> Finding:
     for index, (name, each) in enumerate(objects.items()):
         if not np.any(going[:, index]):
             continue
+        _, below = surface_below(objects, poses[0, :, :, 0], name, motion.requirements.floor)
+        found = _to_ground(motion, index, going[:, index], upright[:, index], below is None)
+        if found.worst < best.worst:
+            best = Finding(max(found.worst, 0.0), found.time, (name, GROUND), size)
         for slab in each.slabs:
             corners = placed_core(poses[:, index], slab)
             for other, (label, obstacle) in enumerate(objects.items()):
                 if other == index:
                     continue
                 seen = seen_from(poses[:, other], corners[:, None])
+                leaving = _leaving(poses, index, each, other, obstacle, upright[:, index])
+                if label == below:
+                    leaving |= _first_run(upright[:, index])
                 for body in obstacle.slabs:
                     margin = seen.error + ROUNDING * (size + slab.size + body.size)
                     margin += heading_error(poses[:, index, 3:]) * slab.section.circumradius
                     rows = seen.points.reshape(*seen.points.shape[:2], -1, seen.points.shape[-1])
                     cells = Cells.over(motion.drones.breaks, [rows], margin)
-                    touching = upright[:, index] & _above(seen.points[:, 0], body)
+                    touching = leaving & _above(seen.points[:, 0], body)
                     cells = cells.take(going[:, index] & ~touching)
                     if len(cells) == 0:
                         continue
@@ -63,6 +76,70 @@ def carried_gap(motion: Motion) -> Finding:
                     if found.worst < best.worst:
                         best = Finding(max(found.worst, 0.0), found.time, (name, label), size)
     return best
+
+
+def _to_ground(motion: Motion, index: int, going: Mask, upright: Mask, over_it: bool) -> Extremum:
+    """Return the smallest height [m] of an object's lowest point above the ground.
+
+    Parameters
+    ----------
+    over_it: whether nothing else is below it when the motion begins.
+    """
+    body = list(motion.requirements.objects.values())[index]
+    poses = motion.object_poses.coefficients
+    heights = poses[:, index, 2] + (body.lower - motion.requirements.floor)
+    meeting = np.any(np.abs(heights[:, [0, -1]]) <= TOUCH, axis=-1) & upright
+    runs = np.cumsum(~upright)
+    leaving = np.isin(runs, runs[meeting]) | (_first_run(upright) & over_it)
+    touching = upright & leaving & (np.min(heights, axis=-1) >= -TOUCH)
+    margin = ROUNDING * magnitude(motion)
+    cells = Cells.over(motion.drones.breaks, [heights[:, None, None]], margin)
+    return smallest(cells.take(going & ~touching), _height)
+
+
+def _height(blocks: tuple[Array, ...]) -> Estimate:
+    """Bound heights from below."""
+    (rows,) = blocks
+    half = bernstein.basis(np.array(0.5), bernstein.degree(rows))
+    heights = rows.reshape(len(rows), -1)
+    return Estimate(np.min(heights, axis=-1), heights @ half, np.full(len(rows), 0.5))
+
+
+def _leaving(
+    poses: Array, index: int, body: SolidObject, other: int, obstacle: SolidObject, upright: Mask
+) -> Mask:
+    """Return (pieces,) in which an object rises from another one, or goes down onto it.
+
+    It moves straight up or down in them, between one at whose beginning or end it stands there and
+    each of them too.
+    """
+    bottom, top = poses[:, index, 2] + body.lower, poses[:, other, 2] + obstacle.upper
+    level = np.any(np.abs(bottom - top)[:, [0, -1]] <= TOUCH, axis=-1) & upright
+    runs = np.cumsum(~upright)
+    _, first = np.unique(runs[level], return_index=True)
+    meeting = [
+        piece
+        for piece in np.flatnonzero(level)[first]
+        for lowest in body.slabs
+        for highest in obstacle.slabs
+        if lowest.lower == body.lower and highest.upper == obstacle.upper
+        if _meet(lowest.section, poses[piece, index], highest.section, poses[piece, other])
+    ]
+    found: Mask = upright & np.isin(runs, runs[meeting])
+    return found
+
+
+def _first_run(upright: Mask) -> Mask:
+    """Return (pieces,) which are upright as all before them: continuations begin in mid air.
+
+    What is below an object then is what it has been lifted from.
+    """
+    return np.asarray(np.cumsum(~upright) == 0)
+
+
+def _meet(first: Section, here: Array, second: Section, there: Array) -> bool:
+    """Return whether two sections meet, as seen from above, when a piece begins."""
+    return sections_apart(first, here[:, 0], second, there[:, 0]) < 0.0
 
 
 def placed_core(poses: Array, slab: Slab) -> Array:

@@ -25,6 +25,13 @@ HALVINGS = 40
 TENSIONS = np.geomspace(0.2, 5.0, 40)
 """[N] Tensions that are tried for a suggestion."""
 
+ROUNDED = 0.995
+"""Share of the largest mass that is suggested: rounded to three digits it is no larger."""
+
+EMPTY = 1.1
+"""So many times a suggested tension is kept without a load: tilt is largest before legs bear it,
+while they are not yet where they are with it."""
+
 MORE_ROBOTS = 5
 """So many more robots are tried for a suggestion."""
 
@@ -86,12 +93,13 @@ def suggestion(
     capacity = rest_capacity(held, tension, limits)
     ways = []
     if capacity.mass > 0.0:
-        ways.append(f"lower objects.{name}.mass to {capacity.mass:.3g} kg")
+        ways.append(f"lower objects.{name}.mass to {ROUNDED * capacity.mass:.3g} kg")
     team, mass = held.team, held.body.mass
     fitting = [
         value
         for value in TENSIONS
         if not broken_at(held, mass, np.full(team.robots, value), limits)
+        and not broken_at(held, 0.0, np.full(team.robots, EMPTY * value), limits)
     ]
     if fitting:
         asked = float(np.mean(tension))

@@ -1,0 +1,152 @@
+"""How far carried objects keep from the ground and from what stands below them."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.holding.grip_statics import Grip
+from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
+
+AT, TO = [1.3, -0.4], [1.3, 1.1]
+"""Where a tray is taken, and where it is put down."""
+
+RIM = 0.25
+
+
+def mission(*steps: dict[str, Any], floor: float | None = None, **objects: Any) -> dict[str, Any]:
+    """Return the problem of a tray on four cables, by what is done once it is lifted."""
+    z = floor or 0.0
+    angles = -0.5 * np.pi * np.arange(4)
+    polygon = 0.6 * np.column_stack([np.cos(angles), np.sin(angles)])
+    body = {"circle": 0.06, "to": 0.3, "mass": 0.15, "rim": {"circle": 0.5, "at": RIM}}
+    given: dict[str, Any] = {
+        "team": {"robots": 4, "cable_length": 2.6, "tension": 1.0},
+        "objects": {"tray": {**body, "at": [*AT, z]}, **objects},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0 + z}},
+        "mission": [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}, *steps],
+    }
+    if floor is not None:
+        given["arena"] = {"lower": [-5.0, -5.0, floor], "upper": [5.0, 5.0, floor + 5.0]}
+    return given
+
+
+def lifted(to: list[float], by: float = 0.3, **others: Any) -> dict[str, Any]:
+    return mission({"lift": {"by": by}}, {"carry": {"object": "tray", "to": to}}, **others)
+
+
+def moved(**objects: Any) -> dict[str, Any]:
+    given = mission(**objects)
+    given["mission"] = [{"transport_object": {"object": "tray", "to": [*TO, 0.0]}}]
+    return given
+
+
+def clearance(given: dict[str, Any]) -> tuple[float, Motion]:
+    plan = ho.solve(ho.problem_from_dict(given))
+    worst = plan.certificate["object_clearance"].worst
+    assert worst is not None
+    return worst, plan.motion
+
+
+def refused(given: dict[str, Any]) -> tuple[str, ...]:
+    """Return what came too close in a plan that is refused."""
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(ho.problem_from_dict(given))
+    (violation,) = caught.value.violations
+    assert violation.constraint == "object_clearance"
+    return violation.where
+
+
+def heights(motion: Motion, floor: float) -> Array:
+    """Heights of the tray above the ground in samples in which it moves level, too."""
+    t = np.linspace(0.0, motion.duration, 200_001)
+    places = motion.object_poses.at(t)[:, 0]
+    level = np.linalg.norm(np.gradient(places[:, :2], axis=0), axis=-1) > 1e-9
+    return np.asarray(places[level, 2] - floor)
+
+
+@pytest.mark.parametrize("floor", [None, 0.7, -2.0])
+def test_the_ground_is_an_obstacle(floor: float | None) -> None:
+    z = floor or 0.0
+    for height in (-0.15, 0.0, 0.03):
+        assert refused(lifted([*TO, z + height], floor=floor)) == ("tray", "ground")
+    assert refused(lifted([*AT, z - 0.1], floor=floor)) == ("tray", "ground")
+    worst, motion = clearance(lifted([*TO, z + 0.05], floor=floor))
+    assert worst == pytest.approx(np.min(heights(motion, z)), abs=1e-4)
+    assert worst <= np.min(heights(motion, z))
+
+
+def test_an_object_is_lifted_and_goes_straight_up() -> None:
+    """The ground that it has stood on may touch it until it moves level."""
+    worst, motion = clearance(lifted([*AT, 0.8], by=0.02))
+    assert worst > 0.035
+    assert len(heights(motion, 0.0)) == 0
+    assert refused(lifted([*TO, 0.8], by=0.02)) == ("tray", "ground")
+
+
+@pytest.mark.parametrize("at", [AT, TO])
+@pytest.mark.parametrize("top", [RIM - 0.001, RIM])
+def test_a_rim_keeps_off_what_is_below_it(at: list[float], top: float) -> None:
+    cup = {"circle": 0.02, "to": top, "mass": 0.02, "at": [at[0] - 0.18, at[1], 0.0]}
+    assert refused(moved(cup=cup)) == ("tray", "cup")
+    worst, _ = clearance(moved(cup={**cup, "to": RIM - 0.05}))
+    assert worst == pytest.approx(0.05, abs=1e-5)  # below the rim; its foot is 0.1 m beside
+
+
+def test_an_object_stands_on_all_that_it_meets() -> None:
+    """Two tables with a joint below its foot; a third one stands 1 cm or 4 cm beside it."""
+    sides = [[-0.06, 0.3], [0.3, 0.3], [0.3, -0.3], [-0.06, -0.3]]
+    here = {"outline": sides, "to": 0.05, "at": [*TO, 0.0], "fixed": True}
+    beside = {**here, "outline": [[-0.3, 0.3], [-0.06, 0.3], [-0.06, -0.3], [-0.3, -0.3]]}
+    joint = {"here": {**here, "at": [TO[0] + 0.05, TO[1], 0.0]}}
+    joint["there"] = {**beside, "at": [TO[0] + 0.05, TO[1], 0.0]}
+    for gap in (None, 0.01, 0.04):
+        tables: dict[str, Any] = joint
+        if gap is not None:
+            small = [[-0.06, 0.3], [0.06, 0.3], [0.06, -0.3], [-0.06, -0.3]]
+            tables = {"here": {**here, "outline": small}}
+            tables["there"] = {**beside, "at": [TO[0] - gap, TO[1], 0.0]}
+        given = moved(**tables)
+        given["mission"][0]["transport_object"]["to"] = [*TO, 0.05]
+        if gap == 0.01:
+            assert refused(given) == ("tray", "there")
+        else:
+            assert clearance(given)[0] >= 0.035
+
+
+@pytest.mark.parametrize(("mass", "tension"), [(1.5, 1.0), (0.15, 10.0)])
+def test_what_a_refused_load_suggests_is_planned(mass: float, tension: float) -> None:
+    def asked(mass: float, tension: float) -> dict[str, Any]:
+        given = mission({"lift": {"by": 0.2, "duration": 12.0}})
+        given["objects"]["tray"]["mass"] = mass
+        given["mission"][1]["grasp"]["tension"] = tension
+        return given
+
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(ho.problem_from_dict(asked(mass, tension)))
+    words = str(caught.value)
+    lighter = re.search(r"mass to ([\d.]+) kg", words)
+    other = re.search(r"tension of ([\d.]+) N", words)
+    assert lighter or other
+    if lighter:
+        ho.solve(ho.problem_from_dict(asked(float(lighter[1]), tension)))
+    if other:
+        ho.solve(ho.problem_from_dict(asked(mass, float(other[1]))))
+
+
+@pytest.mark.parametrize("shift", [(0.2, 0.15), (1.0, 2.0), (-100.0, 40.0)])
+def test_a_grip_does_not_depend_on_the_outlines_origin(shift: tuple[float, float]) -> None:
+    sides = np.array([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])
+    one, two = (ho.fit((sides + by).tolist(), robots=4) for by in ((0.0, 0.0), shift))
+    assert two.holding.grip_capacity.mass == pytest.approx(one.holding.grip_capacity.mass)
+    assert two.holding.cable_length == pytest.approx(one.holding.cable_length)
+    grips = one.holding.grip, two.holding.grip
+    assert isinstance(grips[0], Grip)
+    assert isinstance(grips[1], Grip)
+    there = grips[1].vertices[:, :2] - shift
+    np.testing.assert_allclose(there, grips[0].vertices[:, :2], atol=1e-6)
