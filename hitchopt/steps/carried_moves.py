@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.planners.carrying.moves import Move, held_flight, separation_ratios
+from hitchopt.planners.carrying.moves import Move, crossing_ratios, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.steps.carrying import STRETCHES, changed_move
@@ -25,7 +25,7 @@ SLOWER = 1.5
 """How much longer a move takes that is tried where edges do not bear weight and inertia."""
 
 NEAREST, APART = 1.001, 1.002
-"""Distances of drones over those asked: the least one in curves, whose polynomials are nearer by up
+"""Distances over those asked: the least one in curves, whose polynomials are nearer by up
 to 4e-4, and the least one at rest that inertia may lessen."""
 
 
@@ -63,7 +63,9 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
         try:
             factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
             if factor <= 1.0:
-                factor = _slower(separation_ratios(held, move, task.requirements.separation))
+                separation = task.requirements.separation
+                apart = separation_ratios(held, move, separation)
+                factor = max(_slower(apart), _slower(crossing_ratios(held, move, separation)))
         except InfeasibleError:
             if left == 0:
                 raise
@@ -75,7 +77,7 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
 
 
 def _slower(ratios: Array) -> float:
-    """Return how much longer a move has to take for inertia not to bring drones too close together.
+    """Return how much longer a move has to take for inertia not to bring anything too close.
 
     That lessens their distances in proportion to the acceleration, nearly.
 

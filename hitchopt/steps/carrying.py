@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -20,9 +22,12 @@ from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
 from hitchopt.planners.carrying.rest_polygon import ROOM
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import check_duration
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.requirements import Requirements
-from hitchopt.steps.certified_motions import certified, infeasible
+from hitchopt.steps.morph import Morph
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
+from hitchopt.steps.slack_split import RolledLegs
+from hitchopt.steps.step import Step
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -124,7 +129,20 @@ def changed_move(
 
 def transferred(task: StepTask, before: float, after: float) -> Move:
     """Return the move in which weight passes to the clasps or back."""
-    return changed_move(task, SmoothLaw(0.5 * PRELOAD), borne=(before, after))
+    return within_limits(task, changed_move(task, SmoothLaw(0.5 * PRELOAD), borne=(before, after)))
+
+
+def within_limits(task: StepTask, move: Move) -> Move:
+    """Return a move that is slowed down as far as limits of motion need."""
+    held = task.holding.held
+    assert held is not None
+    for _ in range(STRETCHES):
+        flight = held_flight(held, move)
+        factor = needed_stretch(held.team, task.requirements.limits, *flight.parts)
+        if not 1.0 < factor < math.inf:
+            break
+        move = replace(move, law=move.law.slowed(1.01 * factor))
+    return move
 
 
 def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> list[Move]:
@@ -148,6 +166,38 @@ def lasting_moves(moves: Sequence[Move], duration: float | None, task: StepTask)
         return list(moves)
     check_duration(duration, total, f"of step {task.index}")
     return [replace(move, law=move.law.slowed(duration / total)) for move in moves]
+
+
+def rolling_morph(step: Step, morph: Morph, task: StepTask) -> StepPlan:
+    """Return the plan of a morph, as a part of a step.
+
+    Where legs that are rolled only at one of its ends have no way, they are rolled before it, or
+    back after it.
+
+    Raises
+    ------
+    InfeasibleError: no way, with what breaks without that.
+    """
+    try:
+        return step.part(morph, task)
+    except InfeasibleError as error:
+        start, end = task.hitch, morph.end(task).hitch
+        more = np.where(np.abs(end.roll) > np.abs(start.roll), end.roll, start.roll)
+        legs = (start.q_legs, more), (end.q_legs, more), (end.q_legs, end.roll)
+        outlines = start.polygon, end.polygon, end.polygon
+        ways = [Morph(at, RolledLegs(*each)) for at, each in zip(outlines, legs, strict=True)]
+        wanted = [bool(np.any(more != start.roll)), True, bool(np.any(more != end.roll))]
+        if sum(wanted) == 1:
+            raise
+        motions, here = [], task
+        for each in compress(ways, wanted):
+            try:
+                planned = step.part(each, here)
+            except InfeasibleError:
+                raise error from None
+            motions.append(planned.motion)
+            here = here.within(here.requirements, planned.after)
+        return StepPlan(joined_motions(motions), planned.after)
 
 
 def held_plan(task: StepTask, after: Holding, moves: Sequence[Move], name: str) -> StepPlan:
@@ -223,31 +273,3 @@ def one_phase(motion: Motion, task: StepTask, name: str, hold: Hold | None = Non
     remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
     phase = Phase(name, task.index, 0.0, motion.duration, remark, tension=tension, hold=hold)
     return replace(motion, requirements=task.requirements, phases=(phase,))
-
-
-def check_hold(task: StepTask, holding: Holding) -> None:
-    """Raise InfeasibleError where an object cannot be held at rest, with what to change."""
-    from hitchopt.planners.carrying.rest_capacity import suggestion
-
-    held = holding.held
-    assert isinstance(held, HeldHitch)
-    bearing = replace(holding, borne=True)
-    here = replace(task, before=replace(task.before, holding=bearing))
-    words, asked = f"with objects.{holding.name} on the clasps", task.requirements
-    given = holding.name, held, holding.tension, asked.limits, gap_around(asked)
-    try:
-        held.at_rest(holding.tension, held.body.mass)
-        flight = held_flight(held, resting_move(here, 1.0))
-    except InfeasibleError as error:
-        capacity, remedies = suggestion(*given)
-        remedy = f"{remedies} ({capacity.binding} binds)"
-        broken = [replace(v, when=words, remedy=remedy) for v in error.violations]
-        raise InfeasibleError(broken) from None
-    found = certified(held_motion(here, [flight], "hold"))
-    if not found.certificate.certified:
-        refusal = infeasible(found.certificate, found.motion, words)
-        remedy = suggestion(*given)[1]
-        weighty = {"thrust", "tilt", "equilibrium"}
-        raise InfeasibleError(
-            replace(v, remedy=remedy) if v.constraint in weighty else v for v in refusal.violations
-        )

@@ -22,6 +22,7 @@ from hitchopt.steps.carrying import (
     object_of,
     one_phase,
     polygon_at,
+    rolling_morph,
 )
 from hitchopt.steps.keys import OBJECT, Seconds
 from hitchopt.steps.morph import Morph
@@ -86,7 +87,11 @@ class Enclose(Step):
         for step in steps:
             if isinstance(step, Transport) and _there(step, here.before):
                 continue
-            planned = self.part(step, here)
+            planned = (
+                rolling_morph(self, step, here)
+                if isinstance(step, Morph)
+                else self.part(step, here)
+            )
             motions.append(planned.motion)
             here = task.within(requirements, planned.after)
         down = Transport(np.append(polygon.centroid, inside))

@@ -8,7 +8,6 @@ from typing import Annotated, ClassVar, Literal, get_args
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import joined_motions
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.objects import SolidObject
@@ -16,7 +15,6 @@ from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import held_flight
 from hitchopt.requirements import Requirements
 from hitchopt.steps.carrying import (
-    check_hold,
     ended_holding,
     gap_below,
     held_motion,
@@ -25,25 +23,18 @@ from hitchopt.steps.carrying import (
     place_of,
     polygon_at,
     rim_move,
+    rolling_morph,
     tension_moves,
 )
 from hitchopt.steps.enclose import slowly
-from hitchopt.steps.end_hitch import end_of_morph
 from hitchopt.steps.gripping import grip_closed
 from hitchopt.steps.keys import OBJECT, Key, Seconds
 from hitchopt.steps.morph import Morph
+from hitchopt.steps.resting_hold import SPARE, advised, check_hold, farther_legs, spaced
 from hitchopt.steps.situation import Holding, StepPlan, StepTask
 from hitchopt.steps.slack_split import RolledLegs
 from hitchopt.steps.step import Stage, Step
 from hitchopt.values import Array, choice, positive
-
-MORE_ROLL = 1.3
-"""Factor of the least roll with which legs without a load keep off each other, where a load brings
-them nearer."""
-
-SPARE, SPREAD = 1.01, 1.03
-"""Distances of the hitch at rest, over those to be kept: those with which legs stay as they are,
-since the way takes some of them, and those to which they are moved otherwise."""
 
 By = Literal["rest", "grip"]
 """How an object is held."""
@@ -83,11 +74,15 @@ class Grasp(Step):
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
         if self.by == "grip":
             return grip_closed(task, self.object, self.tension, self.duration, self.name)
+        from hitchopt.planners.carrying.grip_polygon import check_pull
+        from hitchopt.planners.carrying.rest_capacity import EMPTY
+
         body, team, requirements = object_of(task, self.object), task.before.team, task.requirements
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
+        check_pull(float(np.max(asked)), team, requirements, 1.0 / EMPTY)
         closing, here = self._closing(task, body, asked)
         held = here.holding.held
         assert isinstance(held, HeldHitch)
@@ -101,23 +96,36 @@ class Grasp(Step):
         return ended_holding(task, here.holding, motion, place_of(body))
 
     def _closing(
-        self, task: StepTask, body: SolidObject, asked: Array, legs: RolledLegs | None = None
+        self, task: StepTask, body: SolidObject, asked: Array
     ) -> tuple[StepPlan, StepTask]:
         """Return the plan of closing below the rim, and the task of holding the object after it.
 
         Legs end as near to the current fractions as limits allow, rolled as little; where the
-        hitch with its load hardly keeps a distance then, they are rolled more, or moved on.
+        hitch with its load hardly keeps a distance then, they are rolled more, or moved on. Where
+        it keeps none so, they end balanced.
 
         Parameters
         ----------
         body: to be held.
         asked: (n,) [N], tensions with which it is held.
-        legs: at the end; None for those.
         """
+        try:
+            return self._closed(task, body, asked)
+        except InfeasibleError as error:
+            try:
+                return self._closed(task, body, asked, RolledLegs("balanced"))
+            except InfeasibleError:
+                pass  # what binds with legs as they are is told
+            raise advised(error) from None
+
+    def _closed(
+        self, task: StepTask, body: SolidObject, asked: Array, legs: RolledLegs | None = None
+    ) -> tuple[StepPlan, StepTask]:
+        """Return what ``_closing`` does, with these legs at the end, or those nearest to now."""
         team, polygons = task.before.team, task.holding.polygons
         below = polygon_at(body, polygons.closed)
         free = task.within(slowly(without(task, self.object)), task.before)
-        closing = self.part(Morph(below, legs), free)
+        closing = rolling_morph(self, Morph(below, legs), free)
         hitch = closing.after.hitch
         assert body.rim is not None
         assert hitch is not None
@@ -127,29 +135,15 @@ class Grasp(Step):
         here = replace(task, before=replace(closing.after, holding=holding))
         if legs is None:
             try:
-                check_hold(here.within(_spaced(task.requirements, SPARE), here.before), holding)
+                check_hold(here.within(spaced(task.requirements, SPARE), here.before))
             except InfeasibleError:
                 try:
-                    more = self._farther(task, hitch)
-                    return self._closing(task, body, asked, more)
+                    more = farther_legs(task.hitch, hitch, task.requirements)
+                    return self._closed(task, body, asked, more)
                 except InfeasibleError:
                     pass  # what binds without more room is told
-        check_hold(here, holding)
+        check_hold(here)
         return closing, here
-
-    def _farther(self, task: StepTask, hitch: Hitch) -> RolledLegs:
-        """Return legs that keep larger distances: rolled more, if they are rolled, or moved on."""
-        if np.any(hitch.roll):
-            return RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
-        wide = _spaced(task.requirements, SPREAD)
-        moved = end_of_morph(task.hitch, hitch.polygon, None, wide).hitch
-        return RolledLegs(moved.q_legs, moved.roll)
-
-
-def _spaced(requirements: Requirements, factor: float) -> Requirements:
-    """Return requirements with larger distances between drones and cables."""
-    far = {key: factor * value for key, value in vars(requirements.separation).items()}
-    return replace(requirements, separation=replace(requirements.separation, **far))
 
 
 def without(task: StepTask, name: str) -> Requirements:

@@ -18,11 +18,9 @@ from hitchopt.planners.carrying.clasp_opening import grip_left
 from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
-from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.steps.carrying import (
     LIFT_SPEED,
     PRELOAD,
-    STRETCHES,
     changed_move,
     ended_holding,
     gentle_rates,
@@ -31,6 +29,7 @@ from hitchopt.steps.carrying import (
     place_of,
     polygon_at,
     resting_move,
+    within_limits,
 )
 from hitchopt.steps.certified_motions import certified, infeasible
 from hitchopt.steps.free_cables import lasting
@@ -231,17 +230,10 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
     places = np.unique([start, *held.events, end])
     if start > end:
         places = places[::-1]
-    limits = task.requirements.limits
     for one, other in pairwise(places.tolist()):
         length = held.farthest * abs(other - one)
         law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
-        for _ in range(STRETCHES):
-            move = changed_move(task, law, closed=(one, other), lean=(lean, lean))
-            factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
-            if not 1.0 < factor < math.inf:
-                break
-            law = law.slowed(1.01 * factor)
-        yield move
+        yield within_limits(task, changed_move(task, law, closed=(one, other), lean=(lean, lean)))
     if lean:
         yield changed_move(task, turning, closed=(end, end), lean=(lean, 0.0))
 

@@ -18,6 +18,7 @@ from hitchopt.steps.carrying import (
     place_of,
     polygon_at,
     rim_move,
+    rolling_morph,
     tension_moves,
 )
 from hitchopt.steps.enclose import slowly
@@ -60,7 +61,7 @@ class Loosen(Step):
         low = ended_holding(task, freed, sinking, place_of(body), gap).after
         around = polygon_at(body, holding.polygons.around)
         slow = slowly(without(task, self.object))
-        opening = self.part(Morph(around), task.within(slow, low))
+        opening = rolling_morph(self, Morph(around), task.within(slow, low))
         hold = Hold(self.object, HoldBy.REST, tuple(range(team.robots)))
         opened = one_phase(opening.motion, task, self.name, hold)
         motion = one_phase(joined_motions([sinking, opened]), task, self.name, hold)

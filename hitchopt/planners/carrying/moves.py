@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Team
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.flight_curves import Flight
@@ -122,17 +125,49 @@ def courses(move: Move, t: Array) -> Courses:
 class Held(Protocol):
     """A hitch that holds an object in one manner or another."""
 
+    @property
+    def team(self) -> Team:
+        """Who flies."""
+
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
 
 
 def separation_ratios(held: Held, move: Move, separation: Separation) -> Array:
     """Return the least distances of drones over those asked at samples (samples,) of a move."""
-    drones = held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))["drones"]
+    drones = _sampled(held, move)["drones"]
     one, other = np.triu_indices(drones.shape[1], 1)
     ratios = length((drones[:, one] - drones[:, other]) * separation.scale)
     least: Array = np.min(ratios, axis=-1)
     return least
+
+
+def crossing_ratios(held: Held, move: Move, separation: Separation) -> Array:
+    """Return the least distances (samples,) of cables' straight parts over those asked.
+
+    Parts that share a clasp are left out, as in the check ``crossing``.
+    """
+    if separation.crossing == 0.0:
+        return np.full(SAMPLES, math.inf)
+    found, layout = _sampled(held, move), held.team.layout
+    drones, vertices = found["drones"], found["vertices"]
+    points = np.concatenate([vertices, drones], axis=1)
+    alone = vertices.shape[1] + np.arange(drones.shape[1])
+    first = np.concatenate([layout.anchors, layout.starts])
+    last = np.concatenate([alone, layout.ends])
+    parts = np.stack([points[:, first], points[:, last]], axis=-2)
+    one, other = np.triu_indices(len(first), 1)
+    clasps = np.stack([first, last])
+    apart = ~np.any(clasps[:, None, one] == clasps[None, :, other], axis=(0, 1))
+    one, other = one[apart], other[apart]
+    offsets = shortest_offset(differences(parts[:, one], parts[:, other]))
+    least: Array = np.min(length(offsets), axis=-1, initial=math.inf) / separation.crossing
+    return least
+
+
+def _sampled(held: Held, move: Move) -> dict[str, Array]:
+    """Return all curves at samples of a move."""
+    return held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))
 
 
 @dataclass(frozen=True, eq=False)

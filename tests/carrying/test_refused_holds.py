@@ -1,0 +1,143 @@
+"""Trays that were once refused, and what refusals of others say."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.planners.carrying.moves import Held, Move, crossing_ratios
+from hitchopt.steps import carried_moves
+from hitchopt.values import Array
+
+
+def tray(robots: int, mass: float, length: float, radius: float = 0.45) -> dict[str, Any]:
+    """Return the problem of moving a tray of a mass [kg] with cables of a length [m]."""
+    angles = 0.3 - 2.0 * np.pi * np.arange(robots) / robots
+    polygon = np.array([0.4, -0.3]) + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    body = {"circle": 0.08, "to": 0.3, "mass": mass, "rim": {"circle": 0.3, "at": 0.25}}
+    return {
+        "team": {"robots": robots, "cable_length": length, "tension": 1.0, "cable_density": 0.01},
+        "limits": {"tilt_deg": 60},
+        "objects": {"tray": {**body, "at": [0.4, -0.3, 0.0]}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0}},
+        "mission": [{"transport_object": {"object": "tray", "to": [0.4, 0.7, 0.0]}}],
+    }
+
+
+def solved(problem: dict[str, Any]) -> ho.Plan:
+    return ho.solve(ho.problem_from_dict(problem))
+
+
+def refusal(problem: dict[str, Any]) -> ho.InfeasibleError:
+    with pytest.raises(ho.InfeasibleError) as caught:
+        solved(problem)
+    return caught.value
+
+
+def test_legs_are_balanced_where_others_would_be_in_the_way() -> None:
+    plan = solved(tray(6, 0.2, 1.8, radius=0.4))
+    assert plan.certificate.certified
+
+
+def test_legs_are_rolled_before_a_hitch_gets_small() -> None:
+    plan = solved(tray(6, 0.2, 1.8, radius=0.5))
+    assert plan.certificate.certified
+
+
+def test_weight_passes_as_slowly_as_drones_need() -> None:
+    plan = solved(tray(4, 0.5, 2.2))
+    lift = next(phase for phase in plan.motion.phases if phase.name == "lift")
+    t = np.linspace(lift.start, lift.end, 2000)
+    fastest = np.max(np.linalg.norm(plan.motion.drones.at(t, 2), axis=-1))
+    limit = plan.motion.requirements.limits.acceleration
+    assert 0.6 * limit < fastest <= limit
+
+
+def test_inertia_does_not_bring_legs_together() -> None:
+    plan = solved(tray(5, 0.4, 2.2))
+    worst = plan.certificate["crossing"].worst
+    assert worst is not None
+    assert worst >= 0.05
+
+
+@pytest.mark.parametrize(
+    ("robots", "mass", "length", "binding"),
+    [(3, 0.35, 2.2, "load"), (6, 0.8, 2.2, "crossing"), (6, 1.0, 1.43, "crossing")],
+)
+def test_what_a_refused_hold_suggests_is_planned(
+    robots: int, mass: float, length: float, binding: str
+) -> None:
+    given = tray(robots, mass, length)
+    error = refusal(given)
+    assert error.violations[0].constraint == binding
+    words = error.violations[0].remedy
+    lighter, other, more = (
+        re.search(pattern, words)
+        for pattern in (r"mass to ([\d.]+) kg", r"tension of ([\d.]+) N", r"use (\d+) robots")
+    )
+    assert lighter
+    assert float(lighter[1]) < mass
+    solved(tray(robots, float(lighter[1]), length))
+    if other:
+        given["mission"][0]["transport_object"]["tension"] = float(other[1])
+        solved(given)
+    if more:
+        solved(tray(int(more[1]), mass, length))
+    if binding == "load":
+        assert other
+        assert more
+        assert words.endswith("(load binds)")
+    else:
+        assert "shorten the legs that meet" in words
+
+
+def test_a_tension_that_tilts_drones_too_far_is_named_as_the_steps() -> None:
+    given = tray(3, 0.2, 2.2)
+    given["limits"] = {}
+    given["mission"][0]["transport_object"]["tension"] = 1.6
+    error = refusal(given)
+    (violation,) = error.violations
+    assert violation.constraint == "tilt"
+    assert "limits.tilt_deg" in violation.remedy
+    suggested = re.search(r"tension of ([\d.]+) N or less", violation.remedy)
+    assert suggested
+    given["mission"][0]["transport_object"]["tension"] = float(suggested[1])
+    solved(given)
+
+
+def test_sampled_crossings_are_those_of_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[tuple[Move, Array]] = []
+
+    def noted(held: Held, move: Move, separation: ho.Separation) -> Array:
+        found.append((move, crossing_ratios(held, move, separation)))
+        return found[-1][1]
+
+    monkeypatch.setattr(carried_moves, "crossing_ratios", noted)
+    given = tray(5, 0.41, 2.2)
+    given["mission"] = [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}]
+    given["mission"] += [
+        {"lift": {"by": 0.2}},
+        {"carry": {"object": "tray", "to": [0.4, 0.7, 0.2]}},
+    ]
+    motion = solved(given).motion
+    phase, (move, ratios) = motion.phases[-1], found[-1]
+    assert phase.name == "carry"
+    assert phase.end - phase.start == pytest.approx(move.law.duration)
+    t = phase.start + np.linspace(0.0, phase.end - phase.start, len(ratios))
+    drones, vertices = motion.drones.at(t), motion.vertices.at(t)
+    share = np.linspace(0.0, 1.0, 301)[:, None]
+    apart = []
+    for k in range(5):  # legs of one cable cross first in such pentagons
+        ends = [
+            (vertices[:, k], drones[:, 2 * k]),
+            (vertices[:, (k + 1) % 5], drones[:, 2 * k + 1]),
+        ]
+        one, other = (a[:, None] + share * (b - a)[:, None] for a, b in ends)
+        offsets = one[:, :, None] - other[:, None]
+        apart.append(np.min(np.linalg.norm(offsets, axis=-1), axis=(1, 2)))
+    np.testing.assert_allclose(0.05 * ratios, np.min(apart, axis=0), atol=2e-4)
+    assert np.min(ratios) < ratios[0] - 0.01
