@@ -86,7 +86,12 @@ PATH = GivenPath()
 )
 @click.option("--friction", metavar="MU", type=float, help="Cable friction; by default the team's.")
 @click.option("--density", metavar="KG/M", type=float, help="Cable density; by default the team's.")
-@click.option("--ground", metavar="M", type=float, help="Height of the ground [m]; 0 or lower.")
+@click.option(
+    "--ground",
+    metavar="M",
+    type=float,
+    help="Height of the ground [m]; by default 0 or lower, or the arena's where there are objects.",
+)
 @click.option(
     "--lose",
     metavar="DRONE@SECONDS",

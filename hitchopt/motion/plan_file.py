@@ -7,8 +7,9 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ from hitchopt.hitch.assignment import Assignment
 from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion
 from hitchopt.motion.stored_phases import read_phase
 from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
@@ -93,7 +95,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         arrays |= {name: values.pop(name) for name in PER_ROBOT}
         settings["team"] = {name: value for name, value in values.items() if name != "quadrotor"}
     if requirements.objects:
-        settings[OBJECTS] = requirements.objects
+        settings[OBJECTS] = _at_first(motion)
     for name in FURTHER:  # a setting of the same name says that they are there
         if getattr(motion, name) is not None:
             polynomials += (name,)
@@ -109,6 +111,17 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         np.savez(
             file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
         )
+
+
+def _at_first(motion: Motion) -> dict[str, SolidObject]:
+    """Return objects where they are as the motion begins."""
+    poses = motion.object_poses.coefficients[0, ..., 0]
+    return {
+        name: each
+        if np.max(np.abs(pose - each.pose)) <= STILL
+        else replace(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
+        for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
+    }
 
 
 def _values_of(record: Any) -> Any:
@@ -187,7 +200,10 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     given = settings["team"]
     kinds = _kinds(arrays)
     alone = "robots" not in given
-    phases = tuple(read_phase(entry, alone=alone) for entry in settings["phases"])
+    robots = 0 if alone else int(given["robots"])
+    phases = tuple(
+        read_phase(entry, robots, requirements.objects, alone=alone) for entry in settings["phases"]
+    )
     if alone:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
@@ -201,7 +217,18 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
+    _check_objects(motion)
     return motion
+
+
+def _check_objects(motion: Motion) -> None:
+    """Raise InputError for objects that begin elsewhere than they stand, or share space there."""
+    objects = motion.requirements.objects
+    begin = motion.object_poses.coefficients[0, ..., 0]
+    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
+        names = [f"objects.{name}" for name in objects]
+        raise InputError("poses", begin.tolist(), f"where {names} stand", "do not edit them")
+    check_apart(objects)
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -18,16 +19,20 @@ EARLIER_STATES = {
 all others hang free."""
 
 
-def read_phase(entry: dict[str, Any], *, alone: bool) -> Phase:
+def read_phase(
+    entry: dict[str, Any], robots: int, objects: Collection[str], *, alone: bool
+) -> Phase:
     """Return a phase as it is stored; older files have ``formed`` in place of a state.
 
     Parameters
     ----------
+    robots: number of them.
+    objects: names of all objects.
     alone: whether the drones carry no cables.
     """
     given = dict(entry)
     formed, state = given.pop("formed", None), given.pop("state", None)
-    hold = _hold(given.pop("hold", None))
+    hold = _hold(given.pop("hold", None), robots, objects)
     phase = Phase(**given)
     for value, kinds, words in (
         (phase.name, {str}, "with a name"),
@@ -66,11 +71,12 @@ def _tension_range(given: Any) -> tuple[float, float] | None:
     raise InputError("phases.tension", given, "[smallest, largest] or null", "do not edit them")
 
 
-def _hold(entry: dict[str, Any] | None) -> Hold | None:
+def _hold(entry: dict[str, Any] | None, robots: int, objects: Collection[str]) -> Hold | None:
     """Return what a phase holds, as it is stored."""
     if entry is None:
         return None
     name, cables = entry["object"], entry["cables"]
-    if type(name) is not str or not all(type(k) is int and k >= 0 for k in cables):
-        raise InputError("phases.hold", entry, "an object and cables", "do not edit it")
+    if name not in objects or not all(type(k) is int and 0 <= k < robots for k in cables):
+        bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
+        raise InputError("phases.hold", entry, bound, "do not edit it")
     return Hold(name, HoldBy(entry["by"]), tuple(cables))

@@ -22,6 +22,9 @@ TOUCH = 1e-6
 STILL = 1e-9
 """[m] What moves by no more, or whose heading changes by no more, stands still."""
 
+GRID, DIRECTIONS = 121, 72
+"""Points on a side, and directions, by which it is found how wide an object stands."""
+
 
 def in_frame(pose: Array, points: Array) -> Array:
     """Return points (…, 3) [m] as seen from objects with poses (…, 5): x, y, z, cos and sin yaw."""
@@ -65,6 +68,48 @@ def surface_below(
     return found
 
 
+def footing(objects: Mapping[str, SolidObject], name: str) -> float:
+    """Return how far an object's centre of mass is within the edges of what it stands on [m].
+
+    The least distance, from above, to the edge of the hull of all that its base meets, where
+    objects are: of points of a grid, from below to a step of that. Infinity where it stands on no
+    object.
+    """
+    body = objects[name]
+    bottom = float(body.at[2]) + body.lower
+    below = [
+        each
+        for other, each in objects.items()
+        if other != name and abs(float(each.at[2]) + each.upper - bottom) <= TOUCH
+    ]
+    centre = body.section.centroid
+    reach = body.section.circumradius + float(np.linalg.norm(centre))
+    steps = np.linspace(-reach, reach, GRID)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    grid = grid[body.section.clearance(grid)[0] <= 0.0]
+    places = in_world(body.pose, np.column_stack([grid, np.zeros(len(grid))]))
+    met = [each.section.clearance(in_frame(each.pose, places)[:, :2])[0] <= 0.0 for each in below]
+    if not np.any(met):
+        return math.inf
+    away = (grid - centre)[np.any(met, axis=0)]
+    angles = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
+    return float(
+        np.min(np.max(np.stack([np.cos(angles), np.sin(angles)], axis=-1) @ away.T, axis=1))
+    )
+
+
+def stacked_on(objects: Mapping[str, SolidObject], name: str, floor: float) -> list[str]:
+    """Return the names of loose objects that stand on one, where objects are."""
+    found = []
+    for other, each in objects.items():
+        if each.fixed or other == name:
+            continue
+        surface, under = surface_below(objects, poses_of(objects), other, floor)
+        if under == name and abs(float(each.at[2]) + each.lower - surface) <= TOUCH:
+            found.append(other)
+    return found
+
+
 def poses_of(objects: Mapping[str, SolidObject]) -> Array:
     """Return where all objects stand at first (objects, 5)."""
     return np.array([each.pose for each in objects.values()], dtype=np.float64).reshape(-1, 5)
@@ -85,6 +130,11 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
                 f"such that it stands on {what}, its floor at {surface:.6g} m not {bottom:.6g} m",
                 f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}",
             )
+    check_apart(objects)
+
+
+def check_apart(objects: Mapping[str, SolidObject]) -> None:
+    """Raise InputError for an object that stands in another one."""
     for (name, one), (other, two) in combinations(objects.items(), 2):
         if (one.fixed and two.fixed) or not overlapping(one, two):
             continue

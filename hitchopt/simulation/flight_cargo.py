@@ -31,12 +31,14 @@ class Cargo:
     poses: (samples, objects, 5): x, y, z of their bases [m], cosine and sine of their yaws.
     held: whether the hitch holds them, such that its cables may touch them (samples, objects).
     borne: share of its weight that the hitch carries (samples, objects).
+    floor: height of the ground on which they stand [m].
     """
 
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
     poses: Array = field(default_factory=lambda: np.zeros((1, 0, 5)))
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
     borne: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    floor: float = 0.0
 
     @classmethod
     def of(cls, motion: Motion, t: Array) -> Cargo:
@@ -50,7 +52,7 @@ class Cargo:
                 during = (times >= phase.start) & (times <= phase.end)
                 held[during, names.index(phase.hold.object)] = True
         poses, borne = motion.object_poses.at(times), motion.object_shares.at(times)
-        return cls(objects, poses, held, borne)
+        return cls(objects, poses, held, borne, motion.requirements.floor)
 
     @property
     def names(self) -> list[str]:

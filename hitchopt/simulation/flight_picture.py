@@ -32,6 +32,9 @@ LABELLED = 6
 THICKNESS, THICKEST = 0.005, 0.02
 """Radius of a drawn rope as a share of the flight's extent, and the largest one [m]."""
 
+ELSE_WRONG = ("touch", "dropped", "misplaced", "caught")
+"""Kinds of failures of flights that may end hitched, or untied, as planned."""
+
 SAME_FRAME = 0.1
 """Largest distance in time from a shot to a frame that shows it [s]."""
 
@@ -158,5 +161,8 @@ def _ending(simulation: Simulation) -> str:
     if flight.linking is None:
         return "not simulated to its end"
     if flight.task.formed[-1]:
-        return "every vertex holds" if simulation.outcome.hitched else "not hitched"
-    return "not untied" if flight.linking.any() else "untied, as planned"
+        words = "every vertex holds" if simulation.outcome.hitched else "not hitched"
+    else:
+        words = "not untied" if flight.linking.any() else "untied, as planned"
+    wrong = [each.words for each in simulation.outcome.failures if each.kind in ELSE_WRONG]
+    return f"{words}, but {wrong[0]}" if wrong else words

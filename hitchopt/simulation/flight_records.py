@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.lost_drones import Loss
@@ -102,6 +104,7 @@ class Flight:
     error: what ended the flight early, or None.
     ground: height of the ground [m].
     lost: the drone whose motors stopped, or None.
+    objects: as they really were: masses, friction and where they stood.
     """
 
     task: Task
@@ -118,3 +121,4 @@ class Flight:
     error: InvalidRunError | None
     ground: float = 0.0
     lost: Loss | None = None
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import length
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.flight_records import Flight
 
 Array = NDArray[np.float64]
@@ -38,6 +39,7 @@ class ObjectState:
     slipped: largest movement relative to the hitch while that carries all of it [m]; nan if never.
     dropped: time at which it was first DROPPED below its plan while carried [s]; nan if never.
     free: whether no cable touches it.
+    round: whether it looks the same however it is turned, which is not judged then.
     """
 
     name: str
@@ -48,11 +50,13 @@ class ObjectState:
     slipped: float
     dropped: float
     free: bool
+    round: bool = False
 
     @property
     def well_placed(self) -> bool:
         """Whether it is where the plan puts it, and upright."""
-        return self.placed <= PLACED and max(self.tilted, abs(self.turned)) <= TILTED
+        turned = 0.0 if self.round else abs(self.turned)
+        return self.placed <= PLACED and max(self.tilted, turned) <= TILTED
 
 
 def object_states(flight: Flight) -> tuple[ObjectState, ...]:
@@ -73,8 +77,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
         turn = Rotation.from_quat(poses[-1, i, 3:], scalar_first=True)
         axes = turn.as_matrix()
         yaw = np.arctan2(axes[1, 0], axes[0, 0]) - np.arctan2(plan[-1, i, 4], plan[-1, i, 3])
-        slips = (offsets[:, i] - hitch)[carried]
-        slips = slips[np.isfinite(slips[:, 0])]
+        slips = _slips(offsets[:, i] - hitch, carried)
         low = np.flatnonzero(carried & (offsets[:, i, 2] < -DROPPED))
         found.append(
             ObjectState(
@@ -83,12 +86,32 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
                 turned=float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))),
                 lifted=float(np.mean(offsets[carried, i, 2])) if carried.any() else np.nan,
-                slipped=float(np.max(length(slips - slips[0]))) if len(slips) else np.nan,
+                slipped=float(np.max(slips)) if len(slips) else np.nan,
                 dropped=float(record.t[low[0]]) if low.size else np.nan,
                 free=not bool(record.touched[: last + 1][recent, i].any()),
+                round=_looks_round(cargo.objects[cargo.names[i]]),
             )
         )
     return tuple(found)
+
+
+def _slips(offsets: Array, carried: NDArray[np.bool_]) -> Array:
+    """Return how far it has moved from where it was as it was lifted, whenever it is carried [m].
+
+    Parameters
+    ----------
+    offsets: (samples, 3) [m], from the hitch; nan where there is none.
+    carried: (samples,), whether the hitch carries all of it.
+    """
+    chosen = np.flatnonzero(carried & np.isfinite(offsets[:, 0]))
+    times = np.split(chosen, np.flatnonzero(np.diff(np.cumsum(~carried)[chosen])) + 1)
+    return np.concatenate([length(offsets[run] - offsets[run[:1]]) for run in times])
+
+
+def _looks_round(body: SolidObject) -> bool:
+    """Return whether an object looks the same however it is turned."""
+    sections = [body.section] if body.rim is None else [body.section, body.rim.section]
+    return all(each.radius is not None for each in sections)
 
 
 def _hitch_offset(flight: Flight, rows: NDArray[np.intp]) -> Array:

@@ -120,7 +120,7 @@ class _Run:
         ground = settings.ground
         if ground is None:  # at 0, or such that even the lowest drone stands above it
             lowest = float(np.min(self._setpoints.positions[..., 2])) - REST_HEIGHT
-            ground = 0.0 if task.cargo.objects else min(0.0, lowest)  # objects stand at 0
+            ground = task.cargo.floor if task.cargo.objects else min(0.0, lowest)
         objects = self._disturbances.disturbed(task.cargo.objects)
         rigid = settings.body == "rigid"
         world = World(ropes, team.mass, rigid=rigid, ground=ground, objects=objects)
@@ -253,10 +253,15 @@ class _Run:
         self._recorder.observe(time, index)
 
     def _outward_pulls(self, index: int) -> Array:
-        """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch."""
+        """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch.
+
+        Level ones while the hitch bears an object: with the others it would be lifted.
+        """
         task = self._task
         legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
         pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
+        if task.cargo.objects and np.any(task.cargo.borne[index] > 0.0):
+            pulls[:, 2] = 0.0
         return pulls
 
     def _sample(self, time: float, index: int) -> None:
@@ -286,6 +291,7 @@ class _Run:
             error,
             self._world.ground,
             self._settings.lost,
+            self._world.objects,
         )
 
 

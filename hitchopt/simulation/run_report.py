@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.motion.motion import Motion
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.error_measures import Spread
 from hitchopt.simulation.flight_picture import save_picture
 from hitchopt.simulation.simulate import Simulation
@@ -93,6 +94,11 @@ def _object_table(simulation: Simulation) -> dict[str, Writer]:
     return {OBJECTS: lambda path: write_table(path, "object", record.t, cargo.names, columns)}
 
 
+def _drawn(body: SolidObject) -> dict[str, Any]:
+    """Return what was perturbed of an object, as it was flown with."""
+    return {"mass": body.mass, "friction": body.friction, "stood_at": body.at.tolist()}
+
+
 def summary(simulation: Simulation) -> dict[str, Any]:
     """Return the figures of a flight, ready for JSON."""
     flight, outcome, errors = simulation.flight, simulation.outcome, simulation.errors
@@ -110,7 +116,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
         "clasps": [asdict(clasp) for clasp in outcome.clasps],
-        "objects": [asdict(state) for state in outcome.objects],
+        "objects": [asdict(each) | _drawn(flight.objects[each.name]) for each in outcome.objects],
         "vertex_error": {
             "all": asdict(run.vertex_error),
             "resting": asdict(run.resting),

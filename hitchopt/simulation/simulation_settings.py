@@ -159,7 +159,7 @@ class Settings(OneLine):
     integral: whether controllers have integral action; None: as the team's.
     feed_forward: whether controllers add the cable force of the setpoints; None: as the team's.
     ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
-        stand on it.
+        stand on it; the arena's floor where there are objects, which stand on that.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.

@@ -16,7 +16,7 @@ from hitchopt.hitch.cable_slack import cable_slack
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.motion.phases import Hold
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import in_world, poses_of
+from hitchopt.objects.placing import in_world, poses_of, stacked_on
 from hitchopt.planners.carrying.held_motion import HeldHitch
 from hitchopt.planners.carrying.moves import HeldFlight, Move, held_flight
 from hitchopt.planners.carrying.rest_polygon import ROOM
@@ -68,14 +68,21 @@ def object_of(task: StepTask, name: str) -> SolidObject:
 
     Raises
     ------
-    InputError: a fixed one, or an open chain.
+    InputError: a fixed or frictionless one, one on which another one stands, or an open chain.
     """
-    body = task.requirements.objects[name]
+    objects = task.requirements.objects
+    body = objects[name]
     key = f"objects.{name}"
     if not task.before.team.layout.closed:
         raise InputError("team.topology", "open", "closed where objects are held", "close it")
     if body.fixed:
         raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
+    if body.friction == 0.0:
+        bound, remedy = "above 0 where it is held", "nothing else takes it along as cables move"
+        raise InputError(f"{key}.friction", 0.0, bound, remedy)
+    for other in stacked_on(objects, name, task.requirements.floor):
+        at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held on its own"
+        raise InputError(f"objects.{other}.at", at, bound, f"carry objects.{other} away before")
     return body
 
 

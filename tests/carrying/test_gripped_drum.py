@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ import hitchopt as ho
 from hitchopt.checks.certify import certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
+from hitchopt.motion.cutting import cut
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import Hold, HoldBy
 from hitchopt.motion.plan_file import read_plan, write_plan
@@ -310,6 +313,59 @@ def test_a_plan_keeps_its_contacts_on_disk(motion: Motion, tmp_path: Path) -> No
     np.testing.assert_array_equal(found.contacts.coefficients, motion.contacts.coefficients)
     for one, other in zip(certify(found).checks, certify(motion).checks, strict=True):
         assert one == other
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s["objects"]["drum"].update(at=[6.3, 0.2, 0.0]), "stand"),
+        (lambda s: s["objects"]["drum"].update(yaw=1e-6), "stand"),
+        (lambda s: s["phases"][2]["hold"].update(cables=[0, 1, 7]), "from 0 to 2"),
+        (lambda s: s["phases"][2]["hold"].update(object="crate"), "an object of"),
+    ],
+)
+def test_a_plan_file_whose_objects_are_elsewhere_is_not_read(
+    motion: Motion, tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    path = tmp_path / "plan.npz"
+    write_plan(path, motion)
+    with np.load(path) as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    change(settings)
+    np.savez(path, **arrays | {"settings": np.array(json.dumps(settings))})
+    with pytest.raises(ho.FileError, match=words):
+        read_plan(path)
+
+
+def test_a_plan_file_whose_objects_share_space_is_not_read(motion: Motion, tmp_path: Path) -> None:
+    assert motion.poses is not None
+    assert motion.borne is not None
+    drum = motion.requirements.objects["drum"]
+    objects = {"drum": drum, "post": replace(drum, fixed=True)}
+    first = np.repeat(motion.poses.coefficients[:1, :, :, :1], len(motion.poses.breaks) - 1, axis=0)
+    still = np.repeat(first, motion.poses.coefficients.shape[-1], axis=-1)
+    two = replace(
+        motion,
+        requirements=replace(motion.requirements, objects=objects),
+        poses=motion.poses.alike(np.concatenate([motion.poses.coefficients, still], axis=1)),
+        borne=motion.borne.alike(np.repeat(motion.borne.coefficients, 2, axis=1)),
+    )
+    write_plan(tmp_path / "plan.npz", two)
+    with pytest.raises(ho.FileError, match=re.escape("apart from objects.post")):
+        read_plan(tmp_path / "plan.npz")
+
+
+def test_a_plan_from_the_middle_of_a_flight_is_read(motion: Motion, tmp_path: Path) -> None:
+    carry = next(phase for phase in motion.phases if phase.name == "carry")
+    first = int(np.searchsorted(motion.drones.breaks, carry.start + 1e-9))
+    path = tmp_path / "plan.npz"
+    write_plan(path, cut(motion, first, motion.drones.pieces))
+    found = read_plan(path)
+    assert found.poses is not None
+    body = found.requirements.objects["drum"]
+    np.testing.assert_allclose(body.pose, found.poses.coefficients[0, 0, :, 0], atol=1e-12)
+    assert body.at[2] > 0.05
 
 
 def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePolynomial:

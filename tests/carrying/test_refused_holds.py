@@ -141,3 +141,53 @@ def test_sampled_crossings_are_those_of_the_plan(monkeypatch: pytest.MonkeyPatch
         apart.append(np.min(np.linalg.norm(offsets, axis=-1), axis=(1, 2)))
     np.testing.assert_allclose(0.05 * ratios, np.min(apart, axis=0), atol=2e-4)
     assert np.min(ratios) < ratios[0] - 0.01
+
+
+def test_an_object_on_another_one_has_to_go_before() -> None:
+    given = tray(4, 0.2, 2.2)
+    given["objects"]["cup"] = {"circle": 0.03, "to": 0.1, "mass": 0.02, "at": [0.4, -0.3, 0.3]}
+    with pytest.raises(ho.InputError) as caught:
+        solved(given)
+    assert caught.value.key == "objects.cup.at"
+
+
+def test_nothing_without_friction_is_held() -> None:
+    given = tray(4, 0.2, 2.2)
+    given["objects"]["tray"]["friction"] = 0.0
+    with pytest.raises(ho.InputError) as caught:
+        solved(given)
+    assert caught.value.key == "objects.tray.friction"
+
+
+@pytest.mark.parametrize("inside", [0.015, 0.025])
+def test_nothing_is_set_down_at_an_edge(inside: float) -> None:
+    given = tray(4, 0.2, 2.2)
+    table = {"circle": 0.3, "to": 0.1, "fixed": True, "at": [0.4 + 0.3 - inside, 0.7, 0.0]}
+    given["objects"]["table"] = table
+    given["mission"][0]["transport_object"]["to"] = [0.4, 0.7, 0.1]
+    if inside < 0.02:
+        with pytest.raises(ho.InputError, match="farther in") as caught:
+            solved(given)
+        assert caught.value.key == "mission[0]"
+    else:
+        assert solved(given).certificate.certified
+
+
+def test_a_grip_that_hardly_holds_is_moved_more_gently() -> None:
+    angles = -2.0 * np.pi * np.arange(3) / 3.0
+    polygon = 0.56 * np.column_stack([np.cos(angles), np.sin(angles)])
+    drum = {"circle": 0.2, "mass": 0.114, "friction": 0.5, "at": [0.0, 0.0, 0.0]}
+    given = {
+        "team": {"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_friction": 0.15},
+        "limits": {"tilt_deg": 60},
+        "objects": {"drum": drum},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0}},
+        "mission": [{"transport_object": {"object": "drum", "to": [0, 1, 0], "tension": 1.3}}],
+    }
+    heavy = solved(given)
+    worst = heavy.certificate["grip"].worst
+    assert worst is not None
+    assert 1.5 <= worst < 1.52
+    drum["mass"] = 0.1
+    light = solved(given)
+    assert heavy.duration > light.duration + 1.0

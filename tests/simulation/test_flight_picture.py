@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.error_measures import vertex_errors
-from hitchopt.simulation.flight_outcome import judge
+from hitchopt.simulation.flight_outcome import Failure, judge
 from hitchopt.simulation.flight_picture import drawn_flight, flight_scene
 from hitchopt.simulation.flight_records import Film, Flight, Record
 from hitchopt.simulation.simulate import Simulation
@@ -100,3 +101,12 @@ def test_a_flight_without_frames_has_no_scene_and_still_a_picture() -> None:
     motion = hold(HITCH, SECONDS).motion
     assert flight_scene(simulation, motion) is None
     assert len(drawn_flight(simulation, motion).axes) == 4
+
+
+def test_a_flight_that_dropped_something_does_not_look_well() -> None:
+    simulation = flown(LINKED)
+    failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
+    outcome = replace(simulation.outcome, failures=(failure,))
+    object.__setattr__(simulation, "outcome", outcome)
+    figure = drawn_flight(simulation, hold(HITCH, SECONDS).motion)
+    assert figure.get_suptitle().endswith("every vertex holds, but tray is dropped: far below")

@@ -14,9 +14,11 @@ from hitchopt.simulation.flight_cargo import Cargo
 from hitchopt.simulation.flight_outcome import judge
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.mujoco_world import World
+from hitchopt.simulation.object_outcome import _slips
 from hitchopt.simulation.object_wires import wires
 from hitchopt.simulation.object_xml import _second_moments
 from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.run_report import summary
 from hitchopt.simulation.simulate import Simulation, simulate
 from hitchopt.simulation.simulation_settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
 
@@ -162,6 +164,56 @@ def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
     np.testing.assert_array_equal(np.flatnonzero(cargo.aloft[:, 0]), [3, 4])
     ends_aloft = replace(cargo, poses=poses[:5], borne=borne[:5], held=borne[:5] > 0.0)
     np.testing.assert_array_equal(np.flatnonzero(ends_aloft.aloft[:, 0]), [3, 4])
+
+
+def test_slips_of_several_flights_with_an_object_do_not_add_up() -> None:
+    x = np.array([5.0, 1.0, 1.1, 1.3, 7.0, np.nan, 2.0, 2.05, np.nan, 2.1])
+    offsets = np.column_stack([x, 0.0 * x, 0.0 * x])
+    carried = np.array([False, True, True, True, False, True, True, True, True, True])
+    found = _slips(offsets, carried)
+    np.testing.assert_allclose(found, [0.0, 0.1, 0.3, 0.0, 0.05, 0.1], atol=1e-12)
+    assert _slips(offsets, np.zeros(10, dtype=np.bool_)).size == 0
+
+
+def test_the_heading_of_what_looks_round_is_not_judged(lifted: Simulation) -> None:
+    (tray,) = lifted.outcome.objects
+    assert tray.round
+    assert replace(tray, turned=40.0).well_placed
+    assert not replace(tray, turned=40.0, round=False).well_placed
+    assert not replace(tray, tilted=6.0).well_placed
+
+
+@pytest.mark.parametrize("height", [-0.5, 0.5])
+def test_objects_stand_on_the_floor_of_the_arena(height: float) -> None:
+    task = lifting()
+    raised = task.setpoints.positions + [0.0, 0.0, height]
+    objects, poses = dict(task.cargo.objects), task.cargo.poses.copy()
+    poses[..., 2] += height
+    for name, each in objects.items():
+        objects[name] = replace(each, at=each.at + [0.0, 0.0, height])
+    higher = replace(
+        task,
+        setpoints=replace(task.setpoints, positions=raised),
+        vertices=task.vertices + [0.0, 0.0, height],
+        cargo=replace(task.cargo, objects=objects, poses=poses, floor=height),
+    )
+    done = simulate(higher, Settings(pull_test=False))
+    assert done.outcome.failures == ()
+    assert done.flight.ground == height
+    drawn = summary(done)["objects"][0]
+    assert drawn["mass"] == MASS
+    assert drawn["stood_at"] == objects["tray"].at.tolist()
+
+
+def test_the_pull_test_does_not_lift_what_is_held() -> None:
+    done = simulate(lifting(), Settings())
+    assert done.outcome.failures == ()
+    heights = done.flight.record.poses[:, 1, 2]
+    before, after = (
+        heights[np.searchsorted(done.flight.record.t, t)]
+        for t in (done.flight.rested, done.flight.pulled - 1e-6)
+    )
+    assert abs(after - before) < 0.05
 
 
 @pytest.mark.parametrize("section", [Section(radius=0.2), Section(radius=0.1)])
