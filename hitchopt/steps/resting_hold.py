@@ -32,7 +32,7 @@ from hitchopt.steps.slack_split import RolledLegs
 WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium"})
 """Limits at which less weight, or more of what bears it, is all that helps."""
 
-LIGHTER = np.geomspace(1.0, 0.1, 14)
+LIGHTER = np.append(np.arange(1.0, 0.85, -0.03), np.geomspace(0.85, 0.1, 10))
 """Masses that certificates are computed for, over the largest."""
 
 TRIED = 8
