@@ -156,14 +156,15 @@ def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> li
     """Return the change of tensions (n,) [N] that far below a rim [m], if there is one."""
     if np.array_equal(before, after):
         return []
-    return [changed_move(task, SmoothLaw(0.5 * PRELOAD), tension=(before, after), below=(gap, gap))]
+    law, pulls = SmoothLaw(0.5 * PRELOAD), (before, after)
+    return [within_limits(task, changed_move(task, law, tension=pulls, below=(gap, gap)))]
 
 
 def rim_move(task: StepTask, before: float, after: float) -> Move:
     """Return the move from one distance below a rim to another [m], one of them 0."""
     gap = max(before, after)
     law = SmoothLaw.fastest(LIFT_SPEED / gap, *gentle_rates(task, gap))
-    return changed_move(task, law, below=(before, after))
+    return within_limits(task, changed_move(task, law, below=(before, after)))
 
 
 def lasting_moves(moves: Sequence[Move], duration: float | None, task: StepTask) -> list[Move]:

@@ -191,3 +191,12 @@ def test_a_grip_that_hardly_holds_is_moved_more_gently() -> None:
     drum["mass"] = 0.1
     light = solved(given)
     assert heavy.duration > light.duration + 1.0
+
+
+def test_clasps_rise_to_a_rim_as_slowly_as_tilt_needs() -> None:
+    given = tray(3, 0.3, 2.04, radius=0.5)
+    given["limits"] = {"tilt_deg": 45}
+    given["team"] |= {"tension": 1.29, "cable_density": 0.0}
+    tilt = solved(given).certificate["tilt"].worst
+    assert tilt is not None
+    assert 44.8 < tilt <= 45.0
