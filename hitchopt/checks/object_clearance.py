@@ -19,7 +19,7 @@ from hitchopt.checks.bounds.hanging_links import chains, cut
 from hitchopt.checks.bounds.object_frames import seen_from
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, magnitude
 from hitchopt.checks.bounds.slab_distance import nearest, smallest_gap
-from hitchopt.checks.bounds.solid_gaps import TALL, carried_gap
+from hitchopt.checks.bounds.solid_gaps import TALL, carried_gap, taut_gap_to_ground
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import CableState, Motion
@@ -42,9 +42,13 @@ TOLERANCE = 1e-3
 def _to_taut(motion: Motion, limit: float) -> Finding:
     """Return the smallest distance of a taut cable to an object that it does not hold.
 
-    Or of an object that is carried to another one; zero where a cable enters what it holds.
+    Or of an object that is carried to another one; zero where a cable enters what it holds, or the
+    ground.
     ``where`` names the cable or object, and the object.
     """
+    ground = taut_gap_to_ground(motion)
+    if ground.worst < -CONTACT:
+        return Finding(0.0, ground.time, ground.where, magnitude(motion))
     parts = cable_parts(motion)
     cables = parts.part // 3
     breaks, size = motion.drones.breaks, magnitude(motion)

@@ -206,7 +206,7 @@ def _inner_boundary(section: Section, inset: float) -> Array:
 
 
 def _too_narrow(size: float, inset: float) -> InfeasibleError:
-    remedy = "use fewer robots, lower the clearance, or grip it"
+    remedy = "lower the clearance, or grip it"
     broken = Violation("support", size, 2.0 * inset, "min", "m", (), "", remedy)
     return InfeasibleError([broken], "the section is too narrow for such a polygon inside of it")
 
@@ -245,7 +245,8 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
                 break
         if best >= LIMIT_MARGIN:
             return found
-    remedy = "use fewer robots, or change the clearance"
+    fewer = "use fewer robots, or " if len(polygon) > 3 else ""
+    remedy = f"{fewer}change the clearance"
     broken = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
     raise InfeasibleError([broken], "no cable length keeps drones around the object apart")
 

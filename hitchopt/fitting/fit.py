@@ -223,9 +223,8 @@ class Fit(OneLine):
         """Raise InfeasibleError if a mass [kg] is not held by ``grip`` or ``rest``."""
         found = self.holding.grip_capacity if by == GRIP else self.holding.rest_capacity
         if mass > found.mass:
-            limit = f"{by}: {found.binding}"
             remedy = f"at {found.mass:.3g} kg {found.binding} binds: {found.suggested}"
-            raise InfeasibleError([Violation(limit, mass, found.mass, "max", "kg", (), "", remedy)])
+            raise InfeasibleError([Violation(by, mass, found.mass, "max", "kg", (), "", remedy)])
 
 
 def fit(

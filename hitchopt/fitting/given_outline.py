@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from hitchopt.errors import InputError
 from hitchopt.objects import Section
-from hitchopt.outlines.outline_file import outline_of_geometry, read_outline
+from hitchopt.outlines.outline_file import object_outline, outline_of_geometry
 from hitchopt.values import Array, points
 
 
@@ -23,7 +23,7 @@ def section_of(outline: Any) -> tuple[Array | None, Section, list[str]]:
     if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
         return None, Section(radius=float(outline)), []
     if isinstance(outline, str | Path):
-        found = read_outline(outline)
+        found = object_outline(outline)
     elif hasattr(outline, "__geo_interface__"):
         found = outline_of_geometry(outline)
     else:

@@ -48,8 +48,8 @@ class Capacity(OneLine):
     @property
     def suggested(self) -> str:
         """A change that raises it."""
-        if self.mass == 0.0:
-            return "use fewer robots, or cables of another length"
+        if self.mass == 0.0 and self.binding not in SUGGESTED:
+            return "use another number of robots, or cables of another length"
         return SUGGESTED.get(self.binding, "use longer cables")
 
 

@@ -14,7 +14,7 @@ from hitchopt.errors import InputError
 from hitchopt.mission.faults import Collector
 from hitchopt.mission.schema import Keys, NotNegative, Number, Point2, Point3, Positive, fault, key
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.outlines.outline_file import read_outline
+from hitchopt.outlines.outline_file import object_outline
 
 MAX_OBJECTS = 100
 """Objects of one problem."""
@@ -25,7 +25,7 @@ MAX_CORNERS = 1000
 SHAPES = ("outline", "circle", "file")
 """Keys of which an object has exactly one; a rim the first or the second."""
 
-KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at"}
+KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}
 """Keys of files for the arguments of ``SolidObject`` that have other names."""
 
 Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
@@ -100,7 +100,10 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
     rim, file = values.pop("rim"), values.pop("file")
     outline, circle = values.pop("outline"), values.pop("circle")
     if file is not None:
-        outline = read_outline(Path(file) if folder is None else folder / file)
+        try:
+            outline = object_outline(Path(file) if folder is None else folder / file)
+        except InputError as error:
+            raise InputError("file", file, error.bound, error.remedy) from None
     if rim is not None:
         rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
     yaw = math.radians(values.pop("yaw_deg"))
@@ -109,4 +112,7 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
         return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
     except InputError as error:
         key = KEYS.get(error.key, error.key)
+        if file is not None and key.partition("[")[0] == "outline":
+            bound = f"an outline that is {error.bound.removeprefix('an outline that is ')}"
+            raise InputError("file", file, bound, error.remedy) from None
         raise InputError(key, error.value, error.bound, error.remedy) from None

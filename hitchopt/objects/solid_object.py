@@ -103,6 +103,9 @@ class SolidObject(OneLine):
         if rim is not None and not self.lower < rim.height <= self.upper:
             bound = f"above the body's floor, {self.lower:g} m, and at most {self.upper:g} m"
             raise InputError("rim.height", rim.height, bound, "put the rim on the body")
+        if rim is not None and rim.section.clearance(section.centroid)[0] >= 0.0:
+            bound = f"around the body's centre, {section.centroid.tolist()}"
+            raise InputError("rim.section", rim.section, bound, "put the rim on the body")
 
     @property
     def slabs(self) -> tuple[Slab, ...]:

@@ -31,6 +31,9 @@ MAX_SIZE = 20_000_000
 MOST_CHORDS = 4096
 """Chords of one curve; a curve that needs more is larger than any object."""
 
+LARGEST = 20.0
+"""[m] No outline is larger: it is one in other units."""
+
 INCH, PIXELS = 0.0254, 96.0
 """[m] An inch, and pixels on it, by CSS: lengths with units in SVG are converted to pixels."""
 
@@ -63,6 +66,22 @@ def read_outline(path: str | Path) -> Array:
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
     return _joined(lines, path.name)
+
+
+def object_outline(path: str | Path) -> Array:
+    """Return the outline of a drawing of an object, as ``read_outline``.
+
+    Raises
+    ------
+    InputError: also for one of another size than objects have: one in other units.
+    """
+    outline = read_outline(path)
+    size = float(np.max(np.ptp(outline, axis=0)))
+    if size > LARGEST:
+        bound = f"at most {LARGEST:g} m across, not {size:.4g} m"
+        remedy = "state the drawing's unit: numbers without one are metres"
+        raise InputError("outline", Path(path).name, bound, remedy)
+    return outline
 
 
 def outline_of_geometry(geometry: Any) -> Array:
@@ -113,12 +132,13 @@ def _chords(points: Callable[[Array], Any], scale: float, *, curved: bool) -> Ar
 
 def _read_dxf(path: Path) -> Lines:
     dxf: Any = import_module("ezdxf")
+    parts: Any = import_module("ezdxf.disassemble")
     paths: Any = import_module("ezdxf.path")
     units: Any = import_module("ezdxf.units")
     drawing = dxf.readfile(str(path))
     scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
     lines: Lines = []
-    for entity in drawing.modelspace():
+    for entity in parts.recursive_decompose(drawing.modelspace()):  # blocks are taken apart
         try:
             curve = paths.make_path(entity)
         except TypeError:
@@ -134,7 +154,10 @@ def _read_geojson(path: Path) -> Lines:
     if isinstance(content, list):
         return [_ring(np.array(content, dtype=np.float64))]
     shape = _shapely("geometry").shape
-    return [line for each in _geometries(content) for line in _rings(shape(each))]
+    try:
+        return [line for each in _geometries(content) for line in _rings(shape(each))]
+    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        raise ValueError("it is neither GeoJSON nor a list of points [x, y]") from error
 
 
 def _geometries(content: Any) -> Iterator[Any]:
@@ -150,8 +173,26 @@ def _geometries(content: Any) -> Iterator[Any]:
 
 
 def _read_table(path: Path) -> Lines:
-    text = path.read_text("utf-8").replace(",", " ").splitlines()
-    return [_ring(np.loadtxt(text, ndmin=2))]
+    """Read coordinates: columns are apart by commas, semicolons, tabs or blanks.
+
+    Lines before the first numbers are headings; beside semicolons, decimals may have commas.
+    """
+    rows: list[list[float]] = []
+    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), 1):
+        text = line.partition("#")[0]
+        commas = "." if ";" in text else " "
+        words = text.replace(",", commas).replace(";", " ").split()
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            if not rows:
+                continue
+            raise ValueError(f"line {number} is not a point x, y: {line.strip()}") from None
+        if row:
+            rows.append(row)
+    if {len(row) for row in rows} != {2}:
+        raise ValueError("an outline is a list of points x, y, one on each line")
+    return [_ring(np.array(rows))]
 
 
 def _rings(geometry: Any) -> Lines:
@@ -175,7 +216,12 @@ def _joined(lines: Lines, name: str) -> Array:
     if not all(np.all(np.isfinite(ring)) for ring in rings):
         raise InputError("outline", name, "finite", "check its coordinates")
     usable = [shapely.LineString(ring) for ring in rings if len(ring) > 1]
-    areas = list(_shapely("ops").polygonize(shapely.unary_union(usable)))
+    polygonize = _shapely("ops").polygonize
+    crossing = (each for each in usable if each.is_closed and not each.is_simple)
+    if any(len(list(polygonize(shapely.unary_union(each)))) > 1 for each in crossing):
+        bound, remedy = "an outline that does not cross itself", "check the order of its points"
+        raise InputError("outline", name, bound, remedy)
+    areas = list(polygonize(shapely.unary_union(usable)))
     if not areas:
         bound, remedy = "a drawing with a closed outline", "join the ends of its lines"
         raise InputError("outline", name, bound, remedy)

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
@@ -61,7 +62,8 @@ class Enclose(Step):
 
         Raises
         ------
-        InfeasibleError: no polygon, or clasps that rub on each other and do not open so far.
+        InfeasibleError: no polygon, one that is close to the ground, or clasps that rub on each
+            other and do not open so far.
         """
         requirements, hitch = task.requirements, task.hitch
         body, gap = object_of(task, self.object), gap_around(requirements)
@@ -73,6 +75,7 @@ class Enclose(Step):
         else:
             found = rest_polygons(self.object, body, len(hitch.polygon), gap)
             inside = float(body.at[2]) + body.rim.height - gap_below(requirements)
+        self._check_height(task, inside)
         polygons, polygon = _numbered(found, body, hitch.polygon)
         wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
@@ -100,6 +103,16 @@ class Enclose(Step):
         holding = Holding(self.object, polygons, task.before.team.tension)
         after = replace(planned.after, holding=holding)
         return StepPlan(self.lasting(task, motion), after)
+
+    def _check_height(self, task: StepTask, inside: float) -> None:
+        """Raise InfeasibleError where the hitch around the object would be close to the ground."""
+        requirements = task.requirements
+        least, height = requirements.separation.object, inside - requirements.floor
+        if height < least:
+            remedy = f"make objects.{self.object} higher, or stand it on something"
+            where, when = ("ground",), f"with the hitch around objects.{self.object}"
+            broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
+            raise InfeasibleError([broken])
 
 
 def altitude_over(task: StepTask) -> float:

@@ -23,7 +23,15 @@ from hitchopt.planners.carrying.rest_capacity import (
 )
 from hitchopt.planners.carrying.rest_polygon import rest_polygons
 from hitchopt.requirements import Requirements
-from hitchopt.steps.carrying import gap_around, held_motion, polygon_at, resting_move, transferred
+from hitchopt.steps.carrying import (
+    gap_around,
+    gap_below,
+    held_motion,
+    polygon_at,
+    resting_move,
+    rim_move,
+    transferred,
+)
 from hitchopt.steps.certified_motions import Certified, certified, infeasible
 from hitchopt.steps.end_hitch import end_of_morph, split_hitch
 from hitchopt.steps.situation import Holding, StepTask
@@ -134,7 +142,9 @@ def _at_rest(task: StepTask) -> Certified:
 
 
 def _holds(task: StepTask, legs: Iterable[Hitch] = ()) -> bool:
-    """Return whether the hitch takes the object's weight, with legs as they are or as of others.
+    """Return whether the hitch rises to the rim and takes the object's weight.
+
+    With legs as they are, or as of others.
 
     With distances a little larger than asked for, which motions take some of.
     """
@@ -142,8 +152,9 @@ def _holds(task: StepTask, legs: Iterable[Hitch] = ()) -> bool:
     tasks = (_holding(task, held=replace(held, fractions=h.fractions, roll=h.roll)) for h in legs)
     for each in chain([task], tasks):
         try:
-            flight = held_flight(_held(each), transferred(each, 0.0, 1.0))
-            if certified(held_motion(each, [flight], "lift")).certificate.certified:
+            moves = rim_move(each, gap_below(each.requirements), 0.0), transferred(each, 0.0, 1.0)
+            flights = [held_flight(_held(each), move) for move in moves]
+            if certified(held_motion(each, flights, "lift")).certificate.certified:
                 return True
         except InfeasibleError:
             continue

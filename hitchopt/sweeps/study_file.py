@@ -231,9 +231,9 @@ def _drawings(parameters: tuple[Parameter, ...], folder: Path) -> dict[str, Plai
 
 
 def _outline(path: Path) -> Plain:
-    from hitchopt.outlines.outline_file import read_outline  # heavy: readers of drawings
+    from hitchopt.outlines.outline_file import object_outline  # heavy: readers of drawings
 
-    found: Plain = read_outline(path).tolist()
+    found: Plain = object_outline(path).tolist()
     return found
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.checks.certify import certify
 from hitchopt.planners.carrying.moves import Held, Move, crossing_ratios
 from hitchopt.steps import carried_moves
 from hitchopt.values import Array
@@ -85,11 +87,10 @@ def test_what_a_refused_hold_suggests_is_planned(
     if other:
         given["mission"][0]["transport_object"]["tension"] = float(other[1])
         solved(given)
-    if more:
-        solved(tray(int(more[1]), mass, length))
-    if binding == "load":
+    assert more
+    if binding == "load":  # more robots' legs would be below the ground otherwise
         assert other
-        assert more
+        solved(tray(int(more[1]), mass, length))
         assert words.endswith("(load binds)")
     else:
         assert "shorten the legs that meet" in words
@@ -200,3 +201,42 @@ def test_clasps_rise_to_a_rim_as_slowly_as_tilt_needs() -> None:
     tilt = solved(given).certificate["tilt"].worst
     assert tilt is not None
     assert 44.8 < tilt <= 45.0
+
+
+@pytest.mark.parametrize("height", [0.07, 0.085])
+def test_cables_around_an_object_keep_off_the_ground(height: float) -> None:
+    given = tray(4, 0.2, 2.2)
+    given["objects"]["tray"]["rim"]["at"] = height
+    if height < 0.08:
+        (violation,) = refusal(given).violations
+        assert violation.constraint == "object_clearance"
+        assert violation.value == pytest.approx(height - 0.045)
+    else:
+        motion = solved(given).motion
+        lowest = np.min(motion.vertices.coefficients[:, :, 2])
+        assert lowest == pytest.approx(height - 0.045, abs=1e-6)
+
+
+def test_a_plan_below_the_ground_is_not_certified() -> None:
+    motion = solved(tray(4, 0.2, 2.2)).motion
+    bodies = motion.requirements.objects
+    requirements = replace(
+        motion.requirements,
+        arena=ho.Arena([-9.0, -9.0, 0.22], [9.0, 9.0, 9.0]),
+        objects={name: replace(each, fixed=True) for name, each in bodies.items()},
+    )
+    found = certify(replace(motion, requirements=requirements))["object_clearance"]
+    assert found.worst == 0.0
+    assert found.where[1] == "ground"
+    assert np.min(motion.vertices.at(found.time)[..., 2]) < 0.22
+    higher = replace(requirements, arena=ho.Arena([-9.0, -9.0, 0.2], [9.0, 9.0, 9.0]))
+    kept = certify(replace(motion, requirements=higher))["object_clearance"]
+    assert kept.where == ("tray", "ground")  # not a cable
+
+
+def test_a_rim_is_around_its_body() -> None:
+    given = tray(4, 0.2, 2.2)
+    given["objects"]["tray"]["rim"] = {"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}
+    with pytest.raises(ho.InputError) as caught:
+        ho.problem_from_dict(given)
+    assert caught.value.key == "objects.tray.rim"

@@ -114,6 +114,13 @@ def test_a_table_and_shapely(tmp_path: Path) -> None:
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", ho.FileError, "a list of points"),
         ("a.csv", "0, nan\n1, 0\n1, 1", ho.InputError, "finite"),
         ("a.csv", "0, 0\n1, 0", ho.InputError, "closed outline"),
+        ("a.csv", "", ho.FileError, "one on each line"),
+        ("a.csv", "0, 0\n1, 0\nx, 1\n", ho.FileError, "line 3 is not a point"),
+        ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", ho.FileError, "one on each line"),
+        ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", ho.InputError, "cross itself"),
+        ("a.geojson", '{"type": "FeatureCollection"}', ho.FileError, "neither GeoJSON nor"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": 3}', ho.FileError, "neither GeoJSON nor"),
+        ("a.json", "7", ho.FileError, "neither GeoJSON nor"),
         ("a.svg", SVG.format(size="", shape=""), ho.InputError, "closed outline"),
         ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), ho.InputError, "both"),
         ("a.step", "", ho.InputError, "a drawing"),
@@ -125,3 +132,34 @@ def test_what_is_no_outline_is_refused(
     (tmp_path / name).write_text(text)
     with pytest.raises(kind, match=words):
         read_outline(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n",
+        "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n",
+        "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3",
+    ],
+    ids=["headings", "semicolons", "tabs"],
+)
+def test_tables_as_other_programs_write_them(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    assert size_and_area(read_outline(tmp_path / "a.csv")) == pytest.approx((0.4, 0.3, 0.12))
+
+
+def test_objects_are_no_larger_than_rooms(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("0, 0\n400, 0\n400, 300\n")
+    with pytest.raises(ho.InputError, match="400 m; state the drawing's unit"):
+        ho.fit(str(tmp_path / "a.csv"), 3)
+
+
+def test_dxf_blocks_are_taken_apart(tmp_path: Path) -> None:
+    dxf = import_module("ezdxf")
+    drawing = dxf.new()
+    drawing.units = dxf.units.MM
+    block = drawing.blocks.new("part")
+    block.add_lwpolyline([(0, 0), (400, 0), (400, 150), (0, 150)], close=True)
+    drawing.modelspace().add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
+    drawing.saveas(tmp_path / "a.dxf")
+    assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.4, 0.3, 0.12))

@@ -78,6 +78,28 @@ def carried_gap(motion: Motion) -> Finding:
     return best
 
 
+def taut_gap_to_ground(motion: Motion) -> Finding:
+    """Return the smallest height of cables that hold an object, or close, above the ground [m].
+
+    They are straight: no part is lower than its ends. ``where`` names the cable, and the ground.
+    """
+    team, floor = motion.team, motion.requirements.floor
+    best = Finding(math.inf, 0.0)
+    holding = np.array([phase.hold is not None for phase in motion.phases], dtype=np.bool_)
+    if not np.any(holding):
+        return best
+    on = holding[motion.phase_of_piece]
+    margin = ROUNDING * magnitude(motion)
+    owns = np.arange(team.drones) // 2, np.arange(team.layout.points) % team.robots
+    for part, own in zip((motion.drones, motion.vertices), owns, strict=True):
+        heights = part.coefficients[:, :, None, 2:] - floor
+        cells = Cells.over(part.breaks, [heights], margin)
+        found = smallest(cells.take(np.repeat(on, len(own))), _height)
+        if found.worst < best.worst:
+            best = Finding(found.worst, found.time, (f"cable {own[found.item]}", GROUND))
+    return best
+
+
 def _to_ground(motion: Motion, index: int, going: Mask, upright: Mask, over_it: bool) -> Extremum:
     """Return the smallest height [m] of an object's lowest point above the ground.
 
