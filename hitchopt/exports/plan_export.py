@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.export_options import ExportOptions, checked_rate
 from hitchopt.exports.exporting import Export, export_plan, silent
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
@@ -69,6 +69,10 @@ def export_motion(
     if place.exists() and not (single or place.is_dir()):
         raise FileError(f"{place}: is a file; an export is a folder, choose another one")
     certificate = certify(plan, progress)
+    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
+        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
+        remedy = "stretch it less, or plan the steps with a longer duration"
+        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
     if options.hold_tension:
         loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
         held = held_tension(plan, loop)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.exports.export_options import ExportOptions
+from hitchopt.exports.plan_export import export_motion
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import Hold, HoldBy
@@ -398,3 +401,11 @@ def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
         other = p[150, (k + 1) % 6] + shares * legs[150, 2 * k + 1]
         gaps = np.linalg.norm(one[:, None] - other[None], axis=-1)
         assert np.min(gaps) > 0.05
+
+
+def test_a_plan_with_a_load_is_not_stretched_far(motion: Motion, tmp_path: Path) -> None:
+    options = ExportOptions(format="csv", stretch=2.0)
+    with pytest.raises(ho.InfeasibleError, match="inertia of what is carried") as caught:
+        export_motion(motion, "tray", options, tmp_path / "out")
+    assert caught.value.violations[0].constraint == "equilibrium"
+    assert not (tmp_path / "out").exists()
