@@ -169,7 +169,9 @@ def _next_steps(place: Path, motion: Motion) -> str:
     lines = [f"next: look at {place / SUMMARY}"]
     if motion.team.has_cables:
         lines.append(f"      hitchopt simulate {name}")
-    return "\n".join([*lines, f"      hitchopt export {name} --format crazyswarm2 --stretch 1.01"])
+    # Edges that bend around an object need more digits than fitted polynomials keep.
+    chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
+    return "\n".join([*lines, f"      hitchopt export {name} --format {chosen}"])
 
 
 def _leave_diagnosis(

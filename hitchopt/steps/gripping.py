@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -263,6 +264,7 @@ def check_grip(task: StepTask) -> None:
     body, words = held.body, f"with objects.{holding.name} off its support"
     bearing = replace(task, before=replace(task.before, holding=replace(holding, borne=True)))
 
+    @cache
     def suggested(otherwise: str) -> str:
         from hitchopt.planners.carrying.grip_polygon import grip_suggestion
 
@@ -285,7 +287,7 @@ def check_grip(task: StepTask) -> None:
     weighty = {"thrust", "tilt", "equilibrium", "grip"}
     raise InfeasibleError(
         [
-            replace(v, remedy=suggested(OTHER_BENDS)) if v.constraint in weighty else v
+            replace(v, remedy=suggested(OTHER_BENDS if v.constraint in weighty else v.remedy))
             for v in refusal.violations
         ]
     )

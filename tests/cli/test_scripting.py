@@ -99,6 +99,11 @@ def test_a_solve_says_what_to_do_next() -> None:
     ]
 
 
+def test_what_bends_around_an_object_is_exported_in_full() -> None:
+    result = run("solve", TRIANGLE.with_name("grip_drum.yaml"), "-o", "out", "--rate", "5")
+    assert result.stderr.splitlines()[-1] == "      hitchopt export out --format csv"
+
+
 def test_standard_input_is_a_file() -> None:
     result = run("solve", "-", "--rate", "5", given=TRIANGLE.read_text(encoding="utf-8"))
     assert result.exit_code == 0, result.output
