@@ -119,9 +119,20 @@ class Grasp(Step):
             raise advised(error) from None
 
     def _closed(
-        self, task: StepTask, body: SolidObject, asked: Array, legs: RolledLegs | None = None
+        self,
+        task: StepTask,
+        body: SolidObject,
+        asked: Array,
+        legs: RolledLegs | None = None,
+        *,
+        final: bool = False,
     ) -> tuple[StepPlan, StepTask]:
-        """Return what ``_closing`` does, with these legs at the end, or those nearest to now."""
+        """Return what ``_closing`` does, with these legs at the end, or those nearest to now.
+
+        Parameters
+        ----------
+        final: whether no other legs are tried where these hardly keep a distance.
+        """
         team, polygons = task.before.team, task.holding.polygons
         below = polygon_at(body, polygons.closed)
         free = task.within(slowly(without(task, self.object)), task.before)
@@ -133,16 +144,16 @@ class Grasp(Step):
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
         holding = Holding(self.object, polygons, asked, held)
         here = replace(task, before=replace(closing.after, holding=holding))
-        if legs is None:
+        if not final:
             try:
-                check_hold(here.within(spaced(task.requirements, SPARE), here.before))
+                check_hold(here.within(spaced(task.requirements, SPARE), here.before), taken=False)
             except InfeasibleError:
                 try:
                     more = farther_legs(task.hitch, hitch, task.requirements)
-                    return self._closed(task, body, asked, more)
+                    return self._closed(task, body, asked, more, final=True)
                 except InfeasibleError:
                     pass  # what binds without more room is told
-        check_hold(here)
+        check_hold(here, taken=True)
         return closing, here
 
 

@@ -72,11 +72,20 @@ class HoldRefusedError(InfeasibleError):
         super().__init__(violations)
 
 
-def check_hold(task: StepTask) -> None:
-    """Raise HoldRefusedError where the hitch cannot hold the object of the task at rest."""
-    words = f"with objects.{task.holding.name} on the clasps"
+def check_hold(task: StepTask, *, taken: bool) -> None:
+    """Raise HoldRefusedError where the hitch cannot hold the object of the task at rest.
+
+    Parameters
+    ----------
+    taken: whether it has to rise to the rim and take the weight as well.
+    """
+    name = task.holding.name
+    words = f"with objects.{name} on the clasps"
     try:
         found = _at_rest(task)
+        if taken and found.certificate.certified:
+            words = f"as the clasps take objects.{name}"
+            found = _taken(task)
     except InfeasibleError as error:
         raise HoldRefusedError([replace(v, when=words) for v in error.violations], task) from None
     if not found.certificate.certified:
@@ -123,6 +132,17 @@ def advised(error: InfeasibleError) -> InfeasibleError:
     return InfeasibleError(told)
 
 
+def _taken(task: StepTask) -> Certified:
+    """Return the certificate of the hitch that rises to the rim and takes the object's weight.
+
+    Raises
+    ------
+    InfeasibleError: a weight that the tensions cannot carry.
+    """
+    moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
+    return certified(held_motion(task, [held_flight(_held(task), move) for move in moves], "lift"))
+
+
 def _held(task: StepTask) -> HeldHitch:
     held = task.holding.held
     assert isinstance(held, HeldHitch)
@@ -152,9 +172,7 @@ def _holds(task: StepTask, legs: Iterable[Hitch] = ()) -> bool:
     tasks = (_holding(task, held=replace(held, fractions=h.fractions, roll=h.roll)) for h in legs)
     for each in chain([task], tasks):
         try:
-            moves = rim_move(each, gap_below(each.requirements), 0.0), transferred(each, 0.0, 1.0)
-            flights = [held_flight(_held(each), move) for move in moves]
-            if certified(held_motion(each, flights, "lift")).certificate.certified:
+            if _taken(each).certificate.certified:
                 return True
         except InfeasibleError:
             continue
