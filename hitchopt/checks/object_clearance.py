@@ -160,8 +160,8 @@ RULE = CheckRule(
         Finder(_to_taut, HITCHED_STATE, exported=True),
         Finder(_to_hanging, FREE_STATES, exported=True),
     ),
-    "fly higher over objects or farther from them, lift the held one higher, "
-    "or allow a smaller separation.object",
+    "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
+    "or stand it higher where the ground is near, or allow a smaller separation.object",
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
     Ease.NOTHING,
