@@ -147,14 +147,15 @@ def _passing(
 
     Raises
     ------
-    InfeasibleError: edges would push the object along its support at any of these tensions.
+    InfeasibleError: edges would push the object along its support at any of these tensions, or
+        cables would not keep their lengths.
     """
     holding = task.holding
     held, name = holding.held, holding.name
     assert isinstance(held, GrippedHitch)
     friction = held.body.friction * held.body.mass * GRAVITY
     push = math.inf
-    found: list[tuple[bool, list[Move]]] = []
+    found: list[tuple[float, list[Move]]] = []
     for value in dict.fromkeys(min(each, float(np.max(holding.tension))) for each in tried):
         between = np.minimum(holding.tension, value)
         pushed = held.largest_push(between)
@@ -168,10 +169,10 @@ def _passing(
             for pulls, at in ends
         )
         moves = [*first, *_closing(lax, *closed), *last]
-        even = held.largest_seam(between) <= SEAM
-        if even and all(_apart(task, move, NEAREST) for move in moves):
+        seam = held.largest_seam(between)
+        if seam <= SEAM and all(_apart(task, move, NEAREST) for move in moves):
             return moves
-        found.append((even, moves))
+        found.append((seam, moves))
     if not found:
         remedy = f"give it more weight, raise objects.{name}.friction, or give it a rim"
         when = "on its support, which its edges push it along as they close around it one by one"
@@ -179,7 +180,14 @@ def _passing(
             "grip", push, PUSHED * friction, "max", "N", (f"objects.{name}",), when, remedy
         )
         raise InfeasibleError([over])
-    return max(found, key=lambda each: each[0])[1]
+    seam, moves = next((each for each in found if each[0] <= SEAM), found[0])
+    if seam > LIMIT:
+        remedy = "use lighter cables, smooth the outline, or make it rougher for its support"
+        when = "where edges come to meet other corners, and sag otherwise, as they close around it"
+        where = (f"objects.{name}",)
+        uneven = Violation("cable_length", seam, LIMIT, "max", "1", where, when, remedy)
+        raise InfeasibleError([uneven])
+    return moves
 
 
 def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:

@@ -241,3 +241,29 @@ def test_a_rim_is_around_its_body() -> None:
     with pytest.raises(ho.InputError) as caught:
         ho.problem_from_dict(given)
     assert caught.value.key == "objects.tray.rim"
+
+
+@pytest.mark.parametrize(("density", "friction"), [(0.01, 0.7), (0.005, 0.7), (0.01, 1.4)])
+def test_cables_that_sag_around_corners_are_refused_with_what_helps(
+    density: float, friction: float
+) -> None:
+    sides = [[-0.19428, -0.15542], [0.19428, -0.15542], [0.19428, 0.15542], [-0.19428, 0.15542]]
+    given = {
+        "team": {"robots": 3, "cable_length": 1.84, "tension": 1.0, "cable_density": density},
+        "limits": {"tilt_deg": 60},
+        "objects": {
+            "box": {"outline": sides, "mass": 0.049, "friction": friction, "at": [0, 0, 0]}
+        },
+        "start": {
+            "hitch": {"polygon": [[-0.12, -0.54], [-0.4, 0.37], [0.52, 0.16]], "altitude": 1.0}
+        },
+        "mission": [{"transport_object": {"object": "box", "to": [0.7, 0.9, 0], "tension": 1.3}}],
+    }
+    if (density, friction) != (0.01, 0.7):
+        assert solved(given).certificate.certified
+        return
+    (violation,) = refusal(given).violations
+    assert violation.constraint == "cable_length"
+    assert violation.where == ("objects.box",)
+    assert "lighter cables" in violation.remedy
+    assert "rougher" in violation.remedy
