@@ -64,7 +64,9 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
         move = replace(changed_move(lifted, law, to=to), start=start)
         try:
             factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
-            if factor <= 1.0:
+            if factor == math.inf:  # at rest all but a limit itself is reached
+                factor = SLOWER
+            elif factor <= 1.0:
                 separation = task.requirements.separation
                 apart = separation_ratios(held, move, separation)
                 factor = max(_slower(apart), _slower(crossing_ratios(held, move, separation)))

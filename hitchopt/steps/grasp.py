@@ -102,21 +102,23 @@ class Grasp(Step):
 
         Legs end as near to the current fractions as limits allow, rolled as little; where the
         hitch with its load hardly keeps a distance then, they are rolled more, or moved on. Where
-        it keeps none so, they end balanced.
+        it cannot hold the object so, they end balanced; or either way with as little room as is.
 
         Parameters
         ----------
         body: to be held.
         asked: (n,) [N], tensions with which it is held.
         """
-        try:
-            return self._closed(task, body, asked)
-        except InfeasibleError as error:
+        balanced = RolledLegs("balanced")
+        told: InfeasibleError | None = None
+        for legs, roomy in ((None, True), (balanced, True), (None, False), (balanced, False)):
             try:
-                return self._closed(task, body, asked, RolledLegs("balanced"))
-            except InfeasibleError:
-                pass  # what binds with legs as they are is told
-            raise advised(error) from None
+                return self._closed(task, body, asked, legs, roomy=roomy)
+            except InfeasibleError as error:
+                if legs is None:
+                    told = error  # what binds with legs as they are
+        assert told is not None
+        raise advised(told)
 
     def _closed(
         self,
@@ -125,13 +127,13 @@ class Grasp(Step):
         asked: Array,
         legs: RolledLegs | None = None,
         *,
-        final: bool = False,
+        roomy: bool = False,
     ) -> tuple[StepPlan, StepTask]:
         """Return what ``_closing`` does, with these legs at the end, or those nearest to now.
 
         Parameters
         ----------
-        final: whether no other legs are tried where these hardly keep a distance.
+        roomy: whether legs that hardly keep a distance are rolled more, or moved on.
         """
         team, polygons = task.before.team, task.holding.polygons
         below = polygon_at(body, polygons.closed)
@@ -144,15 +146,12 @@ class Grasp(Step):
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
         holding = Holding(self.object, polygons, asked, held)
         here = replace(task, before=replace(closing.after, holding=holding))
-        if not final:
+        if roomy:
             try:
                 check_hold(here.within(spaced(task.requirements, SPARE), here.before), taken=False)
             except InfeasibleError:
-                try:
-                    more = farther_legs(task.hitch, hitch, task.requirements)
-                    return self._closed(task, body, asked, more, final=True)
-                except InfeasibleError:
-                    pass  # what binds without more room is told
+                more = farther_legs(task.hitch, hitch, task.requirements)
+                return self._closed(task, body, asked, more)
         check_hold(here, taken=True)
         return closing, here
 
