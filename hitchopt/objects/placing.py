@@ -83,14 +83,16 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
         if other != name and abs(float(each.at[2]) + each.upper - bottom) <= TOUCH
     ]
     centre = body.section.centroid
-    reach = body.section.circumradius + float(np.linalg.norm(centre))
+    if not below:
+        return math.inf
+    reach = float(np.max(length(body.section.core - centre))) + body.section.rounding
     steps = np.linspace(-reach, reach, GRID)
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    grid = centre + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     grid = grid[body.section.clearance(grid)[0] <= 0.0]
     places = in_world(body.pose, np.column_stack([grid, np.zeros(len(grid))]))
     met = [each.section.clearance(in_frame(each.pose, places)[:, :2])[0] <= 0.0 for each in below]
     if not np.any(met):
-        return math.inf
+        return 0.0
     away = (grid - centre)[np.any(met, axis=0)]
     angles = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     return float(

@@ -132,13 +132,12 @@ def _chords(points: Callable[[Array], Any], scale: float, *, curved: bool) -> Ar
 
 def _read_dxf(path: Path) -> Lines:
     dxf: Any = import_module("ezdxf")
-    parts: Any = import_module("ezdxf.disassemble")
     paths: Any = import_module("ezdxf.path")
     units: Any = import_module("ezdxf.units")
     drawing = dxf.readfile(str(path))
     scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
     lines: Lines = []
-    for entity in parts.recursive_decompose(drawing.modelspace()):  # blocks are taken apart
+    for entity in _entities(drawing.modelspace()):
         try:
             curve = paths.make_path(entity)
         except TypeError:
@@ -147,6 +146,15 @@ def _read_dxf(path: Path) -> Lines:
         if len(points) > 1:
             lines.append(scale * points)
     return lines
+
+
+def _entities(layout: Any) -> Iterator[Any]:
+    """Return the entities of a drawing, blocks taken apart; dimensions and leaders stay whole."""
+    for entity in layout:
+        if entity.dxftype() == "INSERT":
+            yield from _entities(entity.virtual_entities())
+        else:
+            yield entity
 
 
 def _read_geojson(path: Path) -> Lines:
@@ -175,17 +183,18 @@ def _geometries(content: Any) -> Iterator[Any]:
 def _read_table(path: Path) -> Lines:
     """Read coordinates: columns are apart by commas, semicolons, tabs or blanks.
 
-    Lines before the first numbers are headings; beside semicolons, decimals may have commas.
+    Lines without a number before the first ones are headings; beside semicolons, decimals may have
+    commas.
     """
     rows: list[list[float]] = []
     for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), 1):
-        text = line.partition("#")[0]
+        text = line.partition("#")[0].strip().rstrip(",;")
         commas = "." if ";" in text else " "
         words = text.replace(",", commas).replace(";", " ").split()
         try:
             row = [float(word) for word in words]
         except ValueError:
-            if not rows:
+            if not rows and not any(map(_is_number, words)):
                 continue
             raise ValueError(f"line {number} is not a point x, y: {line.strip()}") from None
         if row:
@@ -193,6 +202,14 @@ def _read_table(path: Path) -> Lines:
     if {len(row) for row in rows} != {2}:
         raise ValueError("an outline is a list of points x, y, one on each line")
     return [_ring(np.array(rows))]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _rings(geometry: Any) -> Lines:

@@ -12,6 +12,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import TOUCH
 from hitchopt.planners.carrying.clasp_opening import check_opens
 from hitchopt.planners.carrying.hold_polygons import HoldPolygons
 from hitchopt.planners.carrying.rest_polygon import rest_polygons
@@ -108,8 +109,11 @@ class Enclose(Step):
         """Raise InfeasibleError where the hitch around the object would be close to the ground."""
         requirements = task.requirements
         least, height = requirements.separation.object, inside - requirements.floor
-        if height < least:
-            remedy = f"make objects.{self.object} higher, or stand it on something"
+        if height < least - TOUCH:
+            body = requirements.objects[self.object]
+            name = f"objects.{self.object}"
+            higher = f"make {name} higher" if body.rim is None else f"raise {name}.rim.at"
+            remedy = f"{higher}, or stand it on something"
             where, when = ("ground",), f"with the hitch around objects.{self.object}"
             broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
             raise InfeasibleError([broken])

@@ -74,15 +74,11 @@ class Grasp(Step):
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
         if self.by == "grip":
             return grip_closed(task, self.object, self.tension, self.duration, self.name)
-        from hitchopt.planners.carrying.grip_polygon import check_pull
-        from hitchopt.planners.carrying.rest_capacity import EMPTY
-
         body, team, requirements = object_of(task, self.object), task.before.team, task.requirements
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
-        check_pull(float(np.max(asked)), team, requirements, 1.0 / EMPTY)
         closing, here = self._closing(task, body, asked)
         held = here.holding.held
         assert isinstance(held, HeldHitch)

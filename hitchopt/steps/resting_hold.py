@@ -126,6 +126,8 @@ def advised(error: InfeasibleError) -> InfeasibleError:
     told = []
     for each in error.violations:
         own = [] if each.constraint in WEIGHTY else [each.remedy]
+        if each.constraint == "tilt":
+            own = ["raise limits.tilt_deg"]
         remedy = ", or ".join([*ways, *own]) or "use stronger quadrotors or a lighter object"
         binds = f" ({capacity.binding} binds)" if each.constraint == "load" else ""
         told.append(replace(each, remedy=remedy + binds))

@@ -163,3 +163,20 @@ def test_dxf_blocks_are_taken_apart(tmp_path: Path) -> None:
     drawing.modelspace().add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
     drawing.saveas(tmp_path / "a.dxf")
     assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.4, 0.3, 0.12))
+
+
+def test_dimensions_are_no_part_of_an_outline(tmp_path: Path) -> None:
+    drawing = import_module("ezdxf").new(setup=True, units=4)
+    space = drawing.modelspace()
+    space.add_lwpolyline([(0, 0), (200, 0), (200, 100), (0, 100)], close=True)
+    space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()
+    drawing.saveas(tmp_path / "a.dxf")
+    assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.2, 0.1, 0.02))
+
+
+def test_a_mistyped_first_row_is_no_heading(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("O.1,0.2\n0.4,0\n0.4,0.3\n0,0.3\n")
+    with pytest.raises(ho.FileError, match="line 1 is not a point"):
+        read_outline(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n")
+    assert size_and_area(read_outline(tmp_path / "a.csv")) == pytest.approx((0.4, 0.3, 0.12))

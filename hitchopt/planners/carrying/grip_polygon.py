@@ -155,19 +155,13 @@ def _loaded(section: Section, centre: Array, grips: Array, load: float) -> Array
     return np.where(settled[:, None, None], clasps[:, -1, :, :2], np.nan)
 
 
-def check_pull(tension: float, team: Team, requirements: Requirements, eased: float = 1.0) -> None:
-    """Raise InfeasibleError for level pulls that no drone can hold.
-
-    Parameters
-    ----------
-    tension: of the cables [N].
-    eased: share of the largest tension that is suggested.
-    """
+def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
+    """Raise InfeasibleError for level pulls that no drone can hold."""
     most, binding = largest_tension(requirements, team.quadrotor[0])
     if tension <= most:
         return
     own = requirements.limits
-    remedy = f"grasp with a tension of {eased * most:.3g} N or less"
+    remedy = f"grasp with a tension of {most:.3g} N or less"
     if binding == "tilt":
         needed = np.degrees(np.arctan(tension / (9.81 * team.mass[0])))
         remedy = (
@@ -175,7 +169,7 @@ def check_pull(tension: float, team: Team, requirements: Requirements, eased: fl
             f"above {np.degrees(own.tilt):.3g}; or {remedy}"
         )
     raise InfeasibleError(
-        [Violation(binding, tension, most, "max", "N", (), "to hold objects at rest", remedy)]
+        [Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)]
     )
 
 
