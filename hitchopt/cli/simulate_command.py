@@ -90,7 +90,7 @@ PATH = GivenPath()
     "--ground",
     metavar="M",
     type=float,
-    help="Height of the ground [m]; by default 0 or lower, or the arena's where there are objects.",
+    help="Height of the ground [m]; by default 0 or lower; where there are objects, the arena's.",
 )
 @click.option(
     "--lose",

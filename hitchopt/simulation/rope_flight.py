@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
+from hitchopt.objects.placing import TOUCH
 from hitchopt.simulation.air_forces import downwash, drag
 from hitchopt.simulation.cable_shapes import clasped, hanging
 from hitchopt.simulation.clasp_contacts import least_bearing
@@ -121,6 +122,9 @@ class _Run:
         if ground is None:  # at 0, or such that even the lowest drone stands above it
             lowest = float(np.min(self._setpoints.positions[..., 2])) - REST_HEIGHT
             ground = task.cargo.floor if task.cargo.objects else min(0.0, lowest)
+        elif task.cargo.objects and abs(ground - task.cargo.floor) > TOUCH:
+            bound = f"{task.cargo.floor:g}, on which objects stand"
+            raise InputError("ground", ground, bound, "leave it out")
         objects = self._disturbances.disturbed(task.cargo.objects)
         rigid = settings.body == "rigid"
         world = World(ropes, team.mass, rigid=rigid, ground=ground, objects=objects)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hitchopt.checks.equilibrium import QUICK as EQUILIBRIUM
 from hitchopt.checks.grip import RULE as GRIP
 from hitchopt.errors import InfeasibleError
-from hitchopt.planners.carrying.gripped_hitch import GrippedHitch
 from hitchopt.planners.carrying.moves import Move, crossing_ratios, held_flight, separation_ratios
 from hitchopt.planners.carrying.smooth_law import SmoothLaw
 from hitchopt.planners.timing.stretch import needed_stretch
@@ -24,7 +24,8 @@ LIFT_ACCELERATION = 0.3
 """[m/s²] The same where it is lifted or set down."""
 
 SLOWER = 1.5
-"""How much longer a move takes that is tried where edges slip or do not bear weight and inertia."""
+"""How much longer a move takes that is tried where a grip slips, cables do not balance, or edges do
+not bear weight and inertia."""
 
 NEAREST, APART = 1.001, 1.002
 """Distances over those asked: the least one in curves, whose polynomials are nearer by up
@@ -70,7 +71,7 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
                 separation = task.requirements.separation
                 apart = separation_ratios(held, move, separation)
                 factor = max(_slower(apart), _slower(crossing_ratios(held, move, separation)))
-                if factor <= 1.0 and _slips(lifted, move):
+                if factor <= 1.0 and _fails(lifted, move):
                     factor = SLOWER
         except InfeasibleError:
             if left == 0:
@@ -82,13 +83,13 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     return move
 
 
-def _slips(task: StepTask, move: Move) -> bool:
-    """Return whether a grip is less firm than it has to be in a move."""
+def _fails(task: StepTask, move: Move) -> bool:
+    """Return whether a grip is less firm in a move, or the balance less close, than it has to be."""
     held = task.holding.held
-    if not isinstance(held, GrippedHitch):
-        return False
-    found = GRIP.check(held_motion(task, [held_flight(held, move)], "carry"))
-    return found is not None and not found.holds
+    assert held is not None
+    motion = held_motion(task, [held_flight(held, move)], "carry")
+    found = (rule.check(motion) for rule in (GRIP, EQUILIBRIUM))
+    return any(check is not None and not check.holds for check in found)
 
 
 def _slower(ratios: Array) -> float:

@@ -43,12 +43,14 @@ WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium"})
 LIGHTER = np.append(np.arange(1.0, 0.85, -0.03), np.geomspace(0.85, 0.1, 10))
 """Masses that certificates are computed for, over the largest."""
 
+NEAR = 0.02
+"""Share by which a tension that is suggested differs at least from the one that was asked for."""
+
 TRIED = 8
 """Tensions that certificates are computed for."""
 
 OTHER_ROBOTS = 5
 """So many more or fewer robots are tried."""
-
 
 MORE_ROLL = 1.3
 """Factor of the least roll with which legs without a load keep off each other, where a load brings
@@ -166,9 +168,11 @@ def _at_rest(task: StepTask) -> Certified:
 def _holds(task: StepTask, legs: Iterable[Hitch] = ()) -> bool:
     """Return whether the hitch rises to the rim and takes the object's weight.
 
-    With legs as they are, or as of others.
+    Distances are kept a little larger than asked for, since motions take some of that.
 
-    With distances a little larger than asked for, which motions take some of.
+    Parameters
+    ----------
+    legs: hitches whose legs are tried besides its own.
     """
     held, task = _held(task), replace(task, requirements=spaced(task.requirements, SPARE))
     tasks = (_holding(task, held=replace(held, fractions=h.fractions, roll=h.roll)) for h in legs)
@@ -211,7 +215,8 @@ def _tighter(task: StepTask, legs: list[Hitch]) -> Iterator[str]:
     """Yield the tension nearest to that asked with which it is held, if there is one."""
     held, limits = _held(task), task.requirements.limits
     asked = float(np.mean(task.holding.tension))
-    near = sorted(TENSIONS, key=lambda value: abs(value - asked))
+    others = TENSIONS[np.abs(TENSIONS - asked) > NEAR * asked]
+    near = sorted(others, key=lambda value: abs(value - asked))
     fitting = (
         value
         for value in (float(f"{each:.3g}") for each in near)

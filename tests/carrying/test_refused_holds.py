@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.checks.bounds.solid_gaps import taut_gap_to_ground
 from hitchopt.checks.certify import certify
 from hitchopt.objects.placing import footing
 from hitchopt.planners.carrying.moves import Held, Move, crossing_ratios
@@ -278,3 +279,28 @@ def test_how_wide_an_object_stands_does_not_depend_on_its_origin(away: float) ->
     thin = ho.SolidObject(ho.Section(radius=1e-4), 0.0, 0.5, at=[1e-3, 5e-4, 0.0], fixed=True)
     assert footing({"post": thin, "box": box}, "box") <= 0.002
     assert footing({"box": box}, "box") == np.inf
+
+
+def test_lifts_near_the_largest_load_are_balanced() -> None:
+    angles = -0.5 * np.pi * np.arange(4)
+    polygon = 0.386 * np.column_stack([np.cos(angles), np.sin(angles)])
+    body = {"circle": 0.0875, "to": 0.239, "mass": 0.225, "rim": {"circle": 0.3055, "at": 0.192}}
+    given = {
+        "team": {"robots": 4, "cable_length": 1.3, "tension": 0.51, "cable_density": 0.01},
+        "objects": {"tray": {**body, "at": [1.2, 0.3, 0.0], "yaw_deg": 30.0}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.3}},
+        "mission": [{"transport_object": {"object": "tray", "to": [0.2, 1.5, 0], "yaw_deg": 45}}],
+    }
+    worst = solved(given).certificate["equilibrium"].worst
+    assert worst is not None
+    assert 0.002 < worst <= 0.005
+
+
+def test_bends_of_edges_below_the_ground_count() -> None:
+    motion = solved(tray(4, 0.2, 2.2)).motion
+    assert taut_gap_to_ground(motion).worst > 0.1
+    bends = np.ones((motion.drones.pieces, 4, 2, 3, 1))
+    bends[:, 1, 0, 2] = -0.3
+    found = taut_gap_to_ground(replace(motion, contacts=motion.drones.alike(bends)))
+    assert found.worst == pytest.approx(-0.3)
+    assert found.where == ("cable 1", "ground")

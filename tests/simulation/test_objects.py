@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scripted import RATE, hanging_task, regular_hitch, smooth
 
+from hitchopt.errors import InputError
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.simulation.disturbances import Disturbances
 from hitchopt.simulation.flight_cargo import Cargo
@@ -203,6 +204,12 @@ def test_objects_stand_on_the_floor_of_the_arena(height: float) -> None:
     drawn = summary(done)["objects"][0]
     assert drawn["mass"] == MASS
     assert drawn["stood_at"] == objects["tray"].at.tolist()
+
+
+def test_the_ground_is_where_objects_stand() -> None:
+    with pytest.raises(InputError) as caught:
+        simulate(lifting(), Settings(pull_test=False, ground=0.2))
+    assert caught.value.key == "ground"
 
 
 def test_the_pull_test_does_not_lift_what_is_held() -> None:

@@ -81,7 +81,8 @@ def carried_gap(motion: Motion) -> Finding:
 def taut_gap_to_ground(motion: Motion) -> Finding:
     """Return the smallest height of cables that hold an object, or close, above the ground [m].
 
-    They are straight: no part is lower than its ends. ``where`` names the cable, and the ground.
+    They are straight, but where edges bend around an object: no part is lower than all of its ends
+    and bends. ``where`` names the cable, and the ground.
     """
     team, floor = motion.team, motion.requirements.floor
     best = Finding(math.inf, 0.0)
@@ -90,8 +91,13 @@ def taut_gap_to_ground(motion: Motion) -> Finding:
         return best
     on = holding[motion.phase_of_piece]
     margin = ROUNDING * magnitude(motion)
-    owns = np.arange(team.drones) // 2, np.arange(team.layout.points) % team.robots
-    for part, own in zip((motion.drones, motion.vertices), owns, strict=True):
+    parts = [motion.drones, motion.vertices]
+    owns = [np.arange(team.drones) // 2, np.arange(team.layout.points) % team.robots]
+    if motion.contacts is not None:
+        c = motion.contacts.coefficients
+        parts.append(motion.drones.alike(c.reshape(len(c), -1, *c.shape[3:])))
+        owns.append(np.arange(team.drones) // 2)
+    for part, own in zip(parts, owns, strict=True):
         heights = part.coefficients[:, :, None, 2:] - floor
         cells = Cells.over(part.breaks, [heights], margin)
         found = smallest(cells.take(np.repeat(on, len(own))), _height)
