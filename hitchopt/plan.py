@@ -16,6 +16,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.hitch import Hitch
+from hitchopt.motion.asked import check_asked
 from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
@@ -372,8 +373,26 @@ def load(directory: Path | str) -> Plan:
 
     Raises
     ------
-    FileError: there is no plan, or its file is damaged.
+    FileError: there is no plan, its file is damaged, or the plan is not the one that was asked for.
     """
     file = path("directory", directory) / PLAN
-    motion = read_plan(file)
-    return Plan(motion, certify(motion), read_title(file), read_problem_text(file))
+    motion, problem = read_asked_plan(file)
+    return Plan(motion, certify(motion), read_title(file), problem)
+
+
+def read_asked_plan(file: Path) -> tuple[Motion, str]:
+    """Return the motion in a plan file, and its problem's text, which asks for such a motion.
+
+    Raises
+    ------
+    FileError: as ``load``.
+    """
+    motion, problem = read_plan(file), read_problem_text(file)
+    if problem:
+        from hitchopt.mission.loading import asked_in  # heavy, as of all files
+
+        try:
+            check_asked(asked_in(problem, motion.requirements.objects), motion, whole=False)
+        except InputError as error:
+            raise FileError(f"{file}: the problem in it differs: {error}") from error
+    return motion, problem

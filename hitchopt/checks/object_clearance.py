@@ -60,7 +60,10 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
         body, outside = each.slabs[0], _beside(motion, name) | (parts.part % 3 != 1)
         margin = seen.error + ROUNDING * (size + body.size)
         aimed = 2.0 * CONTACT
-        found = smallest_gap(breaks, seen.points, body, margin, aimed, outside & ~counted)
+        entered = (
+            outside & ~counted & (each.stem is not None)
+        )  # what is below a flat tray is off it
+        found = smallest_gap(breaks, seen.points, body, margin, aimed, entered)
         if found.worst < CONTACT < best.worst:
             best = Finding(0.0, found.time, (f"cable {cables[found.item]}", name), size)
         for slab in each.slabs:

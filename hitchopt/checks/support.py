@@ -138,8 +138,10 @@ def _out_of_place(motion: Motion, index: int, body: SolidObject, on: Mask) -> Ma
     off = np.max(np.abs(points[:, :, :2] - level[..., None]), axis=(1, 2, 3))
     off = np.maximum(off, np.maximum(deep, high)) + seen.error
     inside = np.max(body.rim.section.clearance(places[..., :2])[0], axis=1) < -CONTACT
-    beside = np.min(body.section.segment_distance(level, np.roll(level, -1, axis=1)), axis=1)
-    found: Mask = (off > CONTACT) | ~inside | (beside <= CONTACT) | _slides(motion, body)
+    found: Mask = (off > CONTACT) | ~inside | _slides(motion, body)
+    if body.stem is not None:
+        beside = body.stem.segment_distance(level, np.roll(level, -1, axis=1))
+        found |= np.min(beside, axis=1) <= CONTACT
     return found
 
 

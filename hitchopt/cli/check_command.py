@@ -39,11 +39,10 @@ def check(
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
     from hitchopt.cli.progress import LateProgress
-    from hitchopt.motion.plan_file import read_plan
-    from hitchopt.plan import Plan
+    from hitchopt.plan import Plan, read_asked_plan
 
     path = plan_path(directory)
-    motion = read_plan(path)
+    motion, _ = read_asked_plan(path)
     with LateProgress(sys.stderr, "certifying") as progress:
         certificate = certify(motion, progress, gamma)
     losses = _losses(motion) if survivable else None

@@ -121,11 +121,21 @@ def _best_centred(task: GripTask) -> Grip:
     starts, best_first = _starts(task), partial(merit, task)
     for iterations, kept in ((SCREENING, FINALISTS), (ITERATIONS, 1)):
         found = [_refined(task, start, iterations) for start in starts]
-        ranked = sorted((each for each in found if each), key=best_first, reverse=True)[:kept]
+        grips = (each for each in found if each and _turns_once(each.vertices[..., :2]))
+        ranked = sorted(grips, key=best_first, reverse=True)[:kept]
         starts = [each.vertices[..., :2] for each in ranked]
     if not ranked or merit(task, ranked[0]) <= 0.0:
         raise _no_grip(task, ranked)
     return ranked[0]
+
+
+def _turns_once(vertices: Array) -> bool:
+    """Return whether a polygon (n, 2) turns right at all vertices, once around in all."""
+    onward = np.roll(vertices, -1, axis=0) - vertices
+    before = np.roll(onward, 1, axis=0)
+    right = before[:, 1] * onward[:, 0] - before[:, 0] * onward[:, 1]
+    turns = np.arctan2(right, np.sum(before * onward, axis=1))
+    return bool(np.all(turns > 0.0) and np.sum(turns) < 3.0 * math.pi)
 
 
 def merit(task: GripTask, grip: Grip) -> float:

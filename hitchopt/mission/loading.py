@@ -19,6 +19,8 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fi
 from hitchopt.mission.schema import Keys, StartKeys, TeamKeys
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
+from hitchopt.motion.asked import asked, hitch_start
+from hitchopt.objects import SolidObject
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
 from hitchopt.storage.plain import Plain, plain
@@ -66,6 +68,38 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
     except InputError as error:
         places = key_places(text, name)
         raise error.located(partial(place_of, places)) from None
+
+
+def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
+    """Return what the text of a problem file asks, as ``hitchopt.motion.asked`` has it.
+
+    Where a hitch starts, its drones are not known before it is planned: the polygon is.
+
+    Parameters
+    ----------
+    text: what a problem file holds.
+    objects: those of its plan; they stand in for drawings, which a text alone does not have.
+
+    Raises
+    ------
+    FileError, InputError: as ``read_problem``.
+    """
+    data: Any = parse_yaml(text, "problem")
+    given = data.get("objects") if isinstance(data, dict) else None
+    for name, each in (given or {}).items():
+        if isinstance(each, dict) and "file" in each and name in objects:
+            del each["file"]
+            each["outline"] = objects[name].section.core.tolist()
+    problem = _problem_of(data, "problem", Path())
+    start: dict[str, Any]
+    if isinstance(problem, SwarmProblem):
+        start = {"drones": problem.start.tolist()}
+    elif isinstance(problem.start, DronesStart):
+        start = {"drones": {"q": problem.start.q.tolist(), "r": problem.start.r.tolist()}}
+    else:
+        outline, altitude = problem.start.polygon, problem.start.altitude
+        start = {"hitch": hitch_start(outline.vertices, altitude)}
+    return asked(problem.team, problem.requirements, start)
 
 
 def _problem_of(data: Plain, name: str, directory: Path) -> AnyProblem:

@@ -70,7 +70,10 @@ def _words(
         words = _Words(_counted(path, schema), remedy)
     elif kind == "literal_error":
         known = [str(word) for form in entries_at(schema, path) for word in form.get("enum", ())]
-        words = _Words(_type_at(path, schema), _nearest(str(value), known))
+        remedy = _nearest(str(value), known)
+        if path[-1] == "by" and isinstance(value, int | float):
+            remedy = f"{remedy}; a height belongs to lift: {value:g}"
+        words = _Words(_type_at(path, schema), remedy)
     elif kind.startswith(("greater_than", "less_than")):
         words = _range(ctx, value)
     else:

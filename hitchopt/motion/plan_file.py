@@ -7,9 +7,8 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +19,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.motion.asked import asked_of, check_asked, objects_at_first
 from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion
 from hitchopt.motion.stored_phases import read_phase
 from hitchopt.objects import Rim, Section, SolidObject
@@ -81,6 +81,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
+        "asked": asked_of(motion),
     }
     control = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_CONTROLLER}
     if any(set(column) != {getattr(Quadrotor, name)} for name, column in control.items()):
@@ -95,7 +96,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         arrays |= {name: values.pop(name) for name in PER_ROBOT}
         settings["team"] = {name: value for name, value in values.items() if name != "quadrotor"}
     if requirements.objects:
-        settings[OBJECTS] = _at_first(motion)
+        settings[OBJECTS] = objects_at_first(motion)
     for name in FURTHER:  # a setting of the same name says that they are there
         if getattr(motion, name) is not None:
             polynomials += (name,)
@@ -113,17 +114,6 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         )
 
 
-def _at_first(motion: Motion) -> dict[str, SolidObject]:
-    """Return objects where they are as the motion begins."""
-    poses = motion.object_poses.coefficients[0, ..., 0]
-    return {
-        name: each
-        if np.max(np.abs(pose - each.pose)) <= STILL
-        else replace(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
-        for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
-    }
-
-
 def _values_of(record: Any) -> Any:
     """Return a record's fields, or an array's entries, as json takes them."""
     if isinstance(record, ConvexPolygon):
@@ -136,7 +126,7 @@ def read_plan(path: Path) -> Motion:
 
     Raises
     ------
-    FileError: it cannot be read, or does not hold a plan.
+    FileError: it cannot be read, does not hold a plan, or one that differs from what was asked.
     """
     return _read(path, _motion)
 
@@ -218,6 +208,8 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
     _check_objects(motion)
+    if "asked" in settings:  # all files but those of earlier versions
+        check_asked(settings["asked"], motion)
     return motion
 
 

@@ -44,7 +44,7 @@ class SolidObject(OneLine):
     friction: coefficient between it and cables, and what it stands on.
     at: (3,) [m], where the origin of its base stands.
     yaw: by how much it is turned there, counter-clockwise [rad].
-    rim: its rim, or None.
+    rim: its rim, or None. That of a flat tray is its underside.
     fixed: whether it never moves, as tables do; a fixed one may stand on anything or nothing.
 
     Raises
@@ -100,8 +100,8 @@ class SolidObject(OneLine):
         if self.lower >= self.upper:
             bound, remedy = f"above its floor, {self.lower:g} m", "exchange the heights"
             raise InputError("upper", self.upper, bound, remedy)
-        if rim is not None and not self.lower < rim.height <= self.upper:
-            bound = f"above the body's floor, {self.lower:g} m, and at most {self.upper:g} m"
+        if rim is not None and not self.lower <= rim.height <= self.upper:
+            bound = f"from the body's floor, {self.lower:g} m, to its ceiling, {self.upper:g} m"
             raise InputError("rim.height", rim.height, bound, "put the rim on the body")
         if rim is not None and rim.section.clearance(section.centroid)[0] >= 0.0:
             bound = f"around the body's centre, {section.centroid.tolist()}"
@@ -114,6 +114,12 @@ class SolidObject(OneLine):
         if self.rim is None:
             return (body,)
         return body, Slab(self.rim.section, self.rim.height, self.rim.height)
+
+    @property
+    def stem(self) -> Section | None:
+        """What the clasps below its rim are around: its body, or nothing of a flat tray."""
+        flat = self.rim is not None and self.rim.height == self.lower
+        return None if flat else self.section
 
     @property
     def centre_of_mass(self) -> Array:

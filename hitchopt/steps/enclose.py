@@ -112,8 +112,10 @@ class Enclose(Step):
         if height < least - TOUCH:
             body = requirements.objects[self.object]
             name = f"objects.{self.object}"
-            higher = f"make {name} higher" if body.rim is None else f"raise {name}.rim.at"
-            remedy = f"{higher}, or stand it on something"
+            remedy = "stand it on something"
+            if body.rim is None or body.stem is not None:
+                higher = f"make {name} higher" if body.rim is None else f"raise {name}.rim.at"
+                remedy = f"{higher}, or {remedy}"
             where, when = ("ground",), f"with the hitch around objects.{self.object}"
             broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
             raise InfeasibleError([broken])

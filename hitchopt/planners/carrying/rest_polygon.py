@@ -55,13 +55,17 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     outward = np.stack([-onward[..., 1], onward[..., 0]], axis=-1)
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)  # of clockwise edges
     offsets = np.sum(outward * places, axis=-1)
-    beside = np.min(offsets - body.section.support(outward), axis=-1)
     width = np.min(offsets - outward @ centre, axis=-1)
-    inset = np.minimum(np.minimum(inside, beside), INSET)
+    inset = np.minimum(inside, INSET)
+    if body.stem is not None:
+        inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
     best = np.unravel_index(int(np.argmax(inset + 1e-3 * width)), inset.shape)
     if inset[best] < LEAST_INSET:
         value = float(inset[best])
-        remedy = f"give objects.{name} a wider rim, or use another number of robots"
+        remedy = (
+            f"give objects.{name} a wider rim, or use another number of robots: `hitchopt fit` "
+            "tells with which its outline is held"
+        )
         words = "below the rim of the object"
         raise InfeasibleError(
             [Violation("support", value, LEAST_INSET, "min", "m", (name,), words, remedy)]
