@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo film test browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film test test-slow test-all browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -14,8 +14,15 @@ film: demo $(VENV)/.filmed
 	$(BIN)/hitchopt view demo --save demo/carry_box.mp4
 	cd docs && ../$(BIN)/python -m generators.readme_film ../demo
 
+# What a change needs, in some three minutes; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
+
+# The tests that take seconds each, marked slow.
+test-slow: $(VENV)/.tested
+	$(BIN)/python -m pytest -m slow
+
+test-all: test test-slow
 
 # Opens report and live view in a headless Chromium, which has to be there (Debian: apt-get install chromium).
 browser: $(VENV)/.browsed

@@ -28,9 +28,9 @@ from hitchopt.losing.flown_reaction import reacting
 from hitchopt.losing.reaction import Reactions
 from hitchopt.losing.reaction_records import Reaction
 from hitchopt.simulation.flight_task import Task, read_task
-from hitchopt.simulation.lost_drones import Loss, LossOutcome, loss_outcome
+from hitchopt.simulation.lost_drones import LossOutcome, loss_outcome
 from hitchopt.simulation.rope_flight import fly
-from hitchopt.simulation.simulation_settings import CALM, PRESETS, USUAL, Settings
+from hitchopt.simulation.simulation_settings import CALM, PRESETS, USUAL, Loss, Settings
 
 ROBOTS = (3, 4, 5, 6, 8, 10, 12)
 EDGE, LENGTH, TENSION = 1.0, 2.2, 0.5

@@ -88,3 +88,29 @@ print(drawn, toppra.algorithm.TOPPRA is TOPPRA, toppra.solverwrapper.seidelWrapp
         env={**os.environ, "MPLBACKEND": "Agg"},
     )  # fmt: skip
     assert told.stdout.split() == ["False", "True", "True"]
+
+
+def test_modules_import_one_another_in_no_circle() -> None:
+    """Those that only type checkers see count: needing one says that a boundary is wrong."""
+    paths = {
+        ".".join(path.with_suffix("").parts).removesuffix(".__init__"): path
+        for path in Path("hitchopt").rglob("*.py")
+    }
+    arrows = {name: _imported(path, set(paths)) - {name} for name, path in paths.items()}
+    while leaves := {name for name, ahead in arrows.items() if not ahead & arrows.keys()}:
+        arrows = {name: ahead for name, ahead in arrows.items() if name not in leaves}
+    assert sorted(arrows) == []
+
+
+def _imported(path: Path, names: set[str]) -> set[str]:
+    """Return the modules that one imports, but within functions, where imports are late."""
+    found = set()
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.ImportFrom) and node.module:
+            each = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in names else node.module for name in each}
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            waiting.extend(ast.iter_child_nodes(node))
+    return found & names

@@ -189,6 +189,7 @@ def test_what_no_argument_may_be_is_refused_by_its_name(
         assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 @pytest.mark.parametrize("case", ARGUMENTS, ids=label)
 def test_whatever_is_given_is_accepted_or_told(

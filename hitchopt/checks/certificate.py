@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from typing import Any
 
-from hitchopt.checks.certificate_card import certificate_card
 from hitchopt.errors import HitchoptError, InputError, Violation, broken_limit
 from hitchopt.one_line import OneLine
 
@@ -17,6 +17,9 @@ FORMAT = "hitchopt-certificate/1"
 
 TOLERANCE = 1e-9
 """Relative to a limit, or to the largest length that enters: checks hold within that."""
+
+MAX_ROWS = 40
+"""Most rows of a table in a notebook; the others are counted."""
 
 
 class CertificateError(HitchoptError):
@@ -162,8 +165,19 @@ class Certificate(OneLine):
         yield f"{self.duration:.4g} s"
 
     def _repr_html_(self) -> str:
-        """Return the card that notebooks show."""
-        return certificate_card(self)
+        """Return what notebooks show: the verdict, and the checks with their worst values."""
+        rows = []
+        for check in self.checks:
+            relation = "≥" if check.sense == "min" else "≤"
+            limit = "–" if check.limit is None else f"{relation} {check.limit:.6g}"
+            worst = "–" if check.worst is None else f"{check.worst:.6g}"
+            where = " ".join(check.where[:4]) + (" …" if len(check.where) > 4 else "")
+            holds = "yes" if check.holds else "NO"
+            rows.append((check.name, worst, limit, check.unit, where, f"{check.time:.3f} s", holds))
+        violated = ", ".join(check.name for check in self.violated)
+        verdict = f"not certified: {violated}" if violated else "certified for all t"
+        heads = ("check", "worst", "limit", "unit", "where", "when", "holds")
+        return f"<p><b>{escape(verdict)}</b></p>{html_table(heads, rows)}"
 
     @property
     def certified(self) -> bool:
@@ -205,6 +219,16 @@ class Certificate(OneLine):
             Check(**{**entry, "where": tuple(entry["where"])}) for entry in data["checks"]
         )
         return cls(float(data["duration"]), checks)
+
+
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table with its texts escaped."""
+    listed = list(rows)
+    lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
+    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in listed[:MAX_ROWS]]
+    if len(listed) > MAX_ROWS:
+        lines.append(f"<td colspan='{len(heads)}'>and {len(listed) - MAX_ROWS} more</td>")
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def _entry(check: Check) -> dict[str, Any]:

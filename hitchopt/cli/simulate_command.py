@@ -160,7 +160,7 @@ def _lost(
     from hitchopt.losing.flown_reaction import reacting
     from hitchopt.losing.reaction import Reactions
     from hitchopt.motion.plan_file import read_plan
-    from hitchopt.simulation.lost_drones import Loss
+    from hitchopt.simulation.simulation_settings import Loss
     from hitchopt.storage.archive import PLAN
 
     loss = Loss.parsed(text)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.simulation.flight_records import Flight
-from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.object_outcome import (
     DROPPED,
     PLACED,
@@ -16,6 +15,7 @@ from hitchopt.simulation.object_outcome import (
     ObjectState,
     object_states,
 )
+from hitchopt.simulation.simulation_settings import Loss
 from hitchopt.values import Array
 
 HELD = 0.10

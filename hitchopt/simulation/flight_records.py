@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.objects import SolidObject
 from hitchopt.simulation.drone_control import PositionGains
 from hitchopt.simulation.flight_task import Task
-from hitchopt.simulation.lost_drones import Loss
+from hitchopt.simulation.simulation_settings import Loss
 from hitchopt.simulation.validity import InvalidRunError
 from hitchopt.values import Array
 

@@ -1,59 +1,18 @@
-"""Drones whose motors stop in flight: which, when, and what became of the others."""
+"""What became of a team one of whose drones' motors stopped in flight."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
-from hitchopt.values import not_negative
-
-if TYPE_CHECKING:
-    from hitchopt.simulation.flight_records import Flight, Touch
+from hitchopt.simulation.flight_records import Flight, Touch
+from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
+from hitchopt.simulation.simulation_settings import Loss
 
 SETTLED = 0.5
 """[s] Time at the end of a flight over which it is judged what hangs."""
-
-
-@dataclass(frozen=True)
-class Loss(OneLine):
-    """A drone that is lost.
-
-    Parameters
-    ----------
-    drone: its name.
-    time: of the flight, at which its motors stop [s].
-
-    Raises
-    ------
-    InputError: a time that is negative or not finite.
-    """
-
-    drone: str
-    time: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", not_negative("lose", self.time))
-
-    @classmethod
-    def parsed(cls, text: str) -> Loss:
-        """Return the loss that ``DRONE@SECONDS`` names, such as ``q0@12.5``.
-
-        Raises
-        ------
-        InputError: it is none.
-        """
-        drone, _, seconds = text.partition("@")
-        try:
-            time = float(seconds)
-        except ValueError:
-            time = float("nan")
-        if not drone or not np.isfinite(time):
-            raise InputError("--lose", text, "DRONE@SECONDS", "write q0@12.5")
-        return cls(drone, time)
 
 
 @dataclass(frozen=True)
@@ -92,8 +51,6 @@ class LossOutcome(OneLine):
 
 def loss_outcome(flight: Flight, loss: Loss) -> LossOutcome:
     """Return what became of a flight's team after a loss."""
-    from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
-
     record, team = flight.record, flight.task.team
     lost = team.drone_names.index(loss.drone)
     after = record.t >= loss.time - 1e-9

@@ -23,12 +23,11 @@ from hitchopt.simulation.flight_records import Flight
 from hitchopt.simulation.flight_task import Task
 from hitchopt.simulation.hung_loads import HungLoads
 from hitchopt.simulation.linking_numbers import linking_matrix
-from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.mujoco_world import World
 from hitchopt.simulation.mujoco_xml import BODY_HALF_HEIGHT
 from hitchopt.simulation.rope_thickness import thickness_allowance
 from hitchopt.simulation.ropes import ropes_of
-from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.simulation.simulation_settings import Loss, Settings
 from hitchopt.simulation.validity import InvalidRunError, check_valid, tensions
 from hitchopt.simulation.vertex_feedback import VertexFeedback
 from hitchopt.values import Array

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
-from hitchopt.simulation.lost_drones import Loss
 from hitchopt.values import finite, not_negative, positive
 
 BODIES = ("rigid", "point")
@@ -138,6 +138,44 @@ FORCE_LAG = 0.08
 
 DENSITY = 0.01
 """Cable density where the team gives none [kg/m]: a cord of 4 mm."""
+
+
+@dataclass(frozen=True)
+class Loss(OneLine):
+    """A drone that is lost.
+
+    Parameters
+    ----------
+    drone: its name.
+    time: of the flight, at which its motors stop [s].
+
+    Raises
+    ------
+    InputError: a time that is negative or not finite.
+    """
+
+    drone: str
+    time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", not_negative("lose", self.time))
+
+    @classmethod
+    def parsed(cls, text: str) -> Loss:
+        """Return the loss that ``DRONE@SECONDS`` names, such as ``q0@12.5``.
+
+        Raises
+        ------
+        InputError: it is none.
+        """
+        drone, _, seconds = text.partition("@")
+        try:
+            time = float(seconds)
+        except ValueError:
+            time = math.nan
+        if not drone or not math.isfinite(time):
+            raise InputError("--lose", text, "DRONE@SECONDS", "write q0@12.5")
+        return cls(drone, time)
 
 
 @dataclass(frozen=True)

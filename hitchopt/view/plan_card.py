@@ -9,8 +9,7 @@ from io import BytesIO
 
 from matplotlib.axes import Axes
 
-from hitchopt.checks.certificate import Certificate
-from hitchopt.checks.certificate_card import certificate_card, html_table
+from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.motion.motion import Motion
 from hitchopt.view.curves import sampled_curves
 from hitchopt.view.plan_view import draw_plan_view
@@ -39,7 +38,7 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
     return (
         f"<p><b>{escape(title or 'Plan')}</b>: {headline}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
-        f"{phases}{certificate_card(certificate)}"
+        f"{phases}{certificate._repr_html_()}"
     )
 
 

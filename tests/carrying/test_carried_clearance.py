@@ -70,6 +70,7 @@ def heights(motion: Motion, floor: float) -> Array:
     return np.asarray(places[level, 2] - floor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor", [None, 0.7, -2.0])
 def test_the_ground_is_an_obstacle(floor: float | None) -> None:
     z = floor or 0.0
@@ -89,6 +90,7 @@ def test_an_object_is_lifted_and_goes_straight_up() -> None:
     assert refused(lifted([*TO, 0.8], by=0.02)) == ("tray", "ground")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [AT, TO])
 @pytest.mark.parametrize("top", [RIM - 0.001, RIM])
 def test_a_rim_keeps_off_what_is_below_it(at: list[float], top: float) -> None:
@@ -98,6 +100,7 @@ def test_a_rim_keeps_off_what_is_below_it(at: list[float], top: float) -> None:
     assert worst == pytest.approx(0.05, abs=1e-5)  # below the rim; its foot is 0.1 m beside
 
 
+@pytest.mark.slow
 def test_an_object_stands_on_all_that_it_meets() -> None:
     """Two tables with a joint below its foot; a third one stands 1 cm or 4 cm beside it."""
     sides = [[-0.06, 0.3], [0.3, 0.3], [0.3, -0.3], [-0.06, -0.3]]
@@ -119,6 +122,7 @@ def test_an_object_stands_on_all_that_it_meets() -> None:
             assert clearance(given)[0] >= 0.035
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "tension"), [(1.5, 1.0), (0.15, 10.0)])
 def test_what_a_refused_load_suggests_is_planned(mass: float, tension: float) -> None:
     def asked(mass: float, tension: float) -> dict[str, Any]:
@@ -139,6 +143,7 @@ def test_what_a_refused_load_suggests_is_planned(mass: float, tension: float) ->
         ho.solve(ho.problem_from_dict(asked(mass, float(other[1]))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(0.2, 0.15), (1.0, 2.0), (-100.0, 40.0)])
 def test_a_grip_does_not_depend_on_the_outlines_origin(shift: tuple[float, float]) -> None:
     sides = np.array([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])

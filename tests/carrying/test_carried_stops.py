@@ -63,6 +63,7 @@ def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
     return not np.any(inertia.broken(cells.taken(flown), pieces[flown], sampled=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("ramp", [stop_phases, start_phases])
 def test_clocks_that_are_kept_leave_no_more_than_the_limit(
@@ -209,6 +210,7 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(
     assert left > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_commands_keep_the_balance(kind: str, plans: dict[str, ho.Plan]) -> None:
     motion = plans[kind].motion
@@ -308,6 +310,7 @@ def test_a_hold_begins_where_the_balance_allows(kind: str, plans: dict[str, ho.P
     assert found.rest < lift.end + 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_clock_can_start_again_wherever_it_stops(kind: str, plans: dict[str, ho.Plan]) -> None:
     motion = plans[kind].motion

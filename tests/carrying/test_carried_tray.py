@@ -111,6 +111,7 @@ def test_legs_below_a_rim_pull_level_with_all_of_their_tension(motion: Motion) -
     np.testing.assert_allclose(level, 0.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_legs_that_lean_as_if_the_weight_hung_at_clasps_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -159,6 +160,7 @@ def test_cables_that_run_level_below_the_rim_are_as_long_as_they_are(motion: Mot
     np.testing.assert_allclose(lengths, 2.2, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_straight_legs_of_a_bent_cable_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     place = "hitchopt.planners.carrying.held_motion.rim_savings"
     monkeypatch.setattr(place, lambda *_: np.zeros(()))

@@ -117,6 +117,7 @@ def check(motion: Motion, name: str) -> Any:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motion", "box", "stone"])
 def test_legs_pull_with_weight_and_inertia(name: str, request: pytest.FixtureRequest) -> None:
     """Legs alone, as drones see them, add up to what moves the object and holds the cables."""

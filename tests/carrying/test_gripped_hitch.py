@@ -201,6 +201,7 @@ def grasped() -> Motion:
     return plan.motion
 
 
+@pytest.mark.slow
 def test_edges_that_touch_first_pull_little(grasped: Motion) -> None:
     """At 1.3 N they would push the stone along; it is closed with less, and tightened then."""
     grasp = next(phase for phase in grasped.phases if phase.name == "grasp")
@@ -234,6 +235,7 @@ def test_what_edges_push_along_at_any_tension_is_refused() -> None:
         ho.solve(problem(0.012, 1.0))
 
 
+@pytest.mark.slow
 def test_light_objects_that_sticking_clasps_would_hold_are_refused() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"left as clasps stick.*team.cable_friction"):
         ho.solve(problem(0.05, 1.0, clasps=0.2))

@@ -12,8 +12,12 @@ import pytest
 import hitchopt as ho
 from hitchopt.checks.bounds.solid_gaps import taut_gap_to_ground
 from hitchopt.checks.certify import certify
+from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.objects.placing import footing
+from hitchopt.planners.carrying.grip_polygon import grip_polygons
 from hitchopt.planners.carrying.moves import Held, Move, crossing_ratios
+from hitchopt.planners.carrying.rest_polygon import rest_polygons
+from hitchopt.requirements import Requirements
 from hitchopt.steps import carried_moves
 from hitchopt.values import Array
 
@@ -47,6 +51,7 @@ def test_legs_are_balanced_where_others_would_be_in_the_way() -> None:
     assert plan.certificate.certified
 
 
+@pytest.mark.slow
 def test_legs_are_rolled_before_a_hitch_gets_small() -> None:
     plan = solved(tray(6, 0.2, 1.8, radius=0.5))
     assert plan.certificate.certified
@@ -68,6 +73,7 @@ def test_inertia_does_not_bring_legs_together() -> None:
     assert worst >= 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robots", "mass", "length", "binding"),
     [(3, 0.35, 2.2, "load"), (5, 0.8, 2.2, "load"), (6, 0.8, 2.2, "crossing")],
@@ -112,6 +118,7 @@ def test_a_tension_that_tilts_drones_too_far_is_named_as_the_steps() -> None:
     solved(given)
 
 
+@pytest.mark.slow
 def test_sampled_crossings_are_those_of_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[tuple[Move, Array]] = []
 
@@ -244,6 +251,7 @@ def test_a_rim_is_around_its_body() -> None:
     assert caught.value.key == "objects.tray.rim"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("density", "friction"), [(0.01, 0.7), (0.005, 0.7), (0.01, 1.4)])
 def test_cables_that_sag_around_corners_are_refused_with_what_helps(
     density: float, friction: float
@@ -304,3 +312,33 @@ def test_bends_of_edges_below_the_ground_count() -> None:
     found = taut_gap_to_ground(replace(motion, contacts=motion.drones.alike(bends)))
     assert found.worst == pytest.approx(-0.3)
     assert found.where == ("cable 1", "ground")
+
+
+def test_grips_of_four_cables_are_polygons_that_turn_once_around() -> None:
+    """The search has returned squares listed the wrong way round, which nothing can take."""
+    for radius, length, tension, mass, friction in (
+        (0.1174, 1.4968, 0.7192, 0.1989, 0.6969),
+        (0.0703, 2.5027, 1.4468, 0.0281, 1.0131),
+    ):
+        team = ho.Team(4, length, tension=tension, cable_density=0.01, cable_friction=0.15)
+        drum = ho.SolidObject(ho.Section(radius=radius), mass=mass, friction=friction)
+        limits = Requirements(ho.Limits(tilt_deg=60))
+        with pytest.raises(ho.InfeasibleError, match="use three cables"):
+            grip_polygons("drum", drum, team, limits, 0.08)
+
+
+def test_a_rim_with_too_little_room_points_at_fit() -> None:
+    crate = ho.SolidObject(
+        ho.Section([[-0.25, -0.25], [0.25, -0.25], [0.25, 0.25], [-0.25, 0.25]]),
+        rim=ho.Rim(ho.Section([[-0.3, -0.3], [0.3, -0.3], [0.3, 0.3], [-0.3, 0.3]]), 0.2),
+    )
+    with pytest.raises(ho.InfeasibleError, match="hitchopt fit") as caught:
+        rest_polygons("crate", crate, 6, 0.08)
+    assert caught.value.violations[0].constraint == "support"
+
+
+def test_a_height_belongs_to_lift() -> None:
+    given = tray(4, 0.2, 2.2)
+    given["mission"][0]["transport_object"]["by"] = 0.6
+    with pytest.raises(ho.InputError, match=r"a height belongs to lift: 0\.6"):
+        any_problem_from_dict(given)

@@ -110,6 +110,7 @@ def test_renaming_every_phase_changes_no_figure(name: str) -> None:
         assert certify(renamed(motion, names)).to_dict() == certificate_of(name).to_dict()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TYING)
 def test_every_other_state_fails(name: str) -> None:
     motion = motion_of(name)

@@ -94,6 +94,7 @@ def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: i
             assert outside >= 0.0, f"{check.name}: {worst} is beaten by a sample of {value}"
 
 
+@pytest.mark.slow
 def test_thousands_of_samples_with_tensions_weights_and_masses_that_differ() -> None:
     n = 5
     angles = 2.0 * math.pi * np.arange(n) / n

@@ -125,6 +125,7 @@ def test_bounds_by_nodes_refuse_what_clocks_cut_at_breaks_break(tight: float) ->
     assert 20 < np.sum(whole) < 380
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["acceleration", "jerk", "thrust", "tilt"])
 def test_a_limit_just_below_its_largest_sample_is_refused(name: str) -> None:
     """Each quantity by itself, the others being free; one a twentieth higher is kept."""

@@ -27,6 +27,7 @@ def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_path: Path) -> None:
     film = tmp_path / "flight.gif"
     result = run("simulate", solved, "--film", film, "--drones", "point")
@@ -77,6 +78,7 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_pat
     assert check.exit_code == 0, check.output
 
 
+@pytest.mark.slow
 def test_a_campaign_reports_its_success_rate(solved: Path, tmp_path: Path) -> None:
     place = tmp_path / "campaign"
     options = ["--runs", "2", "--processes", "1", "--seed", "7", "--perturbed", "--noise", "0"]

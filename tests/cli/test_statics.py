@@ -44,6 +44,7 @@ def test_a_plan_without_errors_rests_where_it_says(solved: Path) -> None:
     assert "note" not in result.stdout
 
 
+@pytest.mark.slow
 def test_ranges_are_those_of_python(solved: Path) -> None:
     result = run(solved, "--samples", "3", "--cable-error", "0.01", "--force-error", "sd:0.02")
     assert result.exit_code == 0, result.output

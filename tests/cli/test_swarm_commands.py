@@ -65,6 +65,7 @@ def test_mistakes_end_with_two() -> None:
     assert result.exit_code == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", PLANNED, ids=lambda path: path.stem)
 def test_swarms_are_planned_as_before(path: Path) -> None:
     assert not differences(solve(path).certificate.to_dict(), path)

@@ -202,6 +202,7 @@ except BaseException:  # as compiled modules do
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["click", "hitchopt.cli.commands", "numpy", "casadi"])
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
 def test_signals_within_imports_end_quietly(module: str, name: str, code: int, place: Path) -> None:
@@ -238,6 +239,7 @@ def test_signals_between_imports_and_command_end_quietly(method: str, name: str,
     assert (done.returncode, done.stderr) == (code, "")
 
 
+@pytest.mark.slow
 def test_signals_wait_until_pydantic_has_built_a_model() -> None:
     built = []
 

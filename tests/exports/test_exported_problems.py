@@ -38,6 +38,7 @@ def test_exported_within_its_accuracy(
     assert part.verdict.position.worst <= accuracy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "accuracy", "cut"), [("crazyswarm2", 1e-3, True), ("compressed", 2e-3, False)]
 )

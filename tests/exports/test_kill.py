@@ -207,6 +207,7 @@ print("ok")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", [INJECTED, RANDOM, TOGETHER], ids=["steps", "random", "four"])
 def test_killed_or_crowded_writers_leave_one_whole_set(script: str, tmp_path: object) -> None:
     run = subprocess.run(

@@ -123,6 +123,7 @@ def many_drones() -> Motion:
     return swarm_of(np.stack([start, start + 0.1]), np.array([0.0, 1.4]))
 
 
+@pytest.mark.slow
 def test_nobody_holds_the_whole_table(tmp_path: Path) -> None:
     """1200 drones for 1400 samples: 255 MB of numbers."""
     task = task_of(many_drones(), "npz", 1000.0)
@@ -139,6 +140,7 @@ def test_nobody_holds_the_whole_table(tmp_path: Path) -> None:
     assert peak < 100e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_tables_are_read_in_windows(name: str, tmp_path: Path) -> None:
     task = task_of(many_drones(), name, 100.0)

@@ -54,6 +54,7 @@ def plans(data: dict[str, Any]) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", SMALLEST)
 def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
     data = mapping(CASES[stem])
@@ -241,6 +242,7 @@ def test_edits_make_sections_that_are_missing() -> None:
     assert data["limits"] is None
 
 
+@pytest.mark.slow
 def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
     data = mapping(INFEASIBLE[0].parents[1] / "grip_drum.yaml")
     (name, body), *_ = data["objects"].items()

@@ -39,6 +39,7 @@ def test_what_breaks_a_limit_at_rest_does_not_seem_to_rest(
     assert not seems_to_rest(given, requirements)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimize", [False, True])
 def test_refusals_name_the_end_where_only_a_certificate_finds_it_broken(
     monkeypatch: pytest.MonkeyPatch, *, optimize: bool

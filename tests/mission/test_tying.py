@@ -306,6 +306,7 @@ def test_nobody_flies_below_the_ground(low: str) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", ["cable_too_short", "ceiling_too_low", "start_overstretched"])
 def test_what_cannot_be_formed_is_told_with_what_would_mend_it(stem: str) -> None:
     problem = load_problem(PROBLEMS / "infeasible" / f"form_{stem}.yaml")

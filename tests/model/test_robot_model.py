@@ -64,6 +64,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", functions(), ids=NAMES)
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=5)

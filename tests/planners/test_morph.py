@@ -154,6 +154,7 @@ SMALL = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [2.05, 2.09, 2.15])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_rolled_legs_pass_each_other_on_one_side_also_in_a_mirror(

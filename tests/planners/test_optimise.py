@@ -249,6 +249,7 @@ def test_renumbering_gives_the_same_duration() -> None:
     assert durations[1] == pytest.approx(durations[0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_morph_is_found_in_whatever_frame_it_stands() -> None:
     """A heptagon turns by half a turn: programs with rows between many knots are needed."""
     first = [(0.518, -1.298), (-0.798, -1.154), (-1.414, -0.166), (-0.95, 1.037)]

@@ -23,6 +23,7 @@ def solved(name: str, rate_deg: float | None) -> ho.Plan:
     return ho.solve(replace(problem, limits=replace(problem.limits, body_rate=rate)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate"),
     [

@@ -63,6 +63,7 @@ def without_nan(run: Run) -> Run:
     return replace(run, pace=0.0, placed=0.0, tilted=0.0, slipped=0.0)
 
 
+@pytest.mark.slow
 def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path) -> None:
     messages: list[str] = []
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)

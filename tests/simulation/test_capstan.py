@@ -10,6 +10,7 @@ from benchmarks.capstan import capstan_test
 from hitchopt.simulation.simulation_settings import ACCURATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("friction", "slide"), [(0.0, 0.6), (0.1, 0.8), (0.3, 2.5)])
 def test_the_accurate_preset_has_a_capstans_friction(friction: float, slide: float) -> None:
     found = capstan_test(ACCURATE, friction, slide=slide, measured=0.5)

@@ -14,6 +14,7 @@ def flown(n: int, turns: list[float] | list[tuple[float, float]], settings: Sett
     return simulate(forming(regular_hitch(n), turns, swap=2.0), settings)
 
 
+@pytest.mark.slow
 def test_two_half_turns_form_a_triangle_that_holds() -> None:
     done = flown(3, [1.0, 1.0, 1.0], Settings(perturbations=USUAL, seed=5))
     assert done.outcome.failures == ()
@@ -29,6 +30,7 @@ def test_two_half_turns_form_a_triangle_that_holds() -> None:
     assert np.max(tensions[:300]) < 0.5 * np.min(tensions[-50:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turns", "unlinked"),
     [
@@ -49,6 +51,7 @@ def test_what_must_fail_does_and_is_named(
     assert links == {name: int(name not in unlinked) for name in ("p0", "p1", "p2")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3, 4])
 def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
     """Half a turn, drawn tight as it is: every cable runs straight across its neighbours."""
@@ -62,6 +65,7 @@ def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
     assert lost == {clasp.name for clasp in clasps if abs(clasp.linking) == 1}
 
 
+@pytest.mark.slow
 def test_half_a_turn_holds_nothing() -> None:
     done = flown(3, [(0.5, 0.0)] * 3, Settings(body="point", pull_test=False))
     assert not done.outcome.hitched

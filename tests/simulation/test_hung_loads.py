@@ -30,6 +30,7 @@ def lifted(loads: np.ndarray, shares: float = 1.0) -> tuple[float, np.ndarray]:
     return float(np.sum(held)), np.nanmean(done.errors.offsets[50:, :, 2], axis=0)
 
 
+@pytest.mark.slow
 def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
     held, heights = lifted(LOADS)
     cables = 3 * 0.01 * 2.3
@@ -37,6 +38,7 @@ def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
     assert np.max(np.abs(heights)) < 0.015  # legs that rise for no load would stand 4 cm off
 
 
+@pytest.mark.slow
 def test_only_the_share_that_the_plan_states_hangs_there() -> None:
     whole, _ = lifted(LOADS)
     half, heights = lifted(LOADS, 0.5)

@@ -16,9 +16,9 @@ from hitchopt.simulation import rope_flight
 from hitchopt.simulation.flight_outcome import judge
 from hitchopt.simulation.flight_records import Touch
 from hitchopt.simulation.flight_task import read_task
-from hitchopt.simulation.lost_drones import Loss, loss_outcome
+from hitchopt.simulation.lost_drones import loss_outcome
 from hitchopt.simulation.rope_flight import fly
-from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Preset, Settings
+from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Loss, Preset, Settings
 
 
 @pytest.mark.parametrize("text", ["q0", "q0@", "@1.0", "q0@soon", "q0@nan"])
@@ -50,6 +50,7 @@ def test_steps_are_finer_after_a_loss(preset: Preset) -> None:
     assert used[1] <= min(preset.time_step / 3.0, 0.00034) * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
     """The lost drone falls, none of the others touch, and their cables pull less."""
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
@@ -72,6 +73,7 @@ def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
     assert judge(flight).failures == ()
 
 
+@pytest.mark.slow
 def test_who_pushes_inward_stays_inward(tmp_path: Path) -> None:
     """Survivors that do not push are back at their setpoints once the lost drone lies."""
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
@@ -89,6 +91,7 @@ def test_who_pushes_inward_stays_inward(tmp_path: Path) -> None:
     assert out[0] - out[1] > 0.1
 
 
+@pytest.mark.slow
 def test_contacts_are_those_of_survivors() -> None:
     task = standing(regular_hitch(3), 0.3)
     loss = Loss("q0", 0.05)

@@ -184,6 +184,7 @@ def test_the_heading_of_what_looks_round_is_not_judged(lifted: Simulation) -> No
     assert not replace(tray, tilted=6.0).well_placed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [-0.5, 0.5])
 def test_objects_stand_on_the_floor_of_the_arena(height: float) -> None:
     task = lifting()

@@ -13,10 +13,9 @@ import hitchopt as ho
 from hitchopt.cli.simulation_tables import flight_tables
 from hitchopt.simulation.error_measures import effective_lengths
 from hitchopt.simulation.flight_task import read_task
-from hitchopt.simulation.lost_drones import Loss
 from hitchopt.simulation.rope_thickness import COARSENESS, bend_lengths, thickness_allowance
 from hitchopt.simulation.simulate import simulate
-from hitchopt.simulation.simulation_settings import Settings
+from hitchopt.simulation.simulation_settings import Loss, Settings
 
 DIAMETER = 0.012
 

@@ -11,6 +11,7 @@ import hitchopt as ho
 from hitchopt.simulation.simulation_settings import Perturbations, Settings
 
 
+@pytest.mark.slow
 def test_measured_vertices_take_the_sag_away() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
     plan = ho.hold(start, 2.5)

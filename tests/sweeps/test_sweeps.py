@@ -89,6 +89,7 @@ def test_a_row_says_what_the_plan_says() -> None:
         assert row[f"check.{check.name}"] == check.worst
 
 
+@pytest.mark.slow
 def test_plans_are_settled_simulated_and_exported(tmp_path: Path) -> None:
     study = {
         "problem": PROBLEM,
@@ -110,6 +111,7 @@ def test_plans_are_settled_simulated_and_exported(tmp_path: Path) -> None:
     assert load_sweep(place)["simulate.succeeded"].all()
 
 
+@pytest.mark.slow
 def test_workers_are_processes_of_this_machine(tmp_path: Path) -> None:
     rows = ho.run_sweep({**STUDY, "parameters": {}}, tmp_path, workers=1)
     assert list(rows["status"]) == ["planned"]
@@ -135,6 +137,7 @@ def test_workers_of_this_machine_keep_freed_memory(monkeypatch: pytest.MonkeyPat
         assert future.result() is None
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")

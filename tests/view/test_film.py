@@ -160,6 +160,7 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
         ghost_scene(tmp_path.parent, motion)
 
 
+@pytest.mark.slow
 def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None:
     motion = make_motion(3)
     flight = tmp_path / "simulation"
