@@ -11,6 +11,7 @@ from hitchopt.mission.repair.change import BUDGET, NO_CHANGE, Suggestion
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_solving import solve_swarm
+from hitchopt.motion.asked import check_asked
 from hitchopt.plan import Plan
 from hitchopt.time_limit import Progress, time_limit
 from hitchopt.values import instance, positive
@@ -47,6 +48,7 @@ def solve(
             found = solve_swarm(tell, problem)
         else:
             found = solve_problem(problem, tell)
+    check_asked(problem.asked, found.motion, whole=False)
     return Plan(found.motion, found.certificate, problem.title)
 
 

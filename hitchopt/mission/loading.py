@@ -19,7 +19,6 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fi
 from hitchopt.mission.schema import Keys, StartKeys, TeamKeys
 from hitchopt.mission.swarm_problem import SwarmProblem
 from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
-from hitchopt.motion.asked import asked, hitch_start
 from hitchopt.objects import SolidObject
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
@@ -90,16 +89,7 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
         if isinstance(each, dict) and "file" in each and name in objects:
             del each["file"]
             each["outline"] = objects[name].section.core.tolist()
-    problem = _problem_of(data, "problem", Path())
-    start: dict[str, Any]
-    if isinstance(problem, SwarmProblem):
-        start = {"drones": problem.start.tolist()}
-    elif isinstance(problem.start, DronesStart):
-        start = {"drones": {"q": problem.start.q.tolist(), "r": problem.start.r.tolist()}}
-    else:
-        outline, altitude = problem.start.polygon, problem.start.altitude
-        start = {"hitch": hitch_start(outline.vertices, altitude)}
-    return asked(problem.team, problem.requirements, start)
+    return _problem_of(data, "problem", Path()).asked
 
 
 def _problem_of(data: Plain, name: str, directory: Path) -> AnyProblem:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.cable_slack import FAR_OFF, fitting_polygon
 from hitchopt.mission.step_order import fitting_steps
+from hitchopt.motion.asked import asked, hitch_start
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.one_line import OneLine
@@ -117,6 +119,18 @@ class Problem(OneLine):
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
         return Requirements(self.limits, self.separation, self.arena, objects=self.objects)
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``).
+
+        Where a hitch starts its drones are not known before it is planned: the polygon is.
+        """
+        if isinstance(self.start, DronesStart):
+            drones = {"q": self.start.q.tolist(), "r": self.start.r.tolist()}
+            return asked(self.team, self.requirements, {"drones": drones})
+        hitch = hitch_start(self.start.polygon.vertices, self.start.altitude)
+        return asked(self.team, self.requirements, {"hitch": hitch})
 
     @property
     def start_outline(self) -> Outline | None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
+from hitchopt.motion.asked import asked
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.one_line import OneLine
@@ -46,6 +48,11 @@ class SwarmProblem(OneLine):
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
         return Requirements(self.limits, self.separation, self.arena, self.keep_out, self.objects)
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
+        return asked(self.team, self.requirements, {"drones": self.start.tolist()})
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)

@@ -22,8 +22,11 @@ from hitchopt.objects.placing import STILL
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
-TOLERANCE = 1e-6
-"""[m] and the like, relative where numbers are larger than 1: what is asked is met this closely."""
+TOLERANCE = 1e-9
+"""Relative difference of numbers that are the same, but for turning angles into degrees."""
+
+AT_START = 1e-6
+"""[m] A plan begins this close to where it was asked to."""
 
 REMEDY = "do not edit plan files"
 
@@ -116,9 +119,14 @@ def check_asked(wanted: Any, motion: Motion, *, whole: bool = True) -> None:
         _compare("asked", wanted, found, whole)
     except InputError as error:
         if error.key.startswith("asked.start.drones") and _same_places(wanted, found):
+            drones, others = wanted["start"]["drones"], found["start"]["drones"]
+            key, bound = "assignment", "the robots that start where these roles do"
+            if isinstance(drones, dict):
+                pairs = zip(drones["q"], drones["r"], others["q"], others["r"], strict=True)
+                own = all(_near(q, x) or _near(q, y) for q, _, x, y in pairs)
+                key = "assignment.flipped" if own else "assignment.robots"
             given = None if motion.assignment is None else motion.assignment.to_dict()
-            bound = "the robots, and their ends, that start where these roles do"
-            raise InputError("assignment", given, bound, REMEDY) from None
+            raise InputError(key, given, bound, REMEDY) from None
         raise
 
 
@@ -135,7 +143,7 @@ def _compare(key: str, wanted: Any, found: Any, whole: bool) -> None:
     elif isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
         for i, (one, each) in enumerate(zip(wanted, found, strict=True)):
             _compare(f"{key}[{i}]", one, each, whole)
-    elif not _same(wanted, found):
+    elif not _same(wanted, found, AT_START if key.startswith("asked.start") else 0.0):
         raise InputError(key, found, f"{wanted!r} as asked", REMEDY)
 
 
@@ -149,13 +157,18 @@ def _same_places(wanted: Any, found: Any) -> bool:
     return bool(places[0] == places[1])
 
 
-def _same(wanted: Any, found: Any) -> bool:
-    """Return whether single values are the same; numbers within TOLERANCE."""
+def _near(one: list[float], other: list[float]) -> bool:
+    """Return whether two places are the same."""
+    return bool(np.max(np.abs(np.subtract(one, other))) <= AT_START)
+
+
+def _same(wanted: Any, found: Any, slack: float) -> bool:
+    """Return whether single values are the same; numbers within TOLERANCE and ``slack``."""
     numbers = (int, float)
     if isinstance(wanted, bool) or isinstance(found, bool):
         return wanted is found
     if isinstance(wanted, numbers) and isinstance(found, numbers):
-        return abs(wanted - found) <= TOLERANCE * max(1.0, abs(found))
+        return abs(wanted - found) <= slack + TOLERANCE * max(abs(wanted), abs(found))
     return bool(wanted == found)
 
 
