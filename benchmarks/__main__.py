@@ -61,7 +61,6 @@ def cases(*, quick: bool) -> list[Case]:
     large = [3, 10, 30] if quick else [3, 10, 30, 100, 300]
     found = [Case("straight", "scaled", n) for n in large]
     found += [Case("optimised", "turned", n) for n in (small if quick else [*small, 24, 48])]
-    found += [Case("compiled", "turned", n) for n in small]
     found += [Case(s, "turned", n) for s in ("toppra", "lean", "opti", "rockit") for n in small]
     found += [Case("opti fine", "turned", n) for n in (3, 6)]
     if quick:

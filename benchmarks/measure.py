@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from benchmarks.rival import Solution
     from benchmarks.tasks import Task
 
-OURS = ("straight", "optimised", "compiled")
-"""Ours; the last one is the optimised one within ``ho.kernels()``."""
+OURS = ("straight", "optimised")
 
 RIVALS = ("lean", "opti", "opti fine", "rockit", "toppra")
 
@@ -97,15 +96,10 @@ def main() -> None:
     solver, kind, robots, seconds, most, *more = sys.argv[1:]
     memory = float(more[0]) if more else MEMORY
     from benchmarks.tasks import make_task
-    from hitchopt.compiled.kernel_switch import kernels
 
     task = make_task(kind, int(robots))
     if solver in OURS:
-        imports = _imported()
-        with kernels(on=solver == "compiled") as used:
-            if used != (solver == "compiled"):
-                raise SystemExit("compiled code needs numba: pip install 'hitchopt[fast]'")
-            found = _ours(solver, kind, task, imports, float(most))
+        found = _ours(solver, kind, task, _imported(), float(most))
     else:
         found = _rival(solver, kind, task, float(seconds), float(most), memory)
     print(json.dumps(asdict(found)))

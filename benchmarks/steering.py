@@ -23,7 +23,6 @@ import numpy as np
 from numpy.random import Generator
 
 import hitchopt as ho
-from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import HitchoptError
 from hitchopt.values import Array
 
@@ -170,11 +169,7 @@ def main() -> None:
     parser.add_argument("--passes", type=int, default=1)
     parser.add_argument("--robots", type=int, nargs="*", default=ROBOTS)
     given = parser.parse_args()
-    with kernels() as compiled:
-        how = "compiled code" if compiled else "numpy alone"
-    print(
-        f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, {how}\n"
-    )
+    print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}\n")
     print(
         "| n | retargets | from moving states | median, process [ms] | p99, process [ms] | "
         "median, wall [ms] | p99, wall [ms] | median of least, process [ms] | "

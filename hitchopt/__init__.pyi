@@ -26,7 +26,6 @@ from hitchopt.checks import (
     certify as certify,
 )
 from hitchopt.checks.bounds.closest_pairs import Closeness as Closeness
-from hitchopt.compiled.kernel_switch import kernels as kernels
 from hitchopt.errors import (
     FileError as FileError,
     HitchoptError as HitchoptError,

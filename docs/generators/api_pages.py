@@ -18,7 +18,7 @@ GROUPS = {
         ("hitchopt.mission", "hitchopt.steps", "hitchopt.planners"),
     ),
     "requirements": ("Requirements", ("hitchopt.requirements", "hitchopt.objects")),
-    "certificates": ("Certificates", ("hitchopt.checks", "hitchopt.compiled")),
+    "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
     "fits": ("Fits", ("hitchopt.fitting", "hitchopt.holding")),
     "stopping": (

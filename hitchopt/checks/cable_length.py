@@ -23,8 +23,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.compiled_search import KnownBound, largest
-from hitchopt.trajectory.extremum import Cells, Estimate
+from hitchopt.trajectory.extremum import Cells, Estimate, largest
 from hitchopt.values import Array
 
 LIMIT = 1e-4
@@ -79,7 +78,7 @@ def _largest(motion: Motion, stored: list[Array]) -> Finding:
     margin = 4.0 * position_margin(motion) / length  # of three lengths, and of their sum
     bound = partial(_bound, wrapped=wrapped, saved=len(blocks) - wrapped)
     cells = Cells.over(motion.drones.breaks, [rows, *blocks, *stored], margin)
-    found = largest(cells, bound, KnownBound("lengths", 0 if blocks else 2))
+    found = largest(cells, bound)
     return Finding(found.worst, found.time, (f"cable {found.item}",))
 
 

@@ -16,8 +16,7 @@ from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, smallest
-from hitchopt.trajectory.extremum import Cells, Estimate
+from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 from hitchopt.values import Array
 
 BACKWARD = -180.0
@@ -50,9 +49,8 @@ def _find(motion: Motion, _: float) -> Finding:
         places.append((names[0], names[-1]))
     added = np.broadcast_to(offsets[:, None, None], (*rows.shape[:2], 1, 1))
     noise = position_margin(motion)
-    known = KnownBound("turns", 2, noise, NO_DIRECTION, ROUNDING)
     cells = Cells.over(motion.vertices.breaks, [rows, added])
-    found = smallest(cells, partial(_bound, noise=noise), known)
+    found = smallest(cells, partial(_bound, noise=noise))
     worst, time, where = max(found.worst, BACKWARD), found.time, places[found.item]
     if worst > BACKWARD and room < min(worst, 0.0):
         worst, time = room, float(motion.vertices.breaks[0])

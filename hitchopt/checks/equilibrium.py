@@ -17,7 +17,7 @@ from hitchopt.checks.bounds.clasp_weights import (
 )
 from hitchopt.checks.bounds.friction_range import beyond_friction
 from hitchopt.checks.bounds.gripped_balance import unbalanced
-from hitchopt.checks.bounds.leg_directions import clasp_directions
+from hitchopt.checks.bounds.leg_directions import clasp_directions, largest_along
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin, position_margin
 from hitchopt.checks.bounds.thrust_enclosure import NO_DIRECTION
 from hitchopt.checks.certificate import within
@@ -27,8 +27,7 @@ from hitchopt.motion.carried import object_loads, strut_shares
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.motion.tensions import chord_pulls, lowered
-from hitchopt.trajectory import bernstein, compiled_search, enclosure
-from hitchopt.trajectory.compiled_search import KnownBound
+from hitchopt.trajectory import bernstein, enclosure
 from hitchopt.trajectory.extremum import ABSOLUTE, Cells, Estimate, largest
 from hitchopt.values import Array
 
@@ -63,11 +62,9 @@ def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
     blocks, layout = _blocks(motion), motion.team.layout
     noise = position_margin(motion)
     cells = Cells.over(motion.drones.breaks, blocks)
-    count = 2 if blocks[1].shape[2] == 2 else 0  # with legs that pull as their cables
-    known = KnownBound("balance", count, noise, NO_DIRECTION, ROUNDING, absolute)
-    shared = partial(clasp_directions, motion) if motion.contacts is None else None  # of edges
+    shared = clasp_directions(motion) if motion.contacts is None else None  # of edges
     bound = partial(_bound, noise=noise)
-    found = compiled_search.largest(cells, bound, known, directions=shared)
+    found = largest_along(cells, bound, shared, absolute=absolute)
     worst, time, point = found.worst, found.time, layout.clasps[found.item]
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)

@@ -8,9 +8,8 @@ from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import HITCHED_STATE
-from hitchopt.trajectory.compiled_search import KnownBound, smallest
 from hitchopt.trajectory.distance import distance_bound
-from hitchopt.trajectory.extremum import Cells
+from hitchopt.trajectory.extremum import Cells, smallest
 
 
 def _find(motion: Motion, limit: float) -> Finding:
@@ -21,7 +20,7 @@ def _find(motion: Motion, limit: float) -> Finding:
         motion.drones.breaks, [leg_vectors(motion)[:, drones]], position_margin(motion)
     )
     aim = within(limit, "min", size, 0.5)
-    found = smallest(cells, distance_bound, KnownBound("distance"), aim)
+    found = smallest(cells, distance_bound, aim)
     cable, end = divmod(int(drones[found.item]), 2)
     where = (f"{PART_NAMES[2 * end]} {cable}",)
     return Finding(max(found.worst, 0.0), found.time, where, size)

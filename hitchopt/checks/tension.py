@@ -16,8 +16,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
 from hitchopt.motion.tensions import ranged_phases, stated_tensions
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, largest
-from hitchopt.trajectory.extremum import Cells, Estimate
+from hitchopt.trajectory.extremum import Cells, Estimate, largest
 from hitchopt.values import Array
 
 Mask = NDArray[np.bool_]
@@ -124,7 +123,7 @@ def _farthest(motion: Motion, blocks: list[Array], first: int) -> Finding:
         cells = cells.take(np.repeat(motion.formed, blocks[0].shape[1]))
     friction, noise = motion.team.cable_friction, position_margin(motion)
     bound = partial(_bound, friction=friction, noise=noise)
-    found = largest(cells, bound, KnownBound("band", 2))
+    found = largest(cells, bound)
     return _named(motion, found.worst, found.time, first + found.item)
 
 

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from hitchopt.checks.bounds.leg_directions import largest_along
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
-    NO_DIRECTION,
     known_directions,
     thrust_at,
     thrust_cells,
@@ -19,7 +19,6 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, largest
 from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
@@ -32,9 +31,8 @@ def _find(motion: Motion, _: float) -> Finding:
     """
     limits = motion.team.max_thrust
     cells, noise = thrust_cells(motion, limits), position_margin(motion)
-    known = KnownBound("thrust", 4, noise, NO_DIRECTION)
     bound, aim = partial(thrust_bound, noise=noise), within(1.0, "max", share=0.5)
-    found = largest(cells, bound, known, aim, known_directions(motion))
+    found = largest_along(cells, bound, known_directions(motion), aim)
     limit = float(limits[found.item])
     where = (motion.team.drone_names[found.item],)
     return Finding(found.worst * limit, found.time, where, limit=limit)

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from hitchopt.checks.bounds.leg_directions import largest_along
 from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.thrust_enclosure import (
-    NO_DIRECTION,
     known_directions,
     thrust_at,
     thrust_cells,
@@ -20,7 +20,6 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.geometry.vectors import column_lengths, length, unit
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, largest
 from hitchopt.trajectory.enclosure import Enclosure
 from hitchopt.trajectory.extremum import Estimate
 from hitchopt.values import Array
@@ -34,9 +33,8 @@ def _find(motion: Motion, limit: float) -> Finding:
     cells = thrust_cells(motion)
     aim = within(limit, "max", share=0.5)
     noise = position_margin(motion)
-    known = KnownBound("tilt", 4, noise, NO_DIRECTION)
     bound = partial(tilt_bound, noise=noise)
-    found = largest(cells, bound, known, aim, known_directions(motion))
+    found = largest_along(cells, bound, known_directions(motion), aim)
     where = (motion.team.drone_names[found.item],)
     return Finding(min(found.worst, UPSIDE_DOWN), found.time, where)
 

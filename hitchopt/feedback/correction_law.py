@@ -3,14 +3,70 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.compiled.correction_records import CorrectionState, Law, StepFlags, StepTimes
 from hitchopt.feedback.covered_set import ONES, HalfSpaces
 from hitchopt.values import Array
+
+
+class Law(NamedTuple):
+    """Constants of the filter and the law, as ``hitchopt.feedback.feedback`` explains them."""
+
+    proportional: float
+    integral: float
+    lead: float
+    unwinding: float
+    smoothing: float
+    largest_error: float
+    largest_move: float
+    held: float
+    fading: float
+    passes: int
+    largest: float
+
+
+class CorrectionState(NamedTuple):
+    """What a step changes in place.
+
+    Attributes
+    ----------
+    error: (clasps, 3) [m], filtered.
+    speed: (clasps, 3) [m/s], planned.
+    integral: (clasps, 3) [m]
+    age: (clasps,) [s], since each was measured.
+    offsets: (drones, 3) [m], of setpoints.
+    """
+
+    error: Array
+    speed: Array
+    integral: Array
+    age: Array
+    offsets: Array
+
+
+class StepTimes(NamedTuple):
+    """Numbers of one step.
+
+    Attributes
+    ----------
+    seconds: since the last one [s].
+    reach: largest change of an offset [m].
+    share: of corrections that applies, from 0 to 1.
+    """
+
+    seconds: float
+    reach: float
+    share: float
+
+
+class StepFlags(NamedTuple):
+    """Whether the integral grows, another cell follows, and this cell is entered."""
+
+    growing: bool
+    followed: bool
+    entered: bool
 
 
 def filtered(state: CorrectionState, vertices: Array, planned: Array, law: Law) -> None:
@@ -88,13 +144,3 @@ def _toward(
     step = min(1.0, times.reach / largest) if largest > 0.0 else 0.0
     offsets = state.offsets + step * change
     return offsets if cell is None else cell.within(offsets)
-
-
-def steps(*, compiled: bool) -> tuple[Callable[..., None], Callable[..., Array]]:
-    """Return ``filtered`` and ``corrected``, or compiled code that is the same to rounding."""
-    if not compiled:
-        return filtered, corrected
-    from hitchopt.compiled import correction_kernel
-
-    filter_them: Any = correction_kernel.filtered
-    return filter_them, correction_kernel.corrected

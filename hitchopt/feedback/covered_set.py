@@ -56,14 +56,6 @@ class HalfSpaces:
     lower: Array
     upper: Array
 
-    @property
-    def by_drones(self) -> tuple[tuple[Indices, Array, Array], tuple[Array, Array]]:
-        """Half-spaces and box as compiled code takes them; see ``half_space_kernel``."""
-        parts = self.rows.reshape(len(self.rows), -1, 3)
-        two = np.argsort(~np.any(parts != 0.0, axis=-1), axis=1, kind="stable")[:, :2]
-        rows = np.take_along_axis(parts, two[..., None], axis=1)
-        return (two, rows, self.bounds), (self.lower, self.upper)
-
     def within(self, offsets: Array) -> Array:
         """Return offsets (2n, 3) [m] of the set near the given ones."""
         count = len(offsets)

@@ -14,10 +14,16 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.compiled.correction_records import CorrectionState, Law, StepFlags, StepTimes
-from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InputError, UnsupportedError
-from hitchopt.feedback.correction_law import steps, uncorrected
+from hitchopt.feedback.correction_law import (
+    CorrectionState,
+    Law,
+    StepFlags,
+    StepTimes,
+    corrected,
+    filtered,
+    uncorrected,
+)
 from hitchopt.feedback.covered_set import LARGEST, ONES, PASSES, cell_breaks, covered_set
 from hitchopt.feedback.vertex_response import vertex_response
 from hitchopt.motion.motion import Motion
@@ -83,8 +89,7 @@ class Feedback(OneLine):
     Distances keep their limits at all times while every drone is within ``reserve`` of its
     corrected setpoint and every vertex within it of the plan, as far as the plan itself leaves so
     much: corrected setpoints stay within half-spaces that the plan's polynomials give for whole
-    spans of time. A shift of all drones together is limited by the arena alone. With numba
-    installed the projection onto them is compiled: corrections are the same to rounding.
+    spans of time. A shift of all drones together is limited by the arena alone.
 
     Parameters
     ----------
@@ -144,14 +149,6 @@ class Feedback(OneLine):
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
         self._drones = Sampler(motion.drones)
         self._vertices = Sampler(PiecewisePolynomial(motion.vertices.breaks, clasps))
-        with kernels() as compiled:
-            self._filtered, self._corrected = steps(compiled=compiled)
-        self._spaces = [
-            cell.by_drones if compiled and cell is not None else cell for cell in self._cells
-        ]
-        self.reset()
-        for first, last in self._spans[:1]:  # loads or compiles code before the first step
-            self.step(0.5 * (first + last), 1e-3, np.zeros((len(team.layout.clasps), 3)))
         self.reset()
 
     def _parts(self) -> Iterator[str]:
@@ -232,7 +229,7 @@ class Feedback(OneLine):
             return
         there = self._vertices.values(min(max(time, 0.0), self._end))
         np.multiply(there[1], rate, out=self._state.speed)
-        self._filtered(self._state, vertices, there[0], LAW)
+        filtered(self._state, vertices, there[0], LAW)
 
     def _correct(self, time: float, here: int, seconds: float, *, growing: bool) -> None:
         """Advance the integral and the offsets by some time."""
@@ -245,8 +242,8 @@ class Feedback(OneLine):
         if cell is None or share == 0.0:
             found = uncorrected(self._state, cell, times, flags, LAW)
         else:
-            cells = self._spaces[here], self._spaces[here + followed]
-            found = self._corrected(self._state, cells, self._response[row], times, flags, LAW)
+            cells = cell, cell if following is None else following
+            found = corrected(self._state, cells, self._response[row], times, flags, LAW)
         self._velocities = (found - offsets) / seconds
         offsets[:] = found
 

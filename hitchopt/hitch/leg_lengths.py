@@ -14,12 +14,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import first_smallest
 from hitchopt.hitch.convex_qp import solve_qp
 from hitchopt.hitch.leg_program import PENALTY, LegBodies, leg_program
 from hitchopt.hitch.leg_task import LegLengths, LegTask
-from hitchopt.hitch.parts import Parts
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
 
@@ -126,31 +124,7 @@ def reference_margin(task: LegTask) -> float:
 
 def reference_margins(task: LegTask) -> Array:
     """Return the same (J,) of every polygon by itself."""
-    compiles = _compiles(task)
-    bodies = LegBodies(task, task.reference, task.reference, paired=not compiles)
-    return _margins(task, bodies, task.reference)
-
-
-def _compiles(task: LegTask) -> bool:
-    """Return whether compiled code is on and takes the task: few bodies, in one plane."""
-    few = not Parts.of(task.team.robots, task.team.topology).many
-    return kernels_on() and task.level and few
-
-
-def _margins(task: LegTask, bodies: LegBodies, d: Array) -> Array:
-    """Return the margins (J,) of leg lengths, by compiled code where that takes the task."""
-    if not _compiles(task):
-        return bodies.margins(task, d)
-    from hitchopt.compiled.margin_kernel import smallest_shares
-
-    parts, nodes = Parts.of(task.team.robots, task.team.topology), bodies.nodes(d)
-    margins, cutoff = (task.margins, task.crossing_margins), bodies.cutoff(task)
-    pairs, ends = parts.all_pairs, parts.nodes
-    nodes = nodes.reshape(len(d), bodies.count, 2)
-    shares: Array = smallest_shares(nodes, ends, pairs, bodies.limits, margins, cutoff)
-    if task.fixed is not None:  # fixed knots cannot change
-        shares[task.fixed] = np.inf
-    return task.wanted * shares
+    return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
 
 
 def _merit(task: LegTask, found: LegLengths) -> float:
@@ -171,7 +145,7 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
             break
         moved = x[: d.size].reshape(d.shape)
         step = float(np.max(np.abs(moved - d)))
-        d, margin = moved, float(np.min(_margins(task, bodies, moved))) if first else None
+        d, margin = moved, float(np.min(bodies.margins(task, moved))) if first else None
         if step < settled or (margin is not None and margin >= task.wanted * (1.0 - 1e-9)):
             break
     margin = bodies.margin(task, d) if margin is None else margin

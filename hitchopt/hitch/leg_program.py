@@ -43,12 +43,9 @@ class LegBodies:
     ----------
     task: whose bodies.
     lowest, highest: (J, n) [m], leg lengths between which pairs that never come near are dropped.
-    paired: whether pairs are found at all.
     """
 
-    def __init__(
-        self, task: LegTask, lowest: Array, highest: Array, *, paired: bool = True
-    ) -> None:
+    def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         layout, keep = task.team.layout, task.requirements.separation
         self._task, self._turns = task, task.team.cable_density > 0.0
@@ -66,8 +63,7 @@ class LegBodies:
         self.scale = np.ones((3, self.dimensions))
         self.scale[SEPARATION, 2:] = keep.radius / keep.height
         self._lay(task.reference)
-        if paired:
-            self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
+        self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.hitch import Team
 from hitchopt.values import Array
 
@@ -29,11 +28,6 @@ def straight_legs(team: Team, vertices: Array, q_legs: Array) -> tuple[Array, Ar
     their cables; (J, n, 4) [m], jets of ``e_k``.
     """
     layout = team.layout
-    if kernels_on():
-        from hitchopt.compiled.straight_kernel import straight_drones
-
-        rows = np.ascontiguousarray(vertices), np.ascontiguousarray(q_legs)
-        return straight_drones(*rows, team.cable_length, layout.stencil)
     points = np.ascontiguousarray(vertices.transpose(3, 2, 0, 1))  # samples and robots come last
     d = np.ascontiguousarray(q_legs.transpose(2, 0, 1))
     starts, ends = points[..., layout.starts], points[..., layout.ends]

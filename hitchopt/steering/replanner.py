@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import certify
-from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -33,7 +32,7 @@ from hitchopt.steering.retarget import (
     braked_retarget,
 )
 from hitchopt.steering.retarget_path import SAME_STATE, MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import WAITS, brakes, load_timing, turning_slowly
+from hitchopt.steering.retarget_timing import WAITS, brakes, turning_slowly
 from hitchopt.steps.certified_motions import at_rest, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
@@ -51,9 +50,6 @@ class Replanner(OneLine):
 
     Times are those since steering began. From a moving state positions, velocities and
     accelerations go on without a jump. What was flown until then stays as it is.
-
-    With numba installed, compiled code plans and certifies: results are the same to rounding. It is
-    compiled when the first replanner is made, which takes a minute, and kept on disk.
 
     Parameters
     ----------
@@ -105,18 +101,15 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        with kernels():
-            self._certificate = certify(self.motion, reports=IN_FLIGHT)
-            self._load()
+        self._certificate = certify(self.motion, reports=IN_FLIGHT)
+        self._load()
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 
     def _load(self) -> None:
-        """Load the solver, and load or compile code, before the first goal is given."""
-        goal, limits = self._goal, self.requirements.planned.limits
+        """Load the solver before the first goal is given."""
+        goal = self._goal
         with suppress(NotNowError, InfeasibleError):
-            still = self._still(self.motion)
-            load_timing(RetargetPath.to(self.motion.team, still.state, goal, 0.0), limits)
             self._end(goal.polygon, goal.altitude, goal.fractions, chosen=True)
 
     def _parts(self) -> Iterator[str]:
@@ -159,8 +152,7 @@ class Replanner(OneLine):
         """
         at = not_negative("at", at)
         outline, altitude, turned = self._asked(polygon, vertex, to, yaw)
-        with kernels():
-            return self._answered(outline, altitude, turned, at)
+        return self._answered(outline, altitude, turned, at)
 
     def _answered(self, outline: Outline, altitude: float, turned: float, at: float) -> Retarget:
         """Return the answer to a goal, and fly there if it is accepted."""

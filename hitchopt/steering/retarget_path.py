@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import jets
 from hitchopt.planners.timing.flight_curves import Flight
 from hitchopt.steering.smooth_change import JET, STATE, SmoothChange
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 SAME_STATE = 1e-6
 """[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
@@ -189,29 +187,9 @@ class RetargetPath:
 
     def jets(self, t: Array, brake: float, shift: float) -> PathJets:
         """Return vertices and drones at times t (J,) [s]."""
-        if self.compiled:
-            from hitchopt.compiled.path_kernel import path_jets
-
-            timing = np.array([brake, shift, self.yaw])
-            start, goal, stencil, has_leg, rows = self.arrays
-            return PathJets(*path_jets(start, goal, t, timing, stencil, has_leg, rows))
         flat = self.flat(t, brake, shift)
         found = drone_jets(self.team, flat)
         return PathJets(flat.vertices, found.positions, found.legs, found.thrusts)
-
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled code takes this path."""
-        return kernels_on() and _pulls_alike(self.team)
-
-    @property
-    def arrays(self) -> tuple[Array, Array, Indices, NDArray[np.bool_], Array]:
-        """Start and goal of the curves, the layout's stencil and legs, and the team's rows.
-
-        As compiled code takes them.
-        """
-        change, layout = self._change, self.team.layout
-        return change.start, change.goal, layout.stencil, layout.has_leg, _rows(self.team)
 
     def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
         """Return the polynomials, which meet the state itself at their start."""
@@ -241,20 +219,6 @@ def _septics() -> Array:
     curves = PiecewisePolynomial.hermite([0.0, 1.0], unit[:JET, None], unit[JET:, None])
     by_order: Array = curves.coefficients[0].T
     return by_order
-
-
-@lru_cache(maxsize=16)
-def _rows(team: Team) -> Array:
-    """Return the row of every robot that compiled code takes, (n, 7)."""
-    columns = [team.cable_length, team.tension, team.mass.reshape(-1, 2)]
-    weight, thrust = np.full(team.robots, GRAVITY), team.max_thrust.reshape(-1, 2)
-    return np.column_stack([*columns, weight, thrust])
-
-
-@lru_cache(maxsize=16)
-def _pulls_alike(team: Team) -> bool:
-    """Return whether clasps carry nothing and all cables have the same tension."""
-    return not team.loaded and bool(np.all(team.tension == team.tension[0]))
 
 
 def _mean(points: Array) -> Array:

@@ -64,13 +64,6 @@ def excess(path: RetargetPath, limits: Limits, t: Array, brake: float, shift: fl
     t: (J,) times [s], the first one 0.
     brake, shift: durations [s].
     """
-    if path.compiled:
-        from hitchopt.compiled.path_kernel import path_share
-
-        start, goal, stencil, has_leg, rows = path.arrays
-        timing = np.array([brake, shift, path.yaw])
-        share = path_share(start, goal, t, timing, stencil, has_leg, rows, _row(limits))
-        return share if math.isfinite(share) else math.inf
     found = path.jets(t, brake, shift)
     x, thrust = found.drones, found.thrusts
     squared = np.einsum("jdxk,jdxk->kjd", x, x)
@@ -98,37 +91,17 @@ def brakes(still: RetargetPath, limits: Limits, most: int) -> list[float]:
     """
     if not still.state.moves:
         return [BRAKES[0]]
-    first, left = [], []
-    for brake, found in zip(BRAKES, _excesses(still, limits, most), strict=True):
+    first: list[float] = []
+    left: list[float] = []
+    for brake in BRAKES:
+        if len(first) == most:
+            break
+        found = excess(still, limits, brake * BRAKE_PLACES, brake, math.inf)
         if found <= BRAKE_SHARES[0]:
             first.append(brake)
         elif found <= BRAKE_SHARES[1]:
             left.append(brake)
     return (first + left)[:most]
-
-
-def _excesses(alone: RetargetPath, limits: Limits, most: int = len(BRAKES)) -> list[float]:
-    """Return what ``excess`` is for each of BRAKES; compiled code takes all of them in one go.
-
-    It leaves out those that follow where as many as will do keep the smaller of BRAKE_SHARES.
-    """
-    if not alone.compiled:
-        return [excess(alone, limits, b * BRAKE_PLACES, b, math.inf) for b in BRAKES]
-    from hitchopt.compiled.path_kernel import brake_shares
-
-    start, goal, stencil, has_leg, rows = alone.arrays
-    durations, enough = np.array(BRAKES), (most, BRAKE_SHARES[0])
-    found: Array = brake_shares(
-        start, goal, BRAKE_PLACES, durations, stencil, has_leg, rows, _row(limits), enough
-    )
-    found[~np.isfinite(found)] = math.inf
-    return list(found)
-
-
-def _row(limits: Limits) -> Array:
-    """Return the limits as compiled code takes them."""
-    given = [limits.speed, limits.acceleration, limits.jerk, limits.vertex_speed, limits.tilt]
-    return np.array(given)
 
 
 def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | None:
@@ -152,10 +125,3 @@ def shortest_shift(path: RetargetPath, limits: Limits, brake: float) -> float | 
             return None
         shift *= max(found / SHARE, GROWTH)
     return None
-
-
-def load_timing(path: RetargetPath, limits: Limits) -> None:
-    """Load compiled code that times paths, or compile it, before it is needed."""
-    shortest_shift(path, limits, 1.0)
-    path.jets(np.zeros(1), 1.0, 1.0)
-    _excesses(path, limits)

@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.errors import InputError
 from hitchopt.one_line import OneLine
 from hitchopt.trajectory import bernstein
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
 
 KEPT = 2**16
 """Numbers up to which a derivative is kept: 0.5 MB."""
-
-ORDERS = 5
-"""Highest order of derivatives that compiled code takes in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +187,6 @@ class PiecewisePolynomial(OneLine):
         kept = _DERIVATIVES.setdefault(self, {})
         if order in kept:
             return kept[order]
-        if kernels_on() and order <= ORDERS and self.coefficients.size <= KEPT:
-            kept.update(enumerate(self._slopes(), 1))
-            return kept[order]
         lower = self.differentiated(order - 1).coefficients
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
@@ -202,14 +195,6 @@ class PiecewisePolynomial(OneLine):
         if lower.size <= KEPT:
             kept[order] = found
         return found
-
-    def _slopes(self) -> Iterator[PiecewisePolynomial]:
-        """Yield the derivatives of the first ORDERS orders."""
-        from hitchopt.compiled.slope_kernel import slopes
-
-        c = writable(self.coefficients).reshape(self.pieces, -1, self.degree + 1)
-        for found in slopes(c, np.diff(self.breaks)):
-            yield self.alike(found.reshape(*self.coefficients.shape[:-1], -1))
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
         """Return the same functions, their values arranged in another shape."""

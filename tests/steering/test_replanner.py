@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,19 +11,15 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.compiled.kernel_switch import kernels
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch.cable_slack import cable_slack, fitting_polygon
 from hitchopt.motion.motion import Phase
 from hitchopt.motion.phases import Hold, HoldBy
-from hitchopt.motion.retiming import before
 from hitchopt.plan import Plan
 from hitchopt.requirements import Requirements
 from hitchopt.steering import replanner
 from hitchopt.steering.goal_distances import clearly_too_close
 from hitchopt.steering.retarget import Refusal, Retarget, certified_retarget
-from hitchopt.steering.retarget_path import MovingState, RetargetPath
-from hitchopt.steering.retarget_timing import BRAKES, _excesses
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -360,47 +354,6 @@ def test_plans_can_be_left_just_after_a_break(late: float) -> None:
     assert answer.accepted, answer.reason
     assert at - 1e-9 <= answer.start <= at + 1e-3
     assert answer.plan.certificate.certified
-
-
-def test_brakes_are_the_same_compiled_or_not() -> None:
-    steering = steered()
-    at = moving(steering)
-    state = MovingState.at_end(before(steering.motion, at))
-    team, limits = steering.motion.team, Requirements().planned.limits
-    still = RetargetPath(team, state, state.vertices[..., 0], state.fractions[:, 0])
-    with kernels():
-        compiled = _excesses(still, limits)
-    alone = _excesses(still, limits)
-    assert len(alone) == len(BRAKES)
-    np.testing.assert_allclose(compiled, alone, rtol=1e-9)
-
-
-def test_retargets_load_no_code() -> None:
-    """Compiled code and the solver's plugin are loaded when a replanner is made."""
-    pytest.importorskip("numba")
-    probe = (
-        "import sys, hitchopt as ho\n"
-        "start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -1], [-0.4, 0.5], [0.4, 0.5]], 1.0)\n"
-        "steered = ho.Replanner(start.team, start)\n"
-        "def loaded():\n"
-        "    parts = [vars(m) for name, m in sys.modules.items() if 'hitchopt.compiled.' in name]\n"
-        "    found = {id(f): len(f.signatures) for part in parts for f in part.values()\n"
-        "             if hasattr(f, 'signatures')}\n"
-        "    libraries = {line.split()[-1] for line in open('/proc/self/maps') if '.so' in line}\n"
-        "    return sum(found.values()), libraries\n"
-        "before = loaded()\n"
-        "first = steered.retarget(to=[0.4, 0.2, 1.2], yaw=0.5, at=0.2)\n"
-        "steered.retarget(vertex=0, to=[0.4, -0.9], at=0.6)\n"
-        "steered.retarget(vertex=0, to=[0.4, -2.5], at=0.8)\n"
-        "steered.retarget([[0, -0.8], [-0.4, 0.6], [0.4, 0.6]], at=1.1)\n"
-        "assert before[0] > 5\n"
-        "assert before[0] == loaded()[0], (before[0], loaded()[0])\n"
-        "assert not loaded()[1] - before[1], loaded()[1] - before[1]\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", probe], check=False, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
 
 
 def test_quick_bounds_of_answers_are_close() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 
 from hitchopt.checks.bounds.clock_limits import ClockLimits
 from hitchopt.checks.bounds.rounding_margins import derivative_margin
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
@@ -101,13 +100,6 @@ class DerivativeGrid:
 
     def _bounded(self, margins: list[Array]) -> Array:
         """Return the bounds on all cells, for each drone."""
-        if kernels_on():
-            from hitchopt.compiled.grid_kernel import grid_sizes
-
-            values = (self.values[0], self.values[1], self.values[2])
-            both = np.stack([*margins, self.fourth, self.fifth])
-            found = grid_sizes(values, self.left, self.piece, self.width, both)
-            return found.transpose(0, 2, 1)
         fourth, fifth, first, second, third = (
             each.T for each in (self.fourth, self.fifth, *margins)
         )
@@ -188,10 +180,6 @@ def _at(
 
     Pieces are in order; of some drones only, if these are given.
     """
-    if kernels_on():
-        from hitchopt.compiled.grid_kernel import grid_values
-
-        return grid_values(coefficients[:, drones].copy(), pieces, x).transpose(2, 1, 0)
     weights = bernstein.basis(x, bernstein.degree(coefficients))
     found = np.empty((coefficients.shape[2], len(coefficients[0, drones]), len(x)))
     starts = np.flatnonzero(np.diff(pieces, prepend=-1))

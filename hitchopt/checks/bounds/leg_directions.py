@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,13 +13,64 @@ from hitchopt.checks.bounds.rounding_margins import position_margin
 from hitchopt.checks.bounds.shared_values import once
 from hitchopt.hitch.layout import Layout
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory.compiled_search import Directions, enclosed_directions
-from hitchopt.values import Indices
+from hitchopt.trajectory import enclosure, extremum
+from hitchopt.trajectory.enclosure import DIRECTION_ORDER, Enclosure
+from hitchopt.trajectory.extremum import ABSOLUTE, Cells, Estimate, Extremum, First
+from hitchopt.values import Array, Indices
+
+ENCLOSED = 4096
+"""Directions enclosed in one go, so that what that allocates stays within the caches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Enclosed directions, of which given cells take one or some.
+
+    Attributes
+    ----------
+    coefficients: (m, 3, degree + 1)
+    radius: (m,)
+    place: (cells,) or (cells, k), the indices of each cell's.
+    """
+
+    coefficients: Array
+    radius: Array
+    place: Indices
+
+    def taken(self, part: slice = slice(None)) -> Enclosure:
+        """Return those of some cells."""
+        place = self.place[part]
+        return Enclosure(self.coefficients[place], self.radius[place])
+
+
+def largest_along(
+    cells: Cells,
+    bound: Callable[..., Estimate],
+    directions: Directions | None,
+    target: float = np.inf,
+    absolute: float = ABSOLUTE,
+) -> Extremum:
+    """Return the largest value over all cells, the directions of the given ones being known.
+
+    Parameters
+    ----------
+    cells, target, absolute: as of ``extremum.largest``.
+    bound: takes the blocks of cells, and directions that are known as ``along``.
+    directions: those of the cells; None where they are not known.
+    """
+    first: First | None = None
+    if directions is not None:
+
+        def first(part: slice) -> Estimate:
+            return bound(tuple(block[part] for block in cells.blocks), along=directions.taken(part))
+
+    return extremum.largest(cells, bound, target, first, absolute)
 
 
 def drone_directions(motion: Motion) -> Directions:
     """Enclose the directions of ``pull_vectors``, of every piece and drone in a row."""
-    return once(motion, _directions).placed(_drone_places(motion.drones.pieces, motion.team.layout))
+    place = _drone_places(motion.drones.pieces, motion.team.layout)
+    return replace(once(motion, _directions), place=place)
 
 
 def clasp_directions(motion: Motion) -> Directions:
@@ -25,7 +78,8 @@ def clasp_directions(motion: Motion) -> Directions:
 
     They are those of its own leg and edge, and of the leg and the edge before.
     """
-    return once(motion, _directions).placed(_clasp_places(motion.drones.pieces, motion.team.layout))
+    place = _clasp_places(motion.drones.pieces, motion.team.layout)
+    return replace(once(motion, _directions), place=place)
 
 
 @lru_cache(maxsize=LAYOUTS)
@@ -53,4 +107,12 @@ def _directions(motion: Motion) -> Directions:
     """Return the directions of all legs, then all edges, piece by piece in a row."""
     vectors = np.concatenate([pull_vectors(motion), edge_vectors(motion)], axis=1)
     vectors = vectors.reshape(-1, *vectors.shape[2:])
-    return enclosed_directions(vectors, position_margin(motion))
+    noise, place = position_margin(motion), np.arange(len(vectors))
+    order = vectors.shape[-1] - 1 + DIRECTION_ORDER
+    coefficients, radius = np.empty((len(place), 3, order + 1)), np.empty(len(place))
+    with np.errstate(all="ignore"):  # coefficients may be anything
+        for begin in range(0, len(place), ENCLOSED):
+            part = slice(begin, begin + ENCLOSED)
+            found = enclosure.direction(vectors[part], noise)
+            coefficients[part], radius[part] = found.coefficients, found.radius
+    return Directions(coefficients, radius, place)

@@ -23,12 +23,10 @@ from hitchopt.checks.bounds.moving_bodies import (
     Metric,
     body_boxes,
 )
-from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Indices, Pairs, all_pairs
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, smallest
-from hitchopt.trajectory.extremum import Cells, Extremum, Search
+from hitchopt.trajectory.extremum import Cells, Extremum, Search, smallest
 from hitchopt.values import Array
 
 FEW = 6000
@@ -69,7 +67,7 @@ def smallest_distance(
         alone = len(breaks) - 1 <= _group(every) and metric is DISTANCE and math.isinf(known)
         for cells in _near_cells(whole, count, margin, metric):
             if alone:
-                return _not_negative(smallest(cells, metric.bound, KnownBound("distance"), target))
+                return _not_negative(smallest(cells, metric.bound, target))
             search.add(cells)
         return _not_negative(search.finish())
     for span in close_spans(breaks, first, second, search, allowed, margin, metric):
@@ -99,28 +97,10 @@ def _near_cells(span: Span, count: int, margin: float, metric: Metric) -> Iterat
         a = span.first[start : start + group]
         b = a if span.second is None else span.second[start : start + group]
         times = span.times[start : start + group + 1]
-        if kernels_on() and metric is DISTANCE:
-            yield from _compiled_cells(times, a, b, span.pairs, margin)
-            continue
         piece, pair = _near(a, b, span.pairs, margin, metric)
         for i in range(0, len(piece), GROUP):
             part = slice(i, i + GROUP)
             yield _cells(times, a, b, piece[part], span.pairs.take(pair[part]), count, margin)
-
-
-def _compiled_cells(
-    times: Array, a: Array, b: Array, pairs: Pairs, margin: float
-) -> Iterator[Cells]:
-    """Give the same cells, in one go, if there are any."""
-    from hitchopt.compiled.near_kernel import near_cells
-
-    here = writable(a)
-    there, most = here if b is a else writable(b), min(NEIGHBOURS, len(pairs))
-    rows, item, start, end = near_cells(
-        here, there, pairs.first, pairs.second, writable(times), margin, most, SLACK
-    )
-    if len(item):
-        yield Cells((rows,), item, start, end, np.full(len(item), margin))
 
 
 def _near(

@@ -17,10 +17,8 @@ from hitchopt.checks.bounds.clock_stops import (
     slow_durations,
     spaced_starts,
 )
-from hitchopt.checks.bounds.compiled_stops import compiled_stops
 from hitchopt.checks.bounds.stop_bounds import Flags, StopBounds
 from hitchopt.checks.bounds.verified_stops import balanced, shown
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array
@@ -48,22 +46,14 @@ _A = -4.0 * np.where(_LATE, _V, _W)[:, None, None, None]
 _J = np.where(_LATE, 4.0, -4.0)[:, None, None, None]
 """Plan time, rate and its derivatives there, of a stop of one second (samples, …)."""
 
-_SAMPLES, _LONGER = np.stack([each.ravel() for each in (_PLAN, _S, _A, _J)]), np.array(LONGER)
-"""The same for compiled code, (4, samples), and the multiples that it tries."""
-
 
 def quick_stop_table(motion: Motion) -> StopTable:
     """Return stops that keep all limits of a motion, by a few per cent longer than need be."""
-    starts, limits = spaced_starts(motion), motion.requirements.limits
-    clock = ClockLimits(motion) if motion.requirements.objects or not kernels_on() else None
-    carried = clock is not None and clock.inertia is not None
-    slow = slow_durations(motion, carried=carried)
+    starts, clock = spaced_starts(motion), ClockLimits(motion)
+    slow = slow_durations(motion, carried=clock.inertia is not None)
     span = np.array([DURATIONS[0], slow[-1] if slow else DURATIONS[-1]])
     rounds = BISECTIONS + 2 * bool(slow)
-    if kernels_on() and limits.body_rate is None and not carried:
-        durations = compiled_stops(motion, WIDTH, starts, _SAMPLES, span, rounds, _LONGER)
-        return StopTable(rest_of(motion), starts, durations)
-    bounds = StopBounds(clock or ClockLimits(motion), WIDTH)
+    bounds = StopBounds(clock, WIDTH)
     durations = np.full(len(starts), np.inf)
     left = np.arange(len(starts))
     least = _least(bounds, starts, span, rounds)

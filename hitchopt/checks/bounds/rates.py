@@ -11,8 +11,7 @@ from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.compiled_search import KnownBound, largest
-from hitchopt.trajectory.extremum import Cells, Estimate, Extremum
+from hitchopt.trajectory.extremum import Cells, Estimate, Extremum, largest
 from hitchopt.values import Array
 
 
@@ -60,7 +59,7 @@ def largest_rate(part: PiecewisePolynomial, order: int, limit: float = np.inf) -
     """
     derivative = part.differentiated(order)
     cells = Cells.over(part.breaks, [derivative.coefficients], derivative_margin(part, order))
-    return largest(cells, norm_bound, KnownBound("norm"), within(limit, "max", 0.0, 0.5))
+    return largest(cells, norm_bound, within(limit, "max", 0.0, 0.5))
 
 
 def norm_bound(blocks: tuple[Array, ...]) -> Estimate:

@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on, writable
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -26,9 +25,6 @@ differences of coefficients."""
 
 _MAGNITUDES: WeakKeyDictionary[Motion, float] = WeakKeyDictionary()
 """Largest coordinates of motions in use."""
-
-ORDERS = 5
-"""Highest order of derivatives whose margins compiled code takes in one go."""
 
 LAST_PLACE = 2.0**-50
 """What a difference of two numbers errs by at most, relative to it, with room to spare."""
@@ -65,13 +61,6 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     (pieces, items), read-only: several checks ask for the same ones.
     """
     known = _KNOWN.setdefault(part, {})
-    if order not in known and kernels_on() and order <= ORDERS:
-        from hitchopt.compiled.rounding_kernel import derivative_margins
-
-        c = writable(part.coefficients)
-        every = derivative_margins(c, writable(part.durations), ORDERS, LAST_PLACE, ROUNDING)
-        every.setflags(write=False)
-        known.update(enumerate(every, 1))
     if order not in known:
         known[order] = _derivative_margin(part, order)
         known[order].setflags(write=False)

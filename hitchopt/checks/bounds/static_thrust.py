@@ -16,18 +16,10 @@ from hitchopt.checks.bounds.thrust_enclosure import (
 from hitchopt.checks.bounds.thrust_turning import load_rate, rate_margin, turning_cells
 from hitchopt.checks.thrust import thrust_bound
 from hitchopt.checks.tilt import tilt_bound
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.compiled_search import (
-    HUGE,
-    Directions,
-    compiled_blocks,
-    interpolation_weights,
-)
 from hitchopt.trajectory.enclosed_products import largest_norm, reduced
 from hitchopt.trajectory.enclosure import Enclosure
-from hitchopt.trajectory.extremum import Cells, largest
+from hitchopt.trajectory.extremum import largest
 from hitchopt.values import Array
 
 ORDER = 8
@@ -59,12 +51,9 @@ class StaticThrust:
             return Enclosure(coefficients, low.radius.reshape(shape))
 
         cells = thrust_cells(motion, moving=False)
-        directions = known_directions(motion)
-        along = None if directions is None else directions()
-        found = None if along is None else _compiled(cells, along)
-        if found is None:
-            found = thrust_enclosure(cells.blocks, noise, None if along is None else along.taken())
-        thrust = shaped(found)
+        along = known_directions(motion)
+        known = None if along is None else along.taken()
+        thrust = shaped(thrust_enclosure(cells.blocks, noise, known))
         if motion.requirements.limits.body_rate is None:
             return cls(thrust)
         rate = load_rate(turning_cells(motion).blocks, noise, rate_margin(motion))
@@ -86,23 +75,6 @@ class StaticThrust:
         distance = np.hypot(c[..., 0, :], c[..., 1, :]) * np.cos(tilt) - c[..., 2, :] * np.sin(tilt)
         most: Array = np.max(distance, axis=-1) + self.thrust.radius
         return most
-
-
-def _compiled(cells: Cells, along: Directions) -> Enclosure | None:
-    """Return the thrusts in degree ORDER by compiled code, or None where that is not on."""
-    blocks = compiled_blocks(cells) if kernels_on() and len(cells.blocks) == 4 else None
-    if blocks is None or not all(np.max(np.abs(block)) < HUGE for block in blocks):
-        return None
-    from hitchopt.compiled.thrust_kernels import static_thrusts
-
-    order = bernstein.degree(along.coefficients) + bernstein.degree(blocks[2])
-    lower = interpolation_weights(order, min(order, ORDER))
-    free, legs, pull, slop = blocks
-    return Enclosure(
-        *static_thrusts(
-            (free, legs, pull, slop), along.coefficients, along.radius, along.place, lower
-        )
-    )
 
 
 def largest_static_thrust(motion: Motion) -> float:

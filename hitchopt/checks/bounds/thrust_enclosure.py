@@ -11,15 +11,14 @@ polynomial (see ``hitchopt.motion.tensions``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from hitchopt.checks.bounds.bodies import pull_vectors
 from hitchopt.checks.bounds.hanging_links import steepness_range
-from hitchopt.checks.bounds.leg_directions import drone_directions
+from hitchopt.checks.bounds.leg_directions import Directions, drone_directions
 from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
 from hitchopt.checks.bounds.shared_values import once
 from hitchopt.geometry.vectors import length
@@ -28,7 +27,6 @@ from hitchopt.hitch.catenary import pull_terms
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.tensions import chord_pulls, lowered, tautness
 from hitchopt.trajectory import bernstein, enclosure
-from hitchopt.trajectory.compiled_search import Directions
 from hitchopt.trajectory.extremum import Cells
 from hitchopt.values import Array, Indices
 
@@ -135,9 +133,9 @@ def thrust_enclosure(
     return enclosure.Enclosure(thrust, radius)
 
 
-def known_directions(motion: Motion) -> Callable[[], Directions] | None:
-    """Return what gives the directions of the legs of ``thrust_cells``; None without cables."""
-    return partial(drone_directions, motion) if motion.team.has_cables else None
+def known_directions(motion: Motion) -> Directions | None:
+    """Return the directions of the legs of ``thrust_cells``; None without cables."""
+    return drone_directions(motion) if motion.team.has_cables else None
 
 
 def _weights(blocks: tuple[Array, ...], noise: float) -> Iterator[enclosure.Enclosure]:

@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.cable_spans import cable_slack_of
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
@@ -112,23 +111,12 @@ class ShapePath:
         if self.tensions is not None:
             tensions = self.tensions.jet(s, count)
         roll = None if self.roll is None else self.roll.jet(s, count)
-        if kernels_on() and count == JET and self.team.cable_density == 0.0:
-            return FlatJets(vertices, self._compiled_legs(s, vertices), tensions, roll)
         edges = self.team.layout.edges(vertices, axis=1)
         slack = -_cable_along(self.team, edges, tensions)
         slack[..., 0] += self.team.cable_length
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
-
-    def _compiled_legs(self, s: Array, vertices: Array) -> Array:
-        """Return the q-legs (J, n, 4) of ``flat``, by compiled code."""
-        from hitchopt.compiled.straight_kernel import shared_legs
-
-        team, layout = self.team, self.team.layout
-        law = (self.legs.length.jet(s, JET), self.legs.share.jet(s, JET))
-        points = np.ascontiguousarray(vertices)
-        return shared_legs(points, law, team.cable_length, layout.stencil, layout.has_leg)
 
 
 def roll_between(

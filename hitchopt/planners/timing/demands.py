@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.model.evaluation import drone_jets
@@ -82,13 +81,6 @@ class Demands:
         -------
         (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
         """
-        if kernels_on():
-            from hitchopt.compiled.profile_kernels import ray_ends
-
-            team = np.stack([self.mass, self.share * self.max_thrust])
-            steepest = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
-            limits = np.array([self.share * self.limits.acceleration, steepest])
-            return ray_ends(self.drones, self.loads, team, limits, (u, x))
         many = max(1, CHUNK // self.drones.shape[1])
         parts = [slice(first, first + many) for first in range(0, len(u), many)]
         return np.concatenate([self._cast(at, u[at], x[at]) for at in parts])

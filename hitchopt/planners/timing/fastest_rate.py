@@ -16,7 +16,6 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.planners.timing.rate_rows import RateRows
 from hitchopt.time_limit import check_time
 from hitchopt.values import Array, Indices
@@ -153,8 +152,6 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
     A primal-dual method with a predictor, after Mehrotra. The start itself is returned where it is
     not inside.
     """
-    if kernels_on():
-        return _compiled_rate(program, start)
     found = program.slack(start)
     if found is None:
         return start
@@ -184,19 +181,6 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
         c, slack = c + share * dc, left_over
         force = force + _share(force, dforce) * dforce
     return c
-
-
-def _compiled_rate(program: RateProgram, start: Array) -> Array:
-    """Return what ``fastest_rate`` finds, by compiled code."""
-    from hitchopt.compiled.rate_kernel import RateSettings, RateTables, fastest_rate
-
-    check_time()
-    rows, basis = program.rows, program.basis
-    parts = (basis.values, rows.Q, rows.forms, rows.b, rows.c, rows.e, program.weights)
-    settings = RateSettings(STEPS, GAP, LEAST, INSIDE, SHRINK, BACKTRACK, SMALLEST, LEAST_LEFT)
-    tables = RateTables(basis.first, *map(np.ascontiguousarray, parts))
-    found: Array = fastest_rate(tables, np.ascontiguousarray(start), settings)
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.interpolate import PPoly
 from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
 from hitchopt.planners.timing.demands import Demands
@@ -118,10 +117,6 @@ def _step_programs(allowed: AllowedCorners, s: Array, length: float, unit: float
     allowed: at the points.
     length, unit: of the path, and of ṡ² times length.
     """
-    if kernels_on():
-        from hitchopt.compiled.profile_kernels import step_programs
-
-        return step_programs(allowed.points, s, length, unit)
     rows = acceleration_rows(allowed)
     normals = rows.normals * [1.0, 1.0 / length]
     size = np.linalg.norm(normals, axis=-1)
@@ -147,12 +142,6 @@ def _fastest_squares(programs: Array) -> Array:
     ----------
     programs: (J, 3, 2m + 2), of the steps; the next point's bounds are written into them.
     """
-    if kernels_on():
-        from hitchopt.compiled.profile_kernels import fastest_squares
-
-        found = fastest_squares(programs, RATHER_SLOW, HUGE, TINY)
-        if not np.isnan(found[0]):  # else toppra's solver tells
-            return found
     steps = len(programs)
     lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
     aim, active = np.array([-RATHER_SLOW, 1.0, 0.0]), np.arange(2)

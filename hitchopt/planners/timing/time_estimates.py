@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from hitchopt.compiled.kernel_switch import kernels_on
 from hitchopt.planners.path.shape_path import Path
 from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.speed_profile import (
@@ -69,10 +68,6 @@ def quick_profile(s: Array, demands: Demands) -> SpeedProfile:
     """
     steps = np.diff(s)
     corners = allowed_corners(demands).points[:-1]
-    if kernels_on():
-        from hitchopt.compiled.profile_kernels import quick_squares
-
-        return _profile(s, quick_squares(corners, steps, TIE))
     u, x = corners[..., 0], corners[..., 1]
     tops = np.argmax(x, axis=1).tolist()
     # ṡ² at the next point falls on the way down from the top; bisection wants it to rise.
