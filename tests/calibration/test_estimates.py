@@ -66,6 +66,7 @@ def moved() -> tuple[Hitch, Hitch]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "friction", "within"),
     [(hitches(), MU, 0.005), (moved(), MU, 0.02), (hitches("open"), 0.0, 0.005)],

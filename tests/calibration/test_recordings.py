@@ -126,6 +126,7 @@ def test_what_is_missing_is_named(solved: Path, tmp_path: Path) -> None:
     assert "density = -1.0: must be at least 0" in heavy.stderr
 
 
+@pytest.mark.slow
 def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
     flown = run(
         *("simulate", solved, "--drones", "point", "--stiffness", "6", "--density", "0.012")

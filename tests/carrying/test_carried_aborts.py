@@ -51,6 +51,7 @@ def check_landed(found: Abort) -> Motion:
     return whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["land", "release_and_land"])
 def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
     aborts = aborts_of(2)
@@ -71,6 +72,7 @@ def test_before_it_is_lifted_the_hitch_goes_back() -> None:
     assert np.max(np.abs(poses - poses[:1, :, :1])) <= 1e-9
 
 
+@pytest.mark.slow
 def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> None:
     aborts = ending_in_the_air()
     for time in (during(aborts.motion, "lift"), aborts.motion.duration):

@@ -280,6 +280,7 @@ def test_a_rate_at_which_nothing_can_be_carried_is_refused_and_another_one_named
     assert player.clock_rate == pytest.approx(float(named[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_where_it_cannot_rest_other_times_are_named(kind: str, plans: dict[str, ho.Plan]) -> None:
     motion = plans[kind].motion

@@ -114,6 +114,7 @@ def test_pushes_are_those_of_the_curves() -> None:
     assert stone.largest_push(np.full(3, 1.2)) == pytest.approx(largest, rel=0.02)
 
 
+@pytest.mark.slow
 def test_grips_are_moved_off_corners_in_balance() -> None:
     lying = body(ALONG)
     most, _ = largest_tension(STEEP, TEAM.quadrotor[0])
@@ -149,6 +150,7 @@ def problem(mass: float, friction: float, clasps: float = 0.0) -> ho.Problem:
     )
 
 
+@pytest.mark.slow
 def test_grips_are_taken_that_find_balance_as_they_take_the_weight() -> None:
     """The largest slip load is that of clasps which lose their balance at a quarter of it."""
     team = ho.Team(3, 1.99, tension=1.3)
@@ -169,6 +171,7 @@ def test_grips_are_taken_that_find_balance_as_they_take_the_weight() -> None:
     assert np.max(np.abs(lifted(closed)["vertices"][-1, :, :2] - closed)) < 0.015
 
 
+@pytest.mark.slow
 def test_grips_are_taken_whose_drones_stay_apart_with_the_weight() -> None:
     """As this one's slopes turn the best grip's clasps, two drones come too close."""
     outline = np.array(

@@ -45,6 +45,7 @@ def test_edges_around_keep_off_and_are_short(section: ho.Section, closed: Array)
     assert np.max(edge_lengths(short)) <= np.max(edge_lengths(alike)) * (1.0 + 1e-12)
 
 
+@pytest.mark.slow
 def test_a_flat_grip_has_a_nearly_square_hitch_around_it() -> None:
     """The shortest rhombus around a box, by a search over its half diagonals a and b.
 

@@ -105,6 +105,7 @@ def test_what_a_refused_hold_suggests_is_planned(
         assert "shorten the legs that meet" in words
 
 
+@pytest.mark.slow
 def test_a_tension_that_tilts_drones_too_far_is_named_as_the_steps() -> None:
     given = tray(3, 0.2, 2.2)
     given["limits"] = {}

@@ -63,6 +63,7 @@ def test_no_sample_beats_a_bound_and_bounds_are_tight(n: int, seed: int) -> None
     assert_sound_and_tight(motion, 2001 if n < 8 else 401)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(seed=st.integers(0, 100_000))
 def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: int) -> None:

@@ -41,6 +41,7 @@ def strict(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
+@pytest.mark.slow
 def test_results_are_one_object() -> None:
     solved = strict(run("solve", TRIANGLE, "-o", "out", "--rate", "5", "--json").stdout)
     assert (solved["command"], solved["exit_code"], solved["directory"]) == ("solve", 0, "out")

@@ -107,6 +107,7 @@ def test_what_solve_writes_replaces_an_earlier_answer(solved: Path) -> None:
     assert (solved / "certificate.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [

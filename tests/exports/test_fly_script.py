@@ -50,6 +50,7 @@ def end_of(folder: Path, name: str) -> Array:
     return place
 
 
+@pytest.mark.slow
 def test_no_setpoint_jumps_through_all_parts(
     parts: tuple[Export, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:

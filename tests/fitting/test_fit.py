@@ -53,6 +53,7 @@ def test_edges_around_any_section_are_neither_tiny_nor_in_line(seed: int) -> Non
         assert np.min(polygon.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
 
 
+@pytest.mark.slow
 def test_a_triangle_that_is_far_from_regular_is_gripped() -> None:
     fit = ho.fit([[0.0, 0.0], [1.0, 0.0], [0.2, 0.1], [0.0, 1.0]], 3, tension=1.0)
     assert fit.holding.grip_capacity.mass > 0.0

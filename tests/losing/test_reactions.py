@@ -179,6 +179,7 @@ def test_swings_begin_where_the_drone_is_lost_and_stay_in_their_plane(lost: int)
     assert np.min(high[:, 2]) == 2.0
 
 
+@pytest.mark.slow
 def test_the_command_line_tells_losses(tmp_path: Path) -> None:
     plan_of(1.0).save(tmp_path)
     shown = CliRunner().invoke(main, ["check", str(tmp_path), "--survivable"])
@@ -389,6 +390,7 @@ def test_the_command_line_says_who_pushes(
     assert f"the others push inward from {TIME + 0.55:.3f} to {TIME + 2.2:.3f} s" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tilt", "thrust", "closer"),
     [(25.0, 2.6, 0.21), (32.0, 2.6, 0.21), (45.0, 2.6, 0.21), (60.0, 2.6, 0.21), (75.0, 2.2, 0.4)],

@@ -191,6 +191,7 @@ def test_refusals_are_remembered_word_for_word(planned: list[int]) -> None:
     assert (str(again.value), again.value.violations) == (str(first.value), first.value.violations)
 
 
+@pytest.mark.slow
 def test_suggestions_are_those_of_a_process_that_remembers_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -117,6 +117,7 @@ def test_small_teams_are_searched_longer_and_so_are_routes_that_are_asked_for() 
     assert [work_for(n, asked=True) for n in counts] == np.maximum(works, 5.0 * works[5]).tolist()
 
 
+@pytest.mark.slow
 def test_a_search_without_a_route_ends_when_its_work_is_done(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -175,6 +175,7 @@ def through_a_door() -> SeparationTask:
     return SeparationTask(*ends, Requirements(LIMITS, SEPARATION, room, walls))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [

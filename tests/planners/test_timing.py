@@ -398,6 +398,7 @@ def test_the_stretch_leaves_the_certificate_a_share_of_the_vertices_speed() -> N
 WEAK = Quadrotor(mass=0.132, max_thrust=1.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tight", "changed"),
     [

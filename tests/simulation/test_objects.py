@@ -120,6 +120,7 @@ def lifted() -> Simulation:
     return simulate(lifting(), Settings(pull_test=False))
 
 
+@pytest.mark.slow
 def test_a_tray_is_lifted_by_its_rim(lifted: Simulation) -> None:
     assert lifted.outcome.failures == ()
     (tray,) = lifted.outcome.objects
@@ -147,6 +148,7 @@ def test_an_object_that_was_not_to_be_moved_is_misplaced_and_caught(lifted: Simu
     assert np.isnan(outcome.objects[0].slipped)
 
 
+@pytest.mark.slow
 def test_a_tray_that_is_too_heavy_is_dropped() -> None:
     done = simulate(lifting(mass=0.6), Settings(pull_test=False))
     found = {failure.kind: failure for failure in done.outcome.failures}
@@ -213,6 +215,7 @@ def test_the_ground_is_where_objects_stand() -> None:
     assert caught.value.key == "ground"
 
 
+@pytest.mark.slow
 def test_the_pull_test_does_not_lift_what_is_held() -> None:
     done = simulate(lifting(), Settings())
     assert done.outcome.failures == ()

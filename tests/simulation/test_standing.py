@@ -64,6 +64,7 @@ def test_pulls_are_near_the_plans_and_rise_with_the_pull_test(stood: Simulation)
     assert np.all(record.peak_tensions[1:] >= record.tensions[1:] - 1e-12)
 
 
+@pytest.mark.slow
 def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
     task = standing(regular_hitch(3), 0.1)
     windy = Settings(
@@ -87,6 +88,7 @@ def test_a_chain_holds_at_its_clasps() -> None:
     assert [clasp.name for clasp in done.outcome.clasps] == ["p1", "p2"]
 
 
+@pytest.mark.slow
 def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
     """Problem form_hanging_to_the_floor begins so; folded in the air, cables tore as they fell."""
     team = Team(4, [2.6, 2.8, 2.6, 2.9], tension=0.6)

@@ -39,6 +39,7 @@ def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3, 6])
 def test_simulated_cables_are_as_long_as_planned(n: int) -> None:
     """Legs, edges and their arcs add up to the plan's length, whatever the ropes' bends use up."""

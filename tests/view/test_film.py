@@ -29,6 +29,7 @@ def short_motion(n: int = 3) -> Motion:
     return make_motion(n).slowed(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ending", "count"), [("gif", 7), ("mp4", 11)])
 def test_a_film_is_in_real_time(tmp_path: Path, ending: str, count: int) -> None:
     path = tmp_path / f"plan.{ending}"

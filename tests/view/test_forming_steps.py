@@ -15,6 +15,7 @@ from problems.forming_steps import save_forming_steps
 HITCH = ho.Hitch.spread(ho.Team(3, 2.4), [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], 1.5)
 
 
+@pytest.mark.slow
 def test_four_panels_with_cables_and_drones_in_them(tmp_path: Path) -> None:
     high = np.array([[-0.6, -1.2, 2.2], [-0.6, 0, 2.2], [-0.6, 1.2, 2.2]])
     polygon = HITCH.polygon
