@@ -22,7 +22,7 @@ from hitchopt.checks import (
     separation,
     span,
     speed,
-    stoppable,
+    stops,
     support,
     tension,
     thrust,
@@ -59,7 +59,7 @@ RULES = (
 )
 """One rule per check; a new check is one file and one line here."""
 
-REPORTS = (tracking_radius.RULE, stoppable.RULE)
+REPORTS = (tracking_radius.RULE, stops.RULE)
 """What a certificate reports after its checks, without a limit."""
 
 RULE_OF = {rule.name: rule for rule in RULES}

@@ -16,7 +16,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from hitchopt.checks.bounds.clock_stops import StopTable
+from hitchopt.checks.stops import StopTable
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry.vectors import dot
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase

@@ -16,7 +16,7 @@ from hitchopt.checks.certificate import Check
 from hitchopt.checks.equilibrium import QUICK as QUICK_BALANCE
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.rule import Findings, Found
-from hitchopt.checks.stoppable import QUICK
+from hitchopt.checks.stops import RULE as STOPPABLE
 from hitchopt.checks.tracking_radius import GAMMA
 from hitchopt.errors import InfeasibleError
 from hitchopt.motion.cutting import cut
@@ -30,7 +30,7 @@ from hitchopt.steering.retarget_timing import shortest_shift, turning_slowly
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.values import Array
 
-IN_FLIGHT = (QUICK,)
+IN_FLIGHT = (STOPPABLE,)
 """Reports on certified answers while the hitch flies; all others are of the whole plan."""
 
 PIECE = 0.3

@@ -11,9 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.clock_stops import StopTable
-from hitchopt.checks.bounds.stop_rows import SWITCH
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.stops import SWITCH, StopTable
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.cutting import rests
 from hitchopt.motion.motion import Motion, Phase

@@ -6,17 +6,22 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import DURATIONS, SLOW_DURATIONS, slow_durations
-from hitchopt.checks.bounds.verified_stops import start_phases
+from hitchopt.checks.stops import LONGEST, SHORTEST, SLOWEST, ClockLimits, start_phases
 from hitchopt.motion.cutting import rests
 from hitchopt.stopping.clock_profiles import NOTHING, phases_of
 from hitchopt.stopping.one_way_spans import leaning_pieces
 from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array
 
-LADDER = tuple(np.geomspace(DURATIONS[0], DURATIONS[-1], 18).tolist())
+LADDER = tuple(np.geomspace(SHORTEST, LONGEST, 18).tolist())
 """[s] Durations of a change of the rate by 1 that are tried first."""
+
+SLOW = (5.0, 10.0, SLOWEST)
+"""[s] Those that are tried where none of these can be."""
+
+CARRYING = (3.0, 3.6, 4.3, 5.0, 7.0, 10.0, 14.0, SLOWEST)
+"""[s] The same for plans that carry objects: slow ones leave less unbalanced, but have to fit into
+steady motion."""
 
 WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """[s] Times that a change may wait for."""
@@ -62,9 +67,8 @@ class ChangeSearch:
         rate: at their end.
         also: durations that are tried as well [s].
         """
-        longer = also[(also > DURATIONS[0]) & (also < SLOW_DURATIONS[-1])].tolist()
-        carried = self.limits.inertia is not None
-        slow = slow_durations(self.limits.motion, carried=carried) or SLOW_DURATIONS
+        longer = also[(also > SHORTEST) & (also < SLOWEST)].tolist()
+        slow = SLOW if self.limits.inertia is None else CARRYING
         for durations in ((*LADDER, *longer), slow):
             for before in self._bases(here, left):
                 begin = before.ends[-1, :3] if len(before) else here

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import StopTable
+from hitchopt.checks.stops import ClockLimits, StopTable
 from hitchopt.motion.cutting import rests
 
 USUAL = "ask later, for a smaller rate, or plan with limits.reserve below 1"

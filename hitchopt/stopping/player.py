@@ -8,8 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_table
+from hitchopt.checks.stops import ClockLimits, StopTable, stop_table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.motion.motion import Motion
 from hitchopt.one_line import OneLine

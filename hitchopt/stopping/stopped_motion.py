@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.checks.bounds.verified_stops import stop_phases
+from hitchopt.checks.stops import stop_phases
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.phases import JOINT
 from hitchopt.motion.retiming import before, followed, resting, retimed

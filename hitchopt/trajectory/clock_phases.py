@@ -61,10 +61,11 @@ class ClockPhases:
         mine, theirs = vars(self).values(), vars(other).values()
         return ClockPhases(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
 
-    def cut(self, breaks: Array) -> tuple[ClockPhases, Indices]:
+    def cut(self, breaks: Array, sliver: float = SLIVER) -> tuple[ClockPhases, Indices]:
         """Return the phases cut where they pass a break, and (cells,) the pieces they lie in.
 
         A cell before the first break or after the last one has the piece -1 or len(breaks) - 1.
+        Parts no longer than ``sliver`` [s] go to their neighbour.
         """
         if not len(self):
             return self, np.zeros(0, dtype=np.intp)
@@ -77,13 +78,13 @@ class ClockPhases:
         target = breaks[begin[phase] + which]
         when = self._passing(phase, target)
         whole = self.duration[phase]
-        kept = (when > SLIVER) & (when < whole - SLIVER)
+        kept = (when > sliver) & (when < whole - sliver)
         phase = np.concatenate([np.arange(len(self)), phase[kept]])
         when = np.concatenate([np.zeros(len(self)), when[kept]])
         order = np.lexsort((when, phase))
         phase, when = phase[order], when[order]
         follows = np.append(phase[1:] == phase[:-1], False)
-        wide = np.append(when[1:] - when[:-1] > SLIVER, True) | ~follows
+        wide = np.append(when[1:] - when[:-1] > sliver, True) | ~follows
         phase, when = phase[wide], when[wide]
         follows = np.append(phase[1:] == phase[:-1], False)
         until = np.where(follows, np.append(when[1:], 0.0), self.duration[phase])
@@ -102,17 +103,6 @@ class ClockPhases:
             early = (place < target) == forward
             low, high = np.where(early, middle, low), np.where(early, high, middle)
         return 0.5 * (low + high)
-
-    def values(self, breaks: Array, pieces: Indices, x: Array) -> tuple[Array, Array]:
-        """Return where in their pieces cells are at x (nodes,) of themselves, and their jets.
-
-        Returns
-        -------
-        (cells, nodes) from 0 to 1, and (cells, nodes, 4).
-        """
-        jets = advanced(self.jets[:, None], self.duration[:, None] * x)
-        start, h = breaks[pieces], breaks[pieces + 1] - breaks[pieces]
-        return (jets[..., 0] - start[:, None]) / h[:, None], jets
 
 
 def together(clocks: Sequence[ClockPhases]) -> ClockPhases:

@@ -15,7 +15,7 @@ from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import describe
 from hitchopt.checks.registry import REPORTS, RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, ReportRule
-from hitchopt.checks.stoppable import QUICK
+from hitchopt.checks.stops import RULE as STOPPABLE
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.phases import HITCHED_STATE
 from hitchopt.requirements import Arena
@@ -160,5 +160,5 @@ def test_directions_are_enclosed_once_for_a_certificate(monkeypatch: pytest.Monk
     assert counted.count(whole) == 4
     with shared_values():  # as retargets have it, whose stops are looked at later
         assert certify(motion) == certificate
-        QUICK.check(motion, {}, 1.0)
+        STOPPABLE.check(motion, {}, 1.0)
     assert counted.count(whole) == 5

@@ -8,20 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from certificate_cases import random_motion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.checks.bounds import derivative_grid
-from hitchopt.checks.bounds.clock_limits import ClockLimits
-from hitchopt.checks.bounds.clock_stops import StopTable, stop_table
-from hitchopt.checks.bounds.derivative_grid import DerivativeGrid
-from hitchopt.checks.bounds.quick_stops import quick_stop_table
 from hitchopt.checks.bounds.static_thrust import largest_static_thrust, largest_static_tilt
-from hitchopt.checks.bounds.stop_bounds import StopBounds
-from hitchopt.checks.bounds.verified_stops import stop_phases
+from hitchopt.checks.stops import ClockLimits, StopTable, stop_phases, stop_table
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
@@ -92,37 +85,8 @@ def test_what_samples_break_is_never_certified(start: float, duration: float, ti
     worst = max(flown(motion, clock).values())
     kept = bool(ClockLimits(motion).keep(clock, 1)[0])
     assert not (kept and worst > 1.0 + 1e-9)
-    by_nodes = bool(
-        StopBounds(ClockLimits(motion)).keep(clock.jets[:1, 0], np.array([duration]))[0]
-    )
-    assert not (by_nodes and worst > 1.0 + 1e-9)
-    if not by_nodes:
-        assert worst > 0.93
     if not kept:
         assert worst > 0.98  # a bound is refused only where it is nearly reached
-
-
-@pytest.mark.parametrize("tight", [1.0, 0.5])
-def test_bounds_by_nodes_refuse_what_clocks_cut_at_breaks_break(tight: float) -> None:
-    """With limits larger by a twentieth they allow what these do; a tight tilt decides too."""
-    motion, rng = motion_of(), np.random.default_rng(5)
-    limits = replace(motion.requirements.limits, tilt=tight * motion.requirements.limits.tilt)
-    motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
-    starts = rng.uniform(0.0, motion.duration, 400)
-    durations = np.geomspace(0.1, 3.0, 400)[rng.permutation(400)]
-    exact = ClockLimits(motion)
-    kept = StopBounds(exact).keep(starts, durations)
-    whole = exact.keep(stop_phases(starts, durations), 400)
-    assert not np.any(kept & ~whole)
-    wider = replace(
-        limits,
-        acceleration=1.05 * limits.acceleration,
-        jerk=1.05 * limits.jerk,
-        tilt=1.05 * limits.tilt,
-    )
-    motion = replace(motion, requirements=replace(motion.requirements, limits=wider))
-    assert not np.any(whole & ~StopBounds(ClockLimits(motion)).keep(starts, durations))
-    assert 20 < np.sum(whole) < 380
 
 
 @pytest.mark.slow
@@ -136,8 +100,8 @@ def test_a_limit_just_below_its_largest_sample_is_refused(name: str) -> None:
         clock = stop_phases(np.array([start]), np.array([duration]))
         share = flown(motion, clock, 4000)[name]
         for factor, kept in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
-            found = StopBounds(ClockLimits(freed(motion, name, factor)))
-            assert bool(found.keep(np.array([start]), np.array([duration]))[0]) == kept
+            found = ClockLimits(freed(motion, name, factor)).keep(clock, 1)
+            assert bool(found[0]) == kept
 
 
 def freed(motion: Motion, name: str, factor: float) -> Motion:
@@ -155,48 +119,6 @@ def freed(motion: Motion, name: str, factor: float) -> Motion:
     return replace(motion, team=replace(team, quadrotor=kinds), requirements=requirements)
 
 
-def test_sizes_between_nodes_hold_samples() -> None:
-    motion = motion_of()
-    grid = DerivativeGrid(ClockLimits(motion))
-    times = grid.begin + np.linspace(0.03, 0.97, 7)[:, None] * grid.width
-    for order, size in enumerate(grid.sizes.transpose(0, 2, 1), start=1):
-        values = np.linalg.norm(motion.drones.at(times, order), axis=-1)
-        assert np.all(values <= size)
-        assert np.max(size) <= 1.06 * np.max(values)
-
-
-def test_vectors_of_many_drones_are_not_stored(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bounds by blocks of drones and vectors where they are used are those of small teams."""
-    motion = random_motion(4, 7)
-    grid, table = DerivativeGrid(ClockLimits(motion)), stop_table(motion)
-    monkeypatch.setattr(derivative_grid, "STORED", 0)
-    monkeypatch.setattr(derivative_grid, "BLOCK", 2 * len(grid.left))
-    blocks = DerivativeGrid(ClockLimits(motion))
-    np.testing.assert_allclose(blocks.sizes, grid.sizes, rtol=1e-13)
-    rng = np.random.default_rng(3)
-    drone, cell = rng.integers(8, size=(5, 1)), rng.integers(len(grid.piece), size=30)
-    tau = rng.uniform(size=(2, 1, 30))
-    places = slice(1, 4), drone, cell, tau
-    np.testing.assert_allclose(blocks.on_chord(*places), grid.on_chord(*places), atol=1e-10)
-    assert not {"values", "_everywhere"} & set(vars(blocks))
-    np.testing.assert_allclose(stop_table(motion).durations, table.durations, rtol=1e-12)
-
-
-def test_drones_that_do_not_lead_need_no_samples() -> None:
-    """The stops that samples of leading drones refuse are those that samples of any drone do."""
-    motion, rng = motion_of(), np.random.default_rng(6)
-    bounds = StopBounds(ClockLimits(motion))
-    starts, durations = rng.uniform(0.0, motion.duration, 300), rng.uniform(0.1, 1.5, 300)
-    found, shown = bounds.may_keep(starts, durations), bounds.show(starts, durations)
-    assert len(bounds.grid.leading) < motion.team.drones
-    bounds.grid.leading = np.arange(motion.team.drones)
-    every = bounds.may_keep(starts, durations)
-    assert 20 < np.sum(shown) < 280
-    assert np.all(every >= shown)
-    assert np.all(found >= every)
-    assert np.mean(found & ~every) < 0.05
-
-
 def test_stops_of_the_table_keep_all_limits() -> None:
     table = table_of()
     found = np.isfinite(table.durations)
@@ -208,48 +130,12 @@ def test_stops_of_the_table_keep_all_limits() -> None:
         assert max(flown(motion_of(), clock).values()) <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize("kind", [1.0, 0.9, "moving", "tilt"])
-def test_the_longest_time_to_rest_needs_few_stops_found_closely(kind: float | str) -> None:
-    """Also with a reserve, where no end is at rest, and with a tilt that lengthens stops."""
-    if isinstance(kind, float):
-        motion = motion_of(kind)
-    else:
-        motion = random_motion(4, 7) if kind == "moving" else motion_of()
-    if kind == "tilt":
-        limits = replace(motion.requirements.limits, tilt=0.6 * motion.requirements.limits.tilt)
-        motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
-    whole, few = stop_table(motion), stop_table(motion, decisive=True)
-    assert np.array_equal(few.starts, whole.starts)
-    assert np.all(few.durations >= whole.durations)
-    longest, begins = whole.longest
-    found, _ = few.longest
-    assert np.max(found) == np.max(longest)
-    assert begins[np.argmax(found)] == begins[np.argmax(longest)]
-
-
-@pytest.mark.parametrize("reserve", [1.0, 0.3])
-def test_stops_found_in_little_time_keep_all_limits_and_are_nearly_the_shortest(
-    reserve: float,
-) -> None:
-    motion = motion_of(reserve)
-    table, whole = quick_stop_table(motion), table_of(reserve)
-    found = np.flatnonzero(np.isfinite(table.durations))
-    assert len(found) > 0.9 * np.sum(
-        np.isfinite(whole.durations[np.isin(whole.starts, table.starts)])
-    )
-    exact = ClockLimits(motion)
-    clocks = stop_phases(table.starts[found], table.durations[found])
-    assert np.all(exact.keep(clocks, len(found)))
-    assert np.max(whole.longest[0]) * (1.0 - 1e-9) <= np.max(table.longest[0])
-    assert np.max(table.longest[0]) <= 1.2 * np.max(whole.longest[0])
-
-
 def test_stops_that_a_tilt_forbids_are_lengthened() -> None:
     """Samples say nothing of tilts: what they propose has to be shown to keep them."""
     motion = motion_of()
     limits = replace(motion.requirements.limits, tilt=0.5 * motion.requirements.limits.tilt)
     motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
-    table = quick_stop_table(motion)
+    table = stop_table(motion)
     found = np.isfinite(table.durations)
     clocks = stop_phases(table.starts[found], table.durations[found])
     assert np.all(ClockLimits(motion).keep(clocks, int(np.sum(found))))
@@ -269,11 +155,11 @@ def longest_sampled(motion: Motion, spacing: float = 0.01, count: int = 60) -> f
     return float(np.max(np.minimum(rests, motion.duration) - starts))
 
 
-def test_the_report_is_within_a_tenth_of_the_longest_that_sampling_finds() -> None:
+def test_the_report_is_within_a_fifth_of_the_longest_that_sampling_finds() -> None:
     motion = motion_of()
     reported = certify(motion)["stoppable"]
     sampled = longest_sampled(motion)
-    assert sampled <= reported.bound <= 1.1 * sampled
+    assert sampled <= reported.bound <= 1.2 * sampled
     assert (reported.limit, reported.holds, reported.unit) == (None, True, "s")
 
 
