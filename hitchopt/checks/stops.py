@@ -361,8 +361,9 @@ class ClockLimits:
     def _beyond(self, force: Array) -> Array:
         """Return how far forces (…, 3, pairs) are beyond the cone of the tilt."""
         tilt = self.motion.requirements.limits.tilt
-        level: Array = np.hypot(force[:, 0], force[:, 1])
-        return level * np.cos(tilt) - force[:, 2] * np.sin(tilt)
+        level = np.hypot(force[:, 0], force[:, 1])
+        beyond: Array = level * np.cos(tilt) - force[:, 2] * np.sin(tilt)
+        return beyond
 
 
 def _plus(one: _Factor, other: _Factor, factor: Array) -> _Factor:
@@ -414,8 +415,8 @@ class CarriedInertia:
         self.breaks = motion.drones.breaks
         self.paths = PiecewisePolynomial(self.breaks, paths)
         self._curves = _Curves.of(self.paths, 2)
-        pieces = np.arange(len(self.slack))
-        self._sizes = self._curves.sizes(pieces, 0.0 * pieces, 0.0 * pieces + 1.0)
+        none, one = np.zeros(pieces), np.ones(pieces)
+        self._sizes = self._curves.sizes(np.arange(pieces), none, one)
         edges = [(self.breaks[run.start], self.breaks[run.stop]) for run, _, _ in parts]
         self._spans = np.array(edges)
 
@@ -551,7 +552,7 @@ class _Samples:
     def __init__(self, limits: ClockLimits) -> None:
         self._limits, drones = limits, limits.motion.drones
         count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
-        self._times = np.linspace(*drones.breaks[[0, -1]], count)
+        self._times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
         leading = np.unique(np.argmax(limits._sizes, axis=2))
         parts = drones.alike(drones.coefficients[:, leading])
         self._jets = [parts.at(self._times, k) for k in (1, 2, 3)]
@@ -590,13 +591,15 @@ class _Samples:
         if self._limits.inertia is not None:
             x1, x2 = (each[node] for each in self._paths)
             fine &= _shorter((s**2 - 1.0) * x2 + a * x1, self._slack[node])
-        return np.all(fine | ~flown, axis=1)
+        kept: Flags = np.all(fine | ~flown, axis=1)
+        return kept
 
 
 def _shorter(vectors: Array, most: Array | float) -> Flags:
     """Return (m, samples) whether all vectors (m, samples, items, d) are no longer than limits."""
     squared = np.einsum("msix,msix->msi", vectors, vectors)
-    return np.all(squared <= np.square(most), axis=-1)
+    fine: Flags = np.all(squared <= np.square(most), axis=-1)
+    return fine
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
