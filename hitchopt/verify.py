@@ -35,6 +35,7 @@ BIG = 1e30  # a second derivative that nothing is known of
 JOINT = 1e-6  # [s] phases and breaks that are this close meet
 TOLERANCE, CLOSE = 1e-9, 1e-3  # of limits; how closely the worst is looked for
 STILL, TOUCH, CONTACT, WRAPPED = 1e-9, 1e-6, 1e-4, 2e-5  # [m], as the page of the format has them
+FAR = 0.02  # [m] drones this far off the sheets of cables are off by far
 WEAK = 1e-3  # [N] less tension than this counts as this where forces are divided by it
 BUDGET, CHUNK, DEPTH = 3_000_000, 8192, 46  # samples a limit, in one go, halvings
 FREE = ("on the ground", "hanging free", "clasping", "being tightened")
@@ -299,6 +300,14 @@ def closest(a, b, c, d):
     offsets = np.stack(found)
     k = np.argmin(_size(offsets.reshape(-1, 3)).reshape(offsets.shape[:2]), axis=0)
     return offsets[k, np.arange(len(a))]
+
+
+def to_links(x, chain):
+    """Distances (m,) of points x (m, 3) to chains of segments (m, k, 3)."""
+    a, u = chain[:, :-1], np.diff(chain, axis=1)
+    share = np.sum((x[:, None] - a) * u, -1) / np.maximum(np.sum(u * u, -1), 1e-300)
+    off = x[:, None] - a - np.clip(share, 0.0, 1.0)[..., None] * u
+    return np.sqrt(np.min(np.sum(off * off, -1), axis=1))
 
 
 class Section:
@@ -901,9 +910,7 @@ def limits_of(plan):
             i, k = np.divmod(rows.i, n)
             hung, x = plan.hanging(rows, k), plan.point(rows, i)
             at, off = hung.points()
-            links = at.shape[1] - 1
-            a, b, c = (y.reshape(-1, 3) for y in (at[:, :-1], at[:, 1:], np.repeat(x.v[:, None], links, 1)))
-            apart = _size(closest(c, c, a, b)).reshape(-1, links).min(axis=1)
+            apart = to_links(x.v, at)
             return apart - off - hung.moved - x.spread, apart
 
         rows = _about(plan, hanging, strange, sep["cable"])
@@ -939,9 +946,7 @@ def sheets(plan):
         hung, x = plan.hanging(rows, k), plan.point(rows, i)
         at, off = hung.points()
         ring = np.concatenate([at, at[:, :1]], axis=1)
-        links = ring.shape[1] - 1
-        a, b, c = (y.reshape(-1, 3) for y in (ring[:, :-1], ring[:, 1:], np.repeat(x.v[:, None], links, 1)))
-        edge = _size(closest(c, c, a, b)).reshape(-1, links).min(axis=1)
+        edge = to_links(x.v, ring)
         along = hung.off[:, :2] / np.maximum(_size(hung.off[:, :2]), 1e-9)[:, None]
         to = (x.v - hung.q)[:, :2]
         aside, u = along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0], np.sum(to * along, -1)
@@ -951,7 +956,8 @@ def sheets(plan):
         low = np.array([np.interp(*y) for y in zip(u, places, at[..., 2])])
         within = (u > 0.0) & (u < hung.s) & (x.v[:, 2] < top) & (x.v[:, 2] > low)
         apart = np.where(within, np.abs(aside), edge)
-        return apart - off - hung.moved - x.spread, np.maximum(apart, 2e-6)
+        low = apart - off - hung.moved - x.spread  # told up to FAR only: nothing asks for more
+        return np.minimum(low, FAR), np.clip(apart, 2e-6, FAR)
 
     return make
 
@@ -972,16 +978,18 @@ def lengths(plan, stored=True):
             total = total + _arc(plan, rows, plan.point(rows, c), plan.point(rows, c + 1), section)
         if plan.rho > 0.0 and stored:
             x = plan.tensions.scalar(rows, k)
-            most = plan.rho * G / plan.least[rows.p, k]  # τ / T is that until T is stated, less above
-            ratio = np.where(x.low >= plan.least[rows.p, k], 0.0, most)
-            weight = x * (1.0 / plan.rho / G)
-            factor = Jet(np.where(ratio > 0.0, most, 1.0 / np.maximum(weight.v, 1e-9)), *(0.0 * most,) * 4, rows.r)
-            steady = weight.inverse()
-            moving = (ratio == 0.0).astype(float)
-            factor = Jet(factor.v, steady.d * moving, steady.a * moving, steady.s * moving, 0.0 * most, rows.r)
+            least = plan.least[rows.p, k]  # τ / T is 1 / T_stated up to that tension, 1 / T from there
+            moves = np.where(x.high <= least, 0.0, 1.0)
+            over = np.where(x.low >= least, 0.0, BIG * moves)
+            zero, m = 0.0 * least, 1.0 / np.maximum(x.low, least)
+            slope = np.where(x.v >= least, -x.d * m**2, 0.0) * moves
+            s = (2.0 * x.a**2 * m**3 + x.s * m**2) * moves + over
+            factor = Jet(1.0 / np.maximum(x.v, least), slope, x.a * m**2 * moves, s, zero, rows.r) * (plan.rho * G)
             factor = factor * factor * (1.0 / 24.0)
-            level = [(y.part(slice(0, 2)), y.norm()) for y in spans]
-            total = total + _total([y.dot(y) * size for y, size in level]) * factor
+            chords = [*legs, _total(straight[2:])] if plan.bent else spans
+            sizes = [x.norm() for x in chords[:2]] + [_total([x.norm() for x in straight[2:]])]
+            level = [y.part(slice(0, 2)) for y in chords]
+            total = total + _total([y.dot(y) * size for y, size in zip(level, sizes)]) * factor
         if saved is not None:
             share = _total([plan.borne.scalar(rows, np.full(len(k), j)) * saved[j][rows.p, k] ** 0.5
                             for j in range(len(plan.bodies))])  # fmt: skip
@@ -1179,9 +1187,10 @@ def balance(plan, formed):
         C = C + _upward(weights[0]) if weights else C
         C = C if pressed is None else C - pressed * 0.5
         products = [C.dot(units[i]) * sign for i, sign in enumerate((1.0, 1.0, -1.0, 1.0))]
-        T = [np.maximum(np.minimum(getattr(pulls[1], s), getattr(pulls[3], s)), WEAK) for s in ("low", "v")]
+        low, v, high = (np.minimum(getattr(pulls[1], s), getattr(pulls[3], s)) for s in ("low", "v", "high"))
         bound, value = (np.max([getattr(p, s) for p in products], axis=0) for s in ("high", "v"))
-        return bound / np.where(bound < 0.0, np.maximum(pulls[1].high, WEAK), T[0]), value / T[1]
+        bound = bound / np.maximum(np.where(bound < 0.0, high, low), WEAK) ** 2
+        return np.where(high < WEAK, -1.0, bound), np.where(v < WEAK, -1.0, value / np.maximum(v, WEAK) ** 2)
 
     def friction(rows):
         theta, x = _wrap(plan, rows, rows.i), plan.pulls.scalar(rows, rows.i)
@@ -1305,7 +1314,7 @@ def carried(plan, body, owner, kind):
             chord = plan.point(rows, plan.N + plan.P + 2 * rows.i) - plan.point(rows, plan.N + plan.P + 2 * rows.i + 1)
             return np.maximum(a.cross(b).most, chord.most), np.maximum(_size(np.cross(a.v, b.v)), _size(chord.v))
 
-        yield "grip", "bend", "max", 2 * WRAPPED, plan.rows(np.flatnonzero(~grips), np.arange(plan.n)), straight, lambda k: f"edge {k}"
+        yield "grip", "bend", "max", 2 * WRAPPED, plan.rows(np.flatnonzero(plan.formed & ~grips), np.arange(plan.n)), straight, lambda k: f"edge {k}"
 
 
 def _off_others(plan, j):
@@ -1326,8 +1335,7 @@ def _off_others(plan, j):
 
     def height(rows):
         z = plan.poses.jet(rows, 0 * rows.i + j).part(2) + (each.lower - plan.floor)
-        extra = np.where(allowed[rows.p, -1] & (z.v >= -TOUCH), plan.sep["object"] + 2 * TOUCH, 0.0)
-        return z.low + extra, z.v + extra
+        return _touching(allowed[rows.p, -1], z.low, z.v, z.low, z.v)
 
     yield "object_clearance", "m", "min", plan.sep["object"], plan.rows(ground, [0]), height, lambda _: f"{names[j]} ground"
     for o, (name, other) in enumerate(plan.bodies.items()):
@@ -1353,10 +1361,16 @@ def _off_others(plan, j):
                     z, tall = corners[0].part(2), slab.upper - slab.lower
                     z = z + slab.lower
                     over = [np.maximum(a - block.upper, block.lower - tall - b) for a, b in ((z.low, z.high), (z.v, z.v))]
-                    extra = np.where(allowed[rows.p, o] & (z.v >= block.upper - TOUCH), plan.sep["object"] + 2 * TOUCH, 0.0)
-                    return tuple(np.hypot(np.maximum(a, 0), np.maximum(b, 0)) + extra for a, b in ((aside, over[0]), (there, over[1])))
+                    gaps = (np.hypot(np.maximum(a, 0), np.maximum(b, 0)) for a, b in ((aside, over[0]), (there, over[1])))
+                    return _touching(allowed[rows.p, o], z.low - block.upper, z.v - block.upper, *gaps)
 
                 yield "object_clearance", "m", "min", plan.sep["object"], plan.rows(ground, [0]), gap, lambda _, name=name: f"{names[j]} {name}"
+
+
+def _touching(may, low, here, bound, value):
+    """Bounds and values of distances, far where bodies may touch and do not enter each other."""
+    free = may & (low >= -2.0 * TOUCH)
+    return np.where(free, 1e3, bound), np.where(free | (may & (here >= -TOUCH)), 1e3, value)
 
 
 def _below(plan, j, poses):
