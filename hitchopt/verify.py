@@ -23,8 +23,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-import time
 import zipfile
+from collections import namedtuple
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,10 @@ FREE = ("on the ground", "hanging free", "clasping", "being tightened")
 STATES = (*FREE, "hitched", "none")
 
 
-class Unreadable(Exception):
+Row = namedtuple("Row", "name unit verdict worst limit sense time where samples")
+
+
+class UnreadableError(Exception):
     """The file is not a plan."""
 
 
@@ -62,7 +65,9 @@ class Jet:
     @property
     def spread(self):
         """By how much it may differ from its value at mid span (m,)."""
-        return np.minimum(_size(self.d) * self.r + 0.5 * self.s * self.r**2, self.a * self.r) + self.e
+        return (
+            np.minimum(_size(self.d) * self.r + 0.5 * self.s * self.r**2, self.a * self.r) + self.e
+        )
 
     @property
     def most(self):
@@ -105,7 +110,9 @@ class Jet:
         return self._product(o, v, d)
 
     def cross(self, o):
-        return self._product(o, np.cross(self.v, o.v), np.cross(self.d, o.v) + np.cross(self.v, o.d))
+        return self._product(
+            o, np.cross(self.v, o.v), np.cross(self.d, o.v) + np.cross(self.v, o.d)
+        )
 
     def along(self, w):
         """Its product with constant vectors (m, d), of length 1 at most."""
@@ -197,7 +204,10 @@ class Poly:
     def __init__(self, c, h):
         self.c, self.h, self.degree = [c], h, c.shape[-1] - 1
         step = np.max(np.abs(np.diff(c, axis=-1)), axis=(2, 3), initial=0.0)
-        self.sizes, self.noise = [np.max(np.abs(c), axis=(2, 3))], [2.0**-46 * np.max(np.abs(c), initial=0.0)]
+        self.sizes, self.noise = (
+            [np.max(np.abs(c), axis=(2, 3))],
+            [2.0**-46 * np.max(np.abs(c), initial=0.0)],
+        )
         for k in range(1, 8):
             n = self.c[-1].shape[-1] - 1
             if n > 0:
@@ -316,15 +326,19 @@ class Section:
     def __init__(self, outline=None, radius=None):
         self.core = np.zeros((1, 2)) if outline is None else np.array(outline, dtype=float)
         self.radius, self.round = 0.0 if radius is None else float(radius), outline is None
-        if self.core.ndim != 2 or self.core.shape[1] != 2 or not (len(self.core) > 2 or self.radius > 0):
-            raise Unreadable("a section is an outline or a circle's radius")
+        if (
+            self.core.ndim != 2
+            or self.core.shape[1] != 2
+            or not (len(self.core) > 2 or self.radius > 0)
+        ):
+            raise UnreadableError("a section is an outline or a circle's radius")
         sides = np.roll(self.core, -1, 0) - self.core
         x, y = self.core.T
         cross = x * np.roll(y, -1) - np.roll(x, -1) * y
         if not self.round:
             turn = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
             if np.any(turn >= 0.0):
-                raise Unreadable("an outline is convex and clockwise")
+                raise UnreadableError("an outline is convex and clockwise")
             size = _size(sides)[:, None]
             self.sides, self.out = sides, np.stack([-sides[:, 1], sides[:, 0]], -1) / size
         middle = (self.core + np.roll(self.core, -1, 0)) * cross[:, None]
@@ -337,7 +351,9 @@ class Section:
         """Signed distances (m,) of points (m, 2), negative inside, and ways out (m, 2)."""
         if self.round:
             n = _size(x)
-            return n - self.radius, np.where(n[:, None] > 0, x / np.maximum(n, 1e-300)[:, None], [1.0, 0])
+            return n - self.radius, np.where(
+                n[:, None] > 0, x / np.maximum(n, 1e-300)[:, None], [1.0, 0]
+            )
         away = x[:, None] - self.core
         share = np.clip(np.sum(away * self.sides, -1) / np.sum(self.sides**2, -1), 0.0, 1.0)
         off = away - share[..., None] * self.sides
@@ -360,21 +376,29 @@ class Slab:
         """Distances (m,) of points (m, 3), 0 inside, and the ways to them from the slab (m, 3)."""
         flat, way = self.section.apart(x[:, :2])
         over = np.maximum(x[:, 2] - self.upper, self.lower - x[:, 2])
-        up = np.where(x[:, 2] - self.upper >= self.lower - x[:, 2], 1.0, -1.0) * np.maximum(over, 0.0)
+        up = np.where(x[:, 2] - self.upper >= self.lower - x[:, 2], 1.0, -1.0) * np.maximum(
+            over, 0.0
+        )
         off = np.concatenate([np.maximum(flat, 0.0)[:, None] * way, up[:, None]], axis=1)
         n = _size(off)
-        inside = np.where((flat > over)[:, None], np.pad(way, ((0, 0), (0, 1))), UP * np.sign(up + 0.5)[:, None])
+        inside = np.where(
+            (flat > over)[:, None], np.pad(way, ((0, 0), (0, 1))), UP * np.sign(up + 0.5)[:, None]
+        )
         return n, np.where(n[:, None] > 0.0, off / np.maximum(n, 1e-300)[:, None], inside)
 
     def support(self, w):
-        return self.section.support(w[:, :2]) + np.maximum(self.lower * w[:, 2], self.upper * w[:, 2])
+        return self.section.support(w[:, :2]) + np.maximum(
+            self.lower * w[:, 2], self.upper * w[:, 2]
+        )
 
     def from_segment(self, a, b):
         """Distances of segments and the ways to them, by a search of the convex distance along."""
         low, high = np.zeros(len(a)), np.ones(len(a))
         for _ in range(60):
             x, y = low + (high - low) / 3.0, high - (high - low) / 3.0
-            nearer = self.apart(a + x[:, None] * (b - a))[0] <= self.apart(a + y[:, None] * (b - a))[0]
+            nearer = (
+                self.apart(a + x[:, None] * (b - a))[0] <= self.apart(a + y[:, None] * (b - a))[0]
+            )
             low, high = np.where(nearer, low, x), np.where(nearer, y, high)
         return self.apart(a + 0.5 * (low + high)[:, None] * (b - a))
 
@@ -386,7 +410,9 @@ def steepness(ratio):
     for _ in range(60):
         x = 0.5 * (low + high)
         y = np.maximum(x, 1e-9)
-        value = np.where(y > 1e-2, y + np.log(-np.expm1(-2.0 * y) / (2.0 * y)), y * y / 6.0 - y**4 / 180.0)
+        value = np.where(
+            y > 1e-2, y + np.log(-np.expm1(-2.0 * y) / (2.0 * y)), y * y / 6.0 - y**4 / 180.0
+        )
         low, high = np.where(value < target, x, low), np.where(value < target, high, x)
     return np.maximum(0.5 * (low + high), 1e-3)
 
@@ -420,10 +446,21 @@ class Hanging:
         g, tilt = self.sigma[:, None], np.arcsinh(self.h / _whole(self.h, self.length))[:, None]
         first, last = np.sinh(tilt - g), np.sinh(tilt + g)
         even = (np.arcsinh(first + (last - first) * np.linspace(0, 1, along + 1)) - tilt) / g
-        mu = np.clip(np.sort(np.concatenate([even, 0 * g + np.linspace(-1, 1, across + 2)[1:-1]], 1), 1), -1, 1)
-        depth = self.length[:, None] * np.sinh(0.5 * (1 + mu) * g) * np.sinh(0.5 * (1 - mu) * g) / np.sinh(g)
+        mu = np.clip(
+            np.sort(np.concatenate([even, 0 * g + np.linspace(-1, 1, across + 2)[1:-1]], 1), 1),
+            -1,
+            1,
+        )
+        depth = (
+            self.length[:, None]
+            * np.sinh(0.5 * (1 + mu) * g)
+            * np.sinh(0.5 * (1 - mu) * g)
+            / np.sinh(g)
+        )
         depth = depth + self.h[:, None] * 0.5 * (mu - np.sinh(mu * g) / np.sinh(g))
-        points = self.q[:, None] + 0.5 * (1 + mu)[..., None] * self.off[:, None] - depth[..., None] * UP
+        points = (
+            self.q[:, None] + 0.5 * (1 + mu)[..., None] * self.off[:, None] - depth[..., None] * UP
+        )
         # An arc stays within the ellipse of its length about its ends.
         arc = np.diff(np.sinh(mu * g + tilt), axis=1) / (last - first) * self.length[:, None]
         chord = np.sqrt(np.sum(np.diff(points, axis=1) ** 2, -1))
@@ -441,7 +478,14 @@ class Hanging:
         """Force of a cable of unit weight per length on its first end: ``(s/2σ, -L/2 + h coth σ/2)``."""
         zero = np.zeros_like(self.s)
         inward = Jet(1.0 / self.sigma, zero, self.rate / self.low**2, zero + BIG, zero, self.jet.r)
-        turned = Jet(1.0 / np.tanh(self.sigma), zero, self.rate / np.sinh(self.low) ** 2, zero + BIG, zero, self.jet.r)
+        turned = Jet(
+            1.0 / np.tanh(self.sigma),
+            zero,
+            self.rate / np.sinh(self.low) ** 2,
+            zero + BIG,
+            zero,
+            self.jet.r,
+        )
         x, y, z = (self.jet.part(k) for k in range(3))
         return _stacked(x * inward * 0.5, y * inward * 0.5, z * turned * 0.5 + (-0.5 * self.length))
 
@@ -458,17 +502,25 @@ class Plan:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {k: file[k] for k in file.files}
             if str(arrays.pop("format")) != "hitchopt-plan/1":
-                raise Unreadable("its format is not hitchopt-plan/1")
+                raise UnreadableError("its format is not hitchopt-plan/1")
             self.settings = s = json.loads(str(arrays.pop("settings")))
             self.arrays = arrays
             for name, array in arrays.items():
                 if array.dtype != np.float64:
-                    raise Unreadable(f"{name} is not of double precision")
+                    raise UnreadableError(f"{name} is not of double precision")
                 if name != "stiffness" and not np.all(np.abs(array) <= 1e6):
-                    raise Unreadable(f"{name} has numbers that are not finite, or beyond 1e6")
+                    raise UnreadableError(f"{name} has numbers that are not finite, or beyond 1e6")
             self._read(s, arrays)
-        except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, zipfile.BadZipFile) as error:
-            raise Unreadable(f"{type(error).__name__}: {error}") from error
+        except (
+            OSError,
+            KeyError,
+            ValueError,
+            TypeError,
+            IndexError,
+            AttributeError,
+            zipfile.BadZipFile,
+        ) as error:
+            raise UnreadableError(f"{type(error).__name__}: {error}") from error
 
     def _read(self, s, arrays):
         team, self.cabled = s["team"], "robots" in s["team"]
@@ -493,17 +545,32 @@ class Plan:
         self.breaks, self.h = arrays["breaks"], np.diff(arrays["breaks"])
         m, objects = len(self.h), s.get("objects", {})
         if m < 1 or self.breaks[0] != 0.0 or not np.all(self.h > 0.0):
-            raise Unreadable("breaks do not rise from 0")
+            raise UnreadableError("breaks do not rise from 0")
         self.bodies = {name: Body(**entry) for name, entry in objects.items()}
         shapes = {"drones": (N, 3), "mass": n or N, "max_thrust": n or N}
         if self.cabled:
-            shapes |= {"vertices": (P, 3), "legs": (n, 2), "tensions": (n,), "cable_length": n, "tension": n}
-        further = {"leg_tensions": (n, 2), "poses": (len(objects), 5), "borne": (len(objects),), "contacts": (n, 2, 3)}
+            shapes |= {
+                "vertices": (P, 3),
+                "legs": (n, 2),
+                "tensions": (n,),
+                "cable_length": n,
+                "tension": n,
+            }
+        further = {
+            "leg_tensions": (n, 2),
+            "poses": (len(objects), 5),
+            "borne": (len(objects),),
+            "contacts": (n, 2, 3),
+        }
         shapes |= {name: shape for name, shape in further.items() if s.get(name) is True}
         for name, shape in shapes.items():
             given = arrays[name].shape
-            if (given[:1] != (m,) or given[1:-1] != shape) if isinstance(shape, tuple) else given != (shape,):
-                raise Unreadable(f"{name} has the shape {given}")
+            if (
+                (given[:1] != (m,) or given[1:-1] != shape)
+                if isinstance(shape, tuple)
+                else given != (shape,)
+            ):
+                raise UnreadableError(f"{name} has the shape {given}")
         two = 2 if self.cabled else 1
         self.mass, self.max_thrust = (np.repeat(arrays[k], two) for k in ("mass", "max_thrust"))
         self.length, self.team = arrays.get("cable_length"), arrays.get("tension")
@@ -517,8 +584,10 @@ class Plan:
         self.state = np.array([p["state"] for p in self.phases])[self.phase]
         self.formed = self.state == "hitched"
         self.hold = [self.phases[p]["hold"] for p in self.phase]
-        if not set(self.state) <= set(STATES) or any(h and h["object"] not in objects for h in self.hold):
-            raise Unreadable("phases have states or hold objects that there are not")
+        if not set(self.state) <= set(STATES) or any(
+            h and h["object"] not in objects for h in self.hold
+        ):
+            raise UnreadableError("phases have states or hold objects that there are not")
         self.drones = Poly(arrays["drones"], self.h)
         parts, self.bent = [arrays["drones"]], "contacts" in shapes
         if self.cabled:
@@ -528,9 +597,15 @@ class Plan:
             self.tensions = Poly(arrays["tensions"][:, :, None], self.h)
             self.legs = Poly(arrays["legs"].reshape(m, 2 * n, 1, -1), self.h)
             self.vertices = Poly(arrays["vertices"], self.h)
-            pulls = arrays["leg_tensions"].reshape(m, 2 * n, 1, -1) if "leg_tensions" in shapes else None
+            pulls = (
+                arrays["leg_tensions"].reshape(m, 2 * n, 1, -1)
+                if "leg_tensions" in shapes
+                else None
+            )
             self.slid = pulls is not None
-            self.pulls = Poly(np.repeat(self.tensions.c[0], 2, axis=1) if pulls is None else pulls, self.h)
+            self.pulls = Poly(
+                np.repeat(self.tensions.c[0], 2, axis=1) if pulls is None else pulls, self.h
+            )
             self._ranges()
         order = max(c.shape[-1] for c in parts) - 1
         self.points = Poly(np.concatenate([_elevated(c, order) for c in parts], axis=1), self.h)
@@ -540,7 +615,9 @@ class Plan:
         self.poses = Poly(arrays["poses"] if "poses" in shapes else still, self.h)
         borne = arrays["borne"] if "borne" in shapes else np.zeros((m, len(poses), 1))
         near = np.round(borne)
-        self.borne = Poly(np.where(np.abs(borne - near) <= 2.0**-40, near, borne)[:, :, None], self.h)
+        self.borne = Poly(
+            np.where(np.abs(borne - near) <= 2.0**-40, near, borne)[:, :, None], self.h
+        )
         self.moving = np.any(np.ptp(self.poses.c[0], axis=-1) > STILL, axis=-1)
 
     def _ranges(self):
@@ -549,7 +626,9 @@ class Plan:
         self.range = np.tile(np.repeat(self.team[:, None], 2, 1), (m, 1, 1))
         for i, phase in enumerate(self.phases):
             if phase["tension"] is not None:
-                inside = (self.breaks[:-1] >= phase["start"] - JOINT) & (self.breaks[1:] <= phase["end"] + JOINT)
+                inside = (self.breaks[:-1] >= phase["start"] - JOINT) & (
+                    self.breaks[1:] <= phase["end"] + JOINT
+                )
                 self.ranged[inside], self.range[inside] = i, phase["tension"]
         self.least = np.minimum(self.range[..., 0], self.team)
 
@@ -655,7 +734,10 @@ class Plan:
 
     def centre(self, rows, index, k=0):
         """The k-th derivative of where a body's centre of mass is."""
-        pose, (x, y, z) = self.poses.jet(rows, np.full(len(rows), index), k), self.body(index).centre
+        pose, (x, y, z) = (
+            self.poses.jet(rows, np.full(len(rows), index), k),
+            self.body(index).centre,
+        )
         c, s = pose.part(3), pose.part(4)
         off = _stacked(c * x + s * -y, s * x + c * y, c * 0.0)
         return pose.part(slice(0, 3)) + off + (UP * z if k == 0 else 0.0 * UP)
@@ -665,7 +747,9 @@ class Plan:
 
     def held(self, name, by=None):
         """(pieces,): whether phases hold a body."""
-        return np.array([bool(h) and h["object"] == name and by in (None, h["by"]) for h in self.hold])
+        return np.array(
+            [bool(h) and h["object"] == name and by in (None, h["by"]) for h in self.hold]
+        )
 
 
 class Body:
@@ -709,7 +793,10 @@ def near(plan, pieces, first, second, allowed, limit):
         x = poly.jet(rows, rows.i)
         at, moved = x.v, x.spread
         centre = [np.mean(at[c], axis=1) for c in (a, b)]
-        reach = [np.max(np.sqrt(np.sum((at[c] - m[:, None]) ** 2, -1)) + moved[c], 1) for c, m in zip((a, b), centre)]
+        reach = [
+            np.max(np.sqrt(np.sum((at[c] - m[:, None]) ** 2, -1)) + moved[c], 1)
+            for c, m in zip((a, b), centre)
+        ]
         apart = np.sqrt(np.sum((centre[0][:, None] - centre[1]) ** 2, -1))
         apart[~allowed] = np.inf
         found.append((apart, apart - reach[0][:, None] - reach[1]))
@@ -720,7 +807,7 @@ def near(plan, pieces, first, second, allowed, limit):
     return Rows(plan, p, half, half, np.concatenate([*places, np.zeros(0, int)]))
 
 
-def distance(plan, poly, a, b, count):
+def distance(poly, a, b, count):
     """Bounds and values of distances of pairs: along the shortest way at mid span."""
 
     def make(rows):
@@ -765,9 +852,10 @@ def limits_of(plan):
     if plan.N > 1:
         rows = near(plan, every, (scaled, one), (scaled, one), pairs, 1.0)
         two = lambda i: f"{name(i // plan.N)} {name(i % plan.N)}"
-        yield "separation", "ratio", "min", 1.0, rows, distance(plan, scaled, one, one, plan.N), two
+        yield "separation", "ratio", "min", 1.0, rows, distance(scaled, one, one, plan.N), two
     for k, key, unit in ((1, "speed", "m/s"), (2, "acceleration", "m/s²"), (3, "jerk", "m/s³")):
-        yield key, unit, "max", lim[key], plan.rows(every, drones), norms(plan.drones, k), name
+        most = lim[key] * (lim["reserve"] if k > 1 else 1.0)  # the rest is left for stops
+        yield key, unit, "max", most, plan.rows(every, drones), norms(plan.drones, k), name
 
     def thrust(rows):
         f = plan.thrust(rows, rows.i)
@@ -793,7 +881,9 @@ def limits_of(plan):
         def walls(rows):
             x = plan.drones.jet(rows, rows.i)
             lower, upper = (np.array(plan.arena[k]) for k in ("lower", "upper"))
-            inside = [x.part(k) - lower[k] for k in range(3)] + [-x.part(k) + upper[k] for k in range(3)]
+            inside = [x.part(k) - lower[k] for k in range(3)] + [
+                -x.part(k) + upper[k] for k in range(3)
+            ]
             return tuple(np.min([getattr(y, k) for y in inside], axis=0) for k in ("low", "v"))
 
         yield "arena", "m", "min", 0.0, plan.rows(every, drones), walls, name
@@ -808,14 +898,25 @@ def limits_of(plan):
             level = x.part(slice(0, 2)).along(way).low - slab.section.support(way)
             over = np.maximum(x.part(2).low - slab.upper, slab.lower - x.part(2).high)
             there = np.maximum(x.v[:, 2] - slab.upper, slab.lower - x.v[:, 2])
-            return tuple(np.hypot(np.maximum(a, 0), np.maximum(b, 0)) for a, b in ((level, over), (flat, there)))
+            return tuple(
+                np.hypot(np.maximum(a, 0), np.maximum(b, 0))
+                for a, b in ((level, over), (flat, there))
+            )
 
         return make
 
     slabs = [(slab, None) for slab in plan.prisms]
     slabs += [(slab, k) for k, body in enumerate(plan.bodies.values()) for slab in body.slabs]
     for slab, index in slabs:
-        yield "keep_out", "m", "min", sep["radius"], plan.rows(every, drones), out_of(slab, index), name
+        yield (
+            "keep_out",
+            "m",
+            "min",
+            sep["radius"],
+            plan.rows(every, drones),
+            out_of(slab, index),
+            name,
+        )
     if not plan.cabled:
         return
     cables, n, N, P = np.arange(plan.n), plan.n, plan.N, plan.P
@@ -828,22 +929,49 @@ def limits_of(plan):
     kind, owner = np.repeat([k for *_, k in parts], n), np.tile(cables, len(parts))
     exists = (kind == 1) | np.where(kind == 0, plan.leg[2 * owner], plan.leg[2 * owner + 1])
     body, kind, owner = body[exists], kind[exists], owner[exists]
-    ends = [np.where(kind == 2, plan.end[owner], plan.begin[owner]), np.where(kind == 0, plan.begin[owner], plan.end[owner])]
+    ends = [
+        np.where(kind == 2, plan.end[owner], plan.begin[owner]),
+        np.where(kind == 0, plan.begin[owner], plan.end[owner]),
+    ]
     part = lambda j: f"{('q-leg', 'edge', 'r-leg')[kind[j]]} {owner[j]}"
     if len(formed):
         points, B = plan.points, len(body)
         allowed = (drones[:, None] // 2 != owner) | ((kind == 1) & plan.leg[:, None])
         rows = near(plan, formed, (points, one), (points, body), allowed, sep["cable"])
         both = lambda i: f"{name(i // B)} {cable(owner[i % B])}"
-        yield "cable_clearance", "m", "min", sep["cable"], rows, distance(plan, points, one, body, B), both
+        yield (
+            "cable_clearance",
+            "m",
+            "min",
+            sep["cable"],
+            rows,
+            distance(points, one, body, B),
+            both,
+        )
         shared = (ends[0][:, None] == ends[0]) | (ends[0][:, None] == ends[1])
         shared |= (ends[1][:, None] == ends[0]) | (ends[1][:, None] == ends[1])
         allowed = ~shared & (np.arange(B)[:, None] < np.arange(B))
         rows = near(plan, formed, (points, body), (points, body), allowed, sep["crossing"])
         both = lambda i: f"{part(i // B)} {part(i % B)}"
         if np.any(allowed):
-            yield "crossing", "m", "min", sep["crossing"], rows, distance(plan, points, body, body, B), both
-        yield "vertex_speed", "m/s", "max", lim["vertex_speed"], plan.rows(formed, np.arange(P)), norms(plan.vertices, 1), lambda i: f"p{i}"
+            yield (
+                "crossing",
+                "m",
+                "min",
+                sep["crossing"],
+                rows,
+                distance(points, body, body, B),
+                both,
+            )
+        yield (
+            "vertex_speed",
+            "m/s",
+            "max",
+            lim["vertex_speed"],
+            plan.rows(formed, np.arange(P)),
+            norms(plan.vertices, 1),
+            lambda i: f"p{i}",
+        )
         hung = np.flatnonzero(plan.leg)
 
         def leg(rows):
@@ -851,7 +979,15 @@ def limits_of(plan):
             n = _size(leg.v)
             return leg.along(leg.v / np.maximum(n, 1e-300)[:, None]).low, n
 
-        yield "legs", "m", "min", lim["leg"], plan.rows(formed, hung), leg, lambda i: f"leg of {name(i)}"
+        yield (
+            "legs",
+            "m",
+            "min",
+            lim["leg"],
+            plan.rows(formed, hung),
+            leg,
+            lambda i: f"leg of {name(i)}",
+        )
         yield "cable_length", "1", "max", 1e-4, plan.rows(formed, cables), lengths(plan), cable
         yield from balance(plan, formed)
         yield from convexity(plan, formed)
@@ -867,7 +1003,10 @@ def limits_of(plan):
         least, most = plan.range[rows.p, rows.i // 2].T
         least = np.where(ramps[rows.p, rows.i // 2], 0.0, least)
         low, here = (np.exp(plan.mu * np.maximum(y, 0.0)) for y in (theta.low, theta.v))
-        return tuple(np.maximum(a - most * k, least / k - b) for a, b, k in ((x.high, x.low, low), (x.v, x.v, here)))
+        return tuple(
+            np.maximum(a - most * k, least / k - b)
+            for a, b, k in ((x.high, x.low, low), (x.v, x.v, here))
+        )
 
     if len(formed):
         yield "tension", "N", "max", 1e-4, plan.rows(formed, cables), tension, cable
@@ -894,11 +1033,27 @@ def limits_of(plan):
             if len(pieces) and np.any(allowed):
                 rows = near(plan, pieces, (flat, chord), (flat, chord), allowed, sep["crossing"])
                 both = lambda i: f"{cable(i // n)} {cable(i % n)}"
-                yield "crossing", "m", "min", sep["crossing"], rows, distance(plan, flat, chord, chord, n), both
+                yield (
+                    "crossing",
+                    "m",
+                    "min",
+                    sep["crossing"],
+                    rows,
+                    distance(flat, chord, chord, n),
+                    both,
+                )
     both = lambda i: f"{name(i // n)} {cable(i % n)}"
     if len(ground):
         rows = near(plan, ground, (flat, one), (flat, chord), strange, sep["cable"])
-        yield "cable_clearance", "m", "min", sep["cable"], rows, distance(plan, flat, one, chord, n), both
+        yield (
+            "cable_clearance",
+            "m",
+            "min",
+            sep["cable"],
+            rows,
+            distance(flat, one, chord, n),
+            both,
+        )
     if len(hanging):
 
         def drop(rows):
@@ -915,11 +1070,27 @@ def limits_of(plan):
 
         rows = _about(plan, hanging, strange, sep["cable"])
         yield "cable_clearance", "m", "min", sep["cable"], rows, to_hanging, both
-        yield "cable_clearance", "m", "min", sep["cable"], plan.rows(hanging, cables), drop, lambda k: f"ground {cable(k)}"
+        yield (
+            "cable_clearance",
+            "m",
+            "min",
+            sep["cable"],
+            plan.rows(hanging, cables),
+            drop,
+            lambda k: f"ground {cable(k)}",
+        )
         yield "strands", "m", "min", 1e-6, _about(plan, hanging, strange, 0.0), sheets(plan), both
         tight = np.flatnonzero(plan.state == "being tightened")
         if len(tight):
-            yield "cable_length", "1", "max", 1e-4, plan.rows(tight, cables), lengths(plan, stored=False), cable
+            yield (
+                "cable_length",
+                "1",
+                "max",
+                1e-4,
+                plan.rows(tight, cables),
+                lengths(plan, stored=False),
+                cable,
+            )
     if plan.bodies:
         yield from carried(plan, body, owner, kind)
 
@@ -965,11 +1136,13 @@ def sheets(plan):
 def lengths(plan, stored=True):
     """``|d + l + e - L| / L``, spans longer by ``(ρ g τ / T)² s³ cos² α / 24``; and stored legs."""
     saved = _rims(plan)[0]
-    section = {k: b for k, b in enumerate(plan.bodies.values())}
+    section = dict(enumerate(plan.bodies.values()))
 
     def make(rows):
         k = rows.i
-        legs = [plan.point(rows, 2 * k + j) - plan.vertex(rows, plan.anchor[2 * k + j]) for j in (0, 1)]
+        legs = [
+            plan.point(rows, 2 * k + j) - plan.vertex(rows, plan.anchor[2 * k + j]) for j in (0, 1)
+        ]
         spans = [*legs, plan.vertex(rows, plan.end[k]) - plan.vertex(rows, plan.begin[k])]
         straight = spans if not plan.bent else [*legs, *plan.edge(rows, k)]
         total = _total([x.norm() for x in straight]) + -plan.length[k]
@@ -978,13 +1151,17 @@ def lengths(plan, stored=True):
             total = total + _arc(plan, rows, plan.point(rows, c), plan.point(rows, c + 1), section)
         if plan.rho > 0.0 and stored:
             x = plan.tensions.scalar(rows, k)
-            least = plan.least[rows.p, k]  # τ / T is 1 / T_stated up to that tension, 1 / T from there
+            least = plan.least[
+                rows.p, k
+            ]  # τ / T is 1 / T_stated up to that tension, 1 / T from there
             moves = np.where(x.high <= least, 0.0, 1.0)
             over = np.where(x.low >= least, 0.0, BIG * moves)
             zero, m = 0.0 * least, 1.0 / np.maximum(x.low, least)
             slope = np.where(x.v >= least, -x.d * m**2, 0.0) * moves
             s = (2.0 * x.a**2 * m**3 + x.s * m**2) * moves + over
-            factor = Jet(1.0 / np.maximum(x.v, least), slope, x.a * m**2 * moves, s, zero, rows.r) * (plan.rho * G)
+            factor = Jet(
+                1.0 / np.maximum(x.v, least), slope, x.a * m**2 * moves, s, zero, rows.r
+            ) * (plan.rho * G)
             factor = factor * factor * (1.0 / 24.0)
             chords = [*legs, _total(straight[2:])] if plan.bent else spans
             sizes = [x.norm() for x in chords[:2]] + [_total([x.norm() for x in straight[2:]])]
@@ -998,11 +1175,11 @@ def lengths(plan, stored=True):
             return total.high / plan.length[k], np.maximum(total.v, 0.0) / plan.length[k]
         errors = [total]
         for j in (0, 1):
-            there = plan.leg[2 * k + j]
-            errors.append(legs[j].norm() - plan.legs.scalar(rows, 2 * k + j) if np.all(there) else
-                          (legs[j].norm() - plan.legs.scalar(rows, 2 * k + j)) * there.astype(float))  # fmt: skip
+            errors.append(legs[j].norm() - plan.legs.scalar(rows, 2 * k + j))
         bound = np.max([np.maximum(x.high, -x.low) for x in errors], axis=0)
-        return bound / plan.length[k], np.max([np.abs(x.v) for x in errors], axis=0) / plan.length[k]
+        return bound / plan.length[k], np.max([np.abs(x.v) for x in errors], axis=0) / plan.length[
+            k
+        ]
 
     return make
 
@@ -1021,7 +1198,9 @@ def _arc(plan, rows, first, last, bodies):
             slope = 1.0 / np.sqrt(np.maximum(1.0 - most**2, 1e-12))
             s = slope * chord.s + most * slope**3 * chord.a**2 / (2 * R)
             here = 1.0 / np.sqrt(np.maximum(1.0 - x**2, 1e-12))
-            arc = Jet(2 * R * np.arcsin(x), here * chord.d, slope * chord.a, s, slope * chord.e, rows.r)
+            arc = Jet(
+                2 * R * np.arcsin(x), here * chord.d, slope * chord.a, s, slope * chord.e, rows.r
+            )
         else:
             core = body.section.core
             ring = np.append(0.0, np.cumsum(_size(np.roll(core, -1, 0) - core)))
@@ -1051,7 +1230,9 @@ def _wrap(plan, rows, i):
     leaving, arriving = plan.edge(rows, i // 2)
     q = (i % 2 == 0)[:, None]
     v, d = np.where(q, leaving.v, -arriving.v), np.where(q, leaving.d, -arriving.d)
-    away = Jet(v, d, *(np.where(q[:, 0], getattr(leaving, k), getattr(arriving, k)) for k in "ase"), rows.r)
+    away = Jet(
+        v, d, *(np.where(q[:, 0], getattr(leaving, k), getattr(arriving, k)) for k in "ase"), rows.r
+    )
     return _angle(-plan.leg_to(rows, i), away)
 
 
@@ -1088,7 +1269,11 @@ def _rims(plan):
     of the share that is borne (the drop: at its whole weight).
     """
     m, n = len(plan.h), plan.n
-    saved, taken, drop = np.zeros((len(plan.bodies), m, n)), np.zeros((len(plan.bodies), m)), np.zeros((len(plan.bodies), m))
+    saved, taken, drop = (
+        np.zeros((len(plan.bodies), m, n)),
+        np.zeros((len(plan.bodies), m)),
+        np.zeros((len(plan.bodies), m)),
+    )
     if not plan.closed or not plan.bodies:
         return None, taken, drop
     x, T = plan.vertices.c[0][..., 0], plan.tensions.c[0][:, :, 0, 0]
@@ -1104,7 +1289,9 @@ def _rims(plan):
             u = np.roll(at, -1, 0) - at
             u /= _size(u)[:, None]
             onward, back = _reach(body.rim, np.roll(at, -1, 0), u), _reach(body.rim, at, -u)
-            saved[j, p] = (np.roll(onward, 1) + np.roll(back, -1)) * (1.0 / math.sqrt(max(1.0 - lean**2, 1e-12)) - 1.0)
+            saved[j, p] = (np.roll(onward, 1) + np.roll(back, -1)) * (
+                1.0 / math.sqrt(max(1.0 - lean**2, 1e-12)) - 1.0
+            )
             drop[j, p] = np.mean(onward + back) * 0.5 * math.tan(math.asin(lean))
     return (saved if np.any(saved) else None), taken, drop
 
@@ -1133,7 +1320,9 @@ def balance(plan, formed):
         gains = np.zeros((len(plan.h), len(plan.clasps), 3))
         for p in np.flatnonzero(on):
             at = _in_frame(plan.poses.c[0][p, j, :, 0], plan.vertices.c[0][p, plan.clasps, :, 0])
-            gains[p] = np.linalg.pinv(np.column_stack([np.ones(len(at)), at[:, :2] - body.centre[:2]])).T
+            gains[p] = np.linalg.pinv(
+                np.column_stack([np.ones(len(at)), at[:, :2] - body.centre[:2]])
+            ).T
         resting.append((on, gains))
     bearing = plan.rho > 0.0 or np.any(plan.load) or any(np.any(on) for on, _ in resting)
 
@@ -1141,7 +1330,12 @@ def balance(plan, formed):
         c = rows.i
         k, b = plan.clasps[c], plan.behind[c]
         edge, arriving = plan.edge(rows, k)[0], plan.edge(rows, b)[1]
-        units = [plan.leg_to(rows, 2 * k).unit(), edge.unit(), plan.leg_to(rows, 2 * b + 1).unit(), arriving.unit()]
+        units = [
+            plan.leg_to(rows, 2 * k).unit(),
+            edge.unit(),
+            plan.leg_to(rows, 2 * b + 1).unit(),
+            arriving.unit(),
+        ]
         less = _constant(np.ones(len(c)), rows.r)
         for j, (on, _) in enumerate(resting):
             if np.any(on[rows.p]):
@@ -1155,7 +1349,9 @@ def balance(plan, formed):
                 break
             leg = (plan.point(rows, other) - plan.vertex(rows, plan.anchor[other])).norm()
             used = leg * -plan.leg[other].astype(float) + plan.length[cable]
-            weights.append(plan.taut(rows, cable) * (used * (0.5 * plan.rho * G) + 0.5 * G * plan.load[c]))
+            weights.append(
+                plan.taut(rows, cable) * (used * (0.5 * plan.rho * G) + 0.5 * G * plan.load[c])
+            )
         for j, ((on, gains), body) in enumerate(zip(resting, plan.bodies.values())):
             if not np.any(on[rows.p]):
                 continue
@@ -1173,7 +1369,9 @@ def balance(plan, formed):
 
     def residual(rows):
         units, pulls, weights, pressed = forces(rows)
-        lacking = _total([u * p if i < 3 else u * (-p) for i, (u, p) in enumerate(zip(units, pulls))])
+        lacking = _total(
+            [u * p if i < 3 else u * (-p) for i, (u, p) in enumerate(zip(units, pulls))]
+        )
         for w in weights:
             lacking = lacking - _upward(w)
         lacking = lacking if pressed is None else lacking + pressed
@@ -1187,10 +1385,14 @@ def balance(plan, formed):
         C = C + _upward(weights[0]) if weights else C
         C = C if pressed is None else C - pressed * 0.5
         products = [C.dot(units[i]) * sign for i, sign in enumerate((1.0, 1.0, -1.0, 1.0))]
-        low, v, high = (np.minimum(getattr(pulls[1], s), getattr(pulls[3], s)) for s in ("low", "v", "high"))
+        low, v, high = (
+            np.minimum(getattr(pulls[1], s), getattr(pulls[3], s)) for s in ("low", "v", "high")
+        )
         bound, value = (np.max([getattr(p, s) for p in products], axis=0) for s in ("high", "v"))
         bound = bound / np.maximum(np.where(bound < 0.0, high, low), WEAK) ** 2
-        return np.where(high < WEAK, -1.0, bound), np.where(v < WEAK, -1.0, value / np.maximum(v, WEAK) ** 2)
+        return np.where(high < WEAK, -1.0, bound), np.where(
+            v < WEAK, -1.0, value / np.maximum(v, WEAK) ** 2
+        )
 
     def friction(rows):
         theta, x = _wrap(plan, rows, rows.i), plan.pulls.scalar(rows, rows.i)
@@ -1199,7 +1401,9 @@ def balance(plan, formed):
         found = []
         for s, high, low in (("low", "high", "low"), ("v", "v", "v")):
             k = np.exp(plan.mu * np.where(wraps, np.maximum(getattr(theta, s), 0.0), 0.0))
-            over = np.maximum((x + T * -k).__getattribute__(high), (T * (1.0 / k) - x).__getattribute__(high))
+            over = np.maximum(
+                (x + T * -k).__getattribute__(high), (T * (1.0 / k) - x).__getattribute__(high)
+            )
             found.append(over / np.maximum(getattr(T, low), WEAK))
         return tuple(found)
 
@@ -1209,7 +1413,15 @@ def balance(plan, formed):
     if bearing:
         yield "contact", "1", "max", 0.0, plan.rows(formed, clasps), contact, at
     if plan.slid:
-        yield "equilibrium", "1", "max", 5e-3, plan.rows(formed, np.arange(2 * plan.n)), friction, lambda i: f"leg of {plan.names[i]}"
+        yield (
+            "equilibrium",
+            "1",
+            "max",
+            5e-3,
+            plan.rows(formed, np.arange(2 * plan.n)),
+            friction,
+            lambda i: f"leg of {plan.names[i]}",
+        )
 
 
 def convexity(plan, formed):
@@ -1225,7 +1437,9 @@ def convexity(plan, formed):
         sine = a.part(1) * b.part(0) - a.part(0) * b.part(1)
         cosine = a.dot(b)
         lows = [np.degrees(np.arctan2(s, cosine.high)) for s in (sine.low, sine.high)]
-        low = np.where(sine.low > 0.0, np.minimum(*lows), np.where(cosine.low > 0.0, lows[0], -180.0))
+        low = np.where(
+            sine.low > 0.0, np.minimum(*lows), np.where(cosine.low > 0.0, lows[0], -180.0)
+        )
         return low, np.degrees(np.arctan2(sine.v, cosine.v))
 
     def room(rows):
@@ -1240,7 +1454,15 @@ def convexity(plan, formed):
         return found - turn, found
 
     clasps = np.arange(len(plan.clasps))
-    yield "convexity", "deg", "min", 0.0, plan.rows(formed, clasps), angle, lambda c: f"p{plan.clasps[c]}"
+    yield (
+        "convexity",
+        "deg",
+        "min",
+        0.0,
+        plan.rows(formed, clasps),
+        angle,
+        lambda c: f"p{plan.clasps[c]}",
+    )
     yield "convexity", "turn", "min", 0.0, plan.rows(formed, [0]), room, lambda _: "whole outline"
 
 
@@ -1261,7 +1483,9 @@ def carried(plan, body, owner, kind):
                 ends = [plan.seen(rows, j, plan.point(rows, i)) for i in body[rows.i].T]
                 n, way = slab.from_segment(ends[0].v, ends[1].v)
                 # The direction is the middle's; what the nearest place misses of it is no rate.
-                return np.min([x.along(way).low for x in ends], axis=0) - slab.support(way) - shift, n - shift
+                return np.min([x.along(way).low for x in ends], axis=0) - slab.support(
+                    way
+                ) - shift, n - shift
 
             return make
 
@@ -1269,7 +1493,15 @@ def carried(plan, body, owner, kind):
         if len(formed):
             for slab in each.slabs:
                 rows = plan.rows(formed, np.arange(len(body)))
-                yield "object_clearance", "m", "min", sep, rows.take(~holding[rows.p, owner[rows.i]]), apart(slab, 0.0), who
+                yield (
+                    "object_clearance",
+                    "m",
+                    "min",
+                    sep,
+                    rows.take(~holding[rows.p, owner[rows.i]]),
+                    apart(slab, 0.0),
+                    who,
+                )
             rows = plan.rows(formed, np.arange(len(body)))
             outside = holding[rows.p, owner[rows.i]] & (~gripped[rows.p] | (kind[rows.i] != 1))
             if each.stem is not None and np.any(outside):
@@ -1282,7 +1514,9 @@ def carried(plan, body, owner, kind):
             best = []
             for slab in each.slabs:
                 n, way = Slab(slab.section, -1e3, 1e3).from_segment(*flat)
-                aside = np.min([x.along(way).low for x in ends], axis=0) - slab.section.support(way[:, :2])
+                aside = np.min([x.along(way).low for x in ends], axis=0) - slab.section.support(
+                    way[:, :2]
+                )
                 over = hung.lowest() - plan.poses.c[0][rows.p, j, 2, 0] - slab.upper
                 over = np.where(plan.state[rows.p] == "on the ground", -1.0, over)
                 best.append([np.maximum(aside, over - hung.moved), np.maximum(n, over)])
@@ -1290,13 +1524,23 @@ def carried(plan, body, owner, kind):
 
         if len(free):
             who_free = lambda k, j=j: f"cable {k} {names[j]}"
-            yield "object_clearance", "m", "min", sep, plan.rows(free, np.arange(plan.n)), below, who_free
+            yield (
+                "object_clearance",
+                "m",
+                "min",
+                sep,
+                plan.rows(free, np.arange(plan.n)),
+                below,
+                who_free,
+            )
         if np.any(plan.moving[:, j]):
             yield from _off_others(plan, j)
-        on = np.flatnonzero(resting & (plan.moving[:, j] | np.any(plan.borne.c[0][:, j, 0] != 0.0, -1)))
+        on = np.flatnonzero(
+            resting & (plan.moving[:, j] | np.any(plan.borne.c[0][:, j, 0] != 0.0, -1))
+        )
         if len(on) and plan.closed and each.rim is not None:
             yield from _resting(plan, j, on, drops[j])
-        if np.any(gripped):
+        if np.any(gripped) and plan.bent:
             yield from _gripped(plan, j, np.flatnonzero(gripped))
     held = np.flatnonzero([h is not None for h in plan.hold])
     if len(held):
@@ -1305,16 +1549,36 @@ def carried(plan, body, owner, kind):
             z = plan.point(rows, rows.i).part(2)
             return z.low - plan.floor, z.v - plan.floor
 
-        yield "enters", "m", "min", -2e-5, plan.rows(held, np.arange(plan.points.c[0].shape[1])), height, lambda i: f"point {i} ground"
+        yield (
+            "enters",
+            "m",
+            "min",
+            -2e-5,
+            plan.rows(held, np.arange(plan.points.c[0].shape[1])),
+            height,
+            lambda i: f"point {i} ground",
+        )
     if plan.bent:
         grips = np.any([plan.held(name, "grip") for name in names], axis=0)
 
         def straight(rows):
             a, b = (x.unit() for x in plan.edge(rows, rows.i))
-            chord = plan.point(rows, plan.N + plan.P + 2 * rows.i) - plan.point(rows, plan.N + plan.P + 2 * rows.i + 1)
-            return np.maximum(a.cross(b).most, chord.most), np.maximum(_size(np.cross(a.v, b.v)), _size(chord.v))
+            chord = plan.point(rows, plan.N + plan.P + 2 * rows.i) - plan.point(
+                rows, plan.N + plan.P + 2 * rows.i + 1
+            )
+            return np.maximum(a.cross(b).most, chord.most), np.maximum(
+                _size(np.cross(a.v, b.v)), _size(chord.v)
+            )
 
-        yield "grip", "bend", "max", 2 * WRAPPED, plan.rows(np.flatnonzero(plan.formed & ~grips), np.arange(plan.n)), straight, lambda k: f"edge {k}"
+        yield (
+            "grip",
+            "bend",
+            "max",
+            2 * WRAPPED,
+            plan.rows(np.flatnonzero(plan.formed & ~grips), np.arange(plan.n)),
+            straight,
+            lambda k: f"edge {k}",
+        )
 
 
 def _off_others(plan, j):
@@ -1337,7 +1601,15 @@ def _off_others(plan, j):
         z = plan.poses.jet(rows, 0 * rows.i + j).part(2) + (each.lower - plan.floor)
         return _touching(allowed[rows.p, -1], z.low, z.v, z.low, z.v)
 
-    yield "object_clearance", "m", "min", plan.sep["object"], plan.rows(ground, [0]), height, lambda _: f"{names[j]} ground"
+    yield (
+        "object_clearance",
+        "m",
+        "min",
+        plan.sep["object"],
+        plan.rows(ground, [0]),
+        height,
+        lambda _: f"{names[j]} ground",
+    )
     for o, (name, other) in enumerate(plan.bodies.items()):
         for slab in each.slabs if o != j else ():
             for block in other.slabs:
@@ -1347,24 +1619,57 @@ def _off_others(plan, j):
                     head, base = pose.part(slice(3, 5)).unit(), pose.part(slice(0, 3))
                     corners = []
                     for x, y in slab.section.core:
-                        at = _stacked(head.part(0) * x + head.part(1) * -y, head.part(1) * x + head.part(0) * y, head.part(0) * 0.0)
+                        at = _stacked(
+                            head.part(0) * x + head.part(1) * -y,
+                            head.part(1) * x + head.part(0) * y,
+                            head.part(0) * 0.0,
+                        )
                         corners.append(plan.seen(rows, o, base + at))
                     flat = [x.part(slice(0, 2)) for x in corners]
                     ways = [block.section.apart(x.v)[1] for x in flat]
                     ring = np.stack([x.v for x in flat], 1)
                     sides = np.roll(ring, -1, 1) - ring
-                    ways += [np.stack([sides[:, k, 1], -sides[:, k, 0]], -1) / np.maximum(_size(sides[:, k]), 1e-12)[:, None] for k in range(len(flat))]
-                    room = [np.min([np.sum(x.v * w, -1) for x in flat], 0) - block.section.support(w) - slab.section.radius for w in ways]
+                    ways += [
+                        np.stack([sides[:, k, 1], -sides[:, k, 0]], -1)
+                        / np.maximum(_size(sides[:, k]), 1e-12)[:, None]
+                        for k in range(len(flat))
+                    ]
+                    room = [
+                        np.min([np.sum(x.v * w, -1) for x in flat], 0)
+                        - block.section.support(w)
+                        - slab.section.radius
+                        for w in ways
+                    ]
                     best = np.argmax(room, axis=0)
                     w, there = np.stack(ways)[best, np.arange(len(rows))], np.max(room, axis=0)
-                    aside = np.min([x.along(w).low for x in flat], 0) - block.section.support(w) - slab.section.radius
+                    aside = (
+                        np.min([x.along(w).low for x in flat], 0)
+                        - block.section.support(w)
+                        - slab.section.radius
+                    )
                     z, tall = corners[0].part(2), slab.upper - slab.lower
                     z = z + slab.lower
-                    over = [np.maximum(a - block.upper, block.lower - tall - b) for a, b in ((z.low, z.high), (z.v, z.v))]
-                    gaps = (np.hypot(np.maximum(a, 0), np.maximum(b, 0)) for a, b in ((aside, over[0]), (there, over[1])))
-                    return _touching(allowed[rows.p, o], z.low - block.upper, z.v - block.upper, *gaps)
+                    over = [
+                        np.maximum(a - block.upper, block.lower - tall - b)
+                        for a, b in ((z.low, z.high), (z.v, z.v))
+                    ]
+                    gaps = (
+                        np.hypot(np.maximum(a, 0), np.maximum(b, 0))
+                        for a, b in ((aside, over[0]), (there, over[1]))
+                    )
+                    return _touching(
+                        allowed[rows.p, o], z.low - block.upper, z.v - block.upper, *gaps
+                    )
 
-                yield "object_clearance", "m", "min", plan.sep["object"], plan.rows(ground, [0]), gap, lambda _, name=name: f"{names[j]} {name}"
+                yield (
+                    "object_clearance",
+                    "m",
+                    "min",
+                    plan.sep["object"],
+                    plan.rows(ground, [0]),
+                    gap,
+                    lambda _, name=name: f"{names[j]} {name}",
+                )
 
 
 def _touching(may, low, here, bound, value):
@@ -1397,12 +1702,15 @@ def _resting(plan, j, on, drops):
     def off(rows):
         x = plan.seen(rows, j, plan.vertex(rows, rows.i))
         at = place[rows.p, rows.i]
-        flat = (x.part(slice(0, 2)) + -at[:, :2])
+        flat = x.part(slice(0, 2)) + -at[:, :2]
         drop = drops[rows.p]
         deep = (x.part(2) * -1.0) + (body.height - drop)
         high = x.part(2) + (np.where(whole[rows.p], drop, 0.0) - body.height)
         inside = np.where(body.rim.apart(at[:, :2])[0] < -CONTACT, 0.0, 1.0)
-        return tuple(np.max([a, b, c, inside], axis=0) for a, b, c in ((flat.most, deep.high, high.high), (_size(flat.v), deep.v, high.v)))
+        return tuple(
+            np.max([a, b, c, inside], axis=0)
+            for a, b, c in ((flat.most, deep.high, high.high), (_size(flat.v), deep.v, high.v))
+        )
 
     def slides(rows):
         a = plan.vertices.jet(rows, rows.i, 2)
@@ -1449,7 +1757,9 @@ def _gripped(plan, j, pieces):
             for s, way, most in ((0, "low", "high"), (1, "v", "v")):
                 least = np.minimum(*(getattr(x, way) for x in T))
                 worst = np.maximum(*(getattr(x, most) for x in beta))
-                slip[s] = slip[s] + body.friction * least * np.exp(-plan.mu * worst) * getattr(theta, way)
+                slip[s] = slip[s] + body.friction * least * np.exp(-plan.mu * worst) * getattr(
+                    theta, way
+                )
         pose = plan.poses.jet(rows, 0 * rows.i + j, 2)
         share = plan.borne.scalar(rows, 0 * rows.i + j)
         up, turn = pose.part(2), pose.part(slice(3, 5))
@@ -1474,17 +1784,32 @@ def _gripped(plan, j, pieces):
                 moment = arm.cross(u) if moment is None else moment + arm.cross(u)
         found = []
         for way, size in (("high", lambda x: x.most), ("v", lambda x: _size(x.v))):
-            held = body.friction * body.mass * G * (1.0 - getattr(share, "high" if way == "high" else "v"))
-            standing = np.maximum(np.maximum(size(force.part(slice(0, 2))) - held, 0.0), size(force.part(2)))
-            found.append(np.where(up > 0.0, np.maximum(size(force), size(moment) / around), standing))
+            held = (
+                body.friction
+                * body.mass
+                * G
+                * (1.0 - getattr(share, "high" if way == "high" else "v"))
+            )
+            standing = np.maximum(
+                np.maximum(size(force.part(slice(0, 2))) - held, 0.0), size(force.part(2))
+            )
+            found.append(
+                np.where(up > 0.0, np.maximum(size(force), size(moment) / around), standing)
+            )
         return found[0] / np.maximum(weakest[0], WEAK), found[1] / np.maximum(weakest[1], WEAK)
 
     def wrapped(rows):
         ends, bound, value = [], [], []
-        start, last = (plan.seen(rows, j, plan.vertex(rows, x[rows.i])) for x in (plan.begin, plan.end))
-        ends = [plan.seen(rows, j, plan.point(rows, plan.N + plan.P + 2 * rows.i + s)) for s in (0, 1)]
+        start, last = (
+            plan.seen(rows, j, plan.vertex(rows, x[rows.i])) for x in (plan.begin, plan.end)
+        )
+        ends = [
+            plan.seen(rows, j, plan.point(rows, plan.N + plan.P + 2 * rows.i + s)) for s in (0, 1)
+        ]
         leaving, arriving = plan.edge(rows, rows.i)
-        bend = _size(np.cross(leaving.v, arriving.v)) / np.maximum(_size(leaving.v) * _size(arriving.v), 1e-12)
+        bend = _size(np.cross(leaving.v, arriving.v)) / np.maximum(
+            _size(leaving.v) * _size(arriving.v), 1e-12
+        )
         straight = (_size(ends[1].v - ends[0].v) <= WRAPPED) & (bend <= 2 * WRAPPED)
         for x in ends:
             core = x.part(slice(0, 2))
@@ -1513,7 +1838,15 @@ def _gripped(plan, j, pieces):
     if len(some):
         yield "grip", "1", "min", 1.5, plan.rows(some, [0]), ratio, lambda _: name
     yield "equilibrium", "1", "max", 5e-3, plan.rows(pieces, [0]), lacking, lambda _: name
-    yield "grip", "wrap", "max", 3 * WRAPPED, plan.rows(pieces, np.arange(n)), wrapped, lambda k: f"edge {k} {name}"
+    yield (
+        "grip",
+        "wrap",
+        "max",
+        3 * WRAPPED,
+        plan.rows(pieces, np.arange(n)),
+        wrapped,
+        lambda k: f"edge {k} {name}",
+    )
 
 
 # What is told of single times, of joints, and of the story: (name, unit, sense, limit, value, time, where).
@@ -1541,7 +1874,10 @@ def joints(plan):
         return
     inner = np.arange(1, len(plan.h))
     worst = (0.0, 0.0, "")
-    for part, names in ((plan.tensions, [f"cable {k}" for k in range(plan.n)]), (plan.pulls, plan.names)):
+    for part, names in (
+        (plan.tensions, [f"cable {k}" for k in range(plan.n)]),
+        (plan.pulls, plan.names),
+    ):
         c = np.where(plan.formed[:, None, None], part.c[0][:, :, 0], 0.0)
         jump = np.abs(c[1:, :, 0] - c[:-1, :, -1])
         if jump.size:
@@ -1556,7 +1892,9 @@ def joints(plan):
                                         for s in range(0, len(rows), CHUNK)]))  # fmt: skip
         jump = _size(both[0] - both[1])
         i = int(np.argmax(jump))
-        worst = max(worst, (float(jump[i]), float(plan.breaks[inner[i // plan.N]]), plan.names[i % plan.N]))
+        worst = max(
+            worst, (float(jump[i]), float(plan.breaks[inner[i // plan.N]]), plan.names[i % plan.N])
+        )
     held = np.array([h is not None for h in plan.hold])
     index, off = np.concatenate([[-1], plan.ranged, [-1]]), 0.0
     held = np.concatenate([held[:1], held, held[-1:]])
@@ -1590,16 +1928,23 @@ def crossings(plan):
             ends = [plan.drones.jet(rows, x) for x in (2 * i, 2 * i + 1, 2 * j, 2 * j + 1)]
             way = closest(*(x.v for x in ends))
             w = way / np.maximum(_size(way), 1e-300)[:, None]
-            apart = np.min([(x - y).along(w).low for x in ends[:2] for y in ends[2:]], axis=0) > TOUCH
+            apart = (
+                np.min([(x - y).along(w).low for x in ends[:2] for y in ends[2:]], axis=0) > TOUCH
+            )
             a, b = ends[1] - ends[0], ends[3] - ends[2]
             normal = np.cross(a.v, b.v)
             normal = _constant(normal / np.maximum(_size(normal), 1e-300)[:, None], rows.r)
             signs = []
             for one, base, others in ((a, ends[0], ends[2:]), (b, ends[2], ends[:2])):
                 side = [normal.dot(one.cross(x - base)) for x in others]
-                signs.append(((side[0].low > 0) & (side[1].high < 0)) | ((side[0].high < 0) & (side[1].low > 0)))
+                signs.append(
+                    ((side[0].low > 0) & (side[1].high < 0))
+                    | ((side[0].high < 0) & (side[1].low > 0))
+                )
             sure = signs[0] & signs[1] & ~apart
-            across += [(int(q), x - w, x + w) for q, x, w in zip(rows.i[sure], rows.x[sure], rows.w[sure])]
+            across += [
+                (int(q), x - w, x + w) for q, x, w in zip(rows.i[sure], rows.x[sure], rows.w[sure])
+            ]
             rows = rows.take(~apart & ~sure)
             if depth == 29 or len(rows) > 2000:
                 wrong |= {tuple(map(int, divmod(q, n))) for q in rows.i}
@@ -1621,7 +1966,9 @@ def crossings(plan):
             for at in (first, last):
                 p = min(int(at), len(plan.h) - 1)
                 rows = Rows(plan, np.array([p]), np.array([at - p]), np.zeros(1), np.zeros(1, int))
-                q, r, s, t = (plan.drones.at(rows, np.array([i]))[0] for k in pair for i in (2 * k, 2 * k + 1))
+                q, r, s, t = (
+                    plan.drones.at(rows, np.array([i]))[0] for k in pair for i in (2 * k, 2 * k + 1)
+                )
                 signs.append(float(np.sign((s - q) @ np.cross(r - q, t - s))))
             if tuple(pair) in known:
                 counts[pair].append((last, (signs[1] - signs[0]) / 2.0))
@@ -1630,14 +1977,27 @@ def crossings(plan):
     start = 1.0 if plan.formed[0] else 0.0
     for pair in known:
         for p, state in enumerate(plan.state):
-            want = {"on the ground": 0.0, "hanging free": 0.0, "being tightened": 1.0, "hitched": 1.0}.get(state)
+            want = {
+                "on the ground": 0.0,
+                "hanging free": 0.0,
+                "being tightened": 1.0,
+                "hitched": 1.0,
+            }.get(state)
             now = abs(start + sum(c for at, c in counts[pair] if at <= p + 0.5))
             if want is not None and now != want:
                 wrong.add(pair)
                 when = when or float(plan.breaks[p])
         if not plan.formed[-1] and start + sum(c for _, c in counts[pair]) != 0.0:
             wrong.add(pair)
-    yield "interlacing", "1", "max", 0.0, float(len(wrong)), when, " ".join(f"{i}-{j}" for i, j in sorted(wrong)[:6])
+    yield (
+        "interlacing",
+        "1",
+        "max",
+        0.0,
+        float(len(wrong)),
+        when,
+        " ".join(f"{i}-{j}" for i, j in sorted(wrong)[:6]),
+    )
 
 
 def story(plan):
@@ -1648,7 +2008,11 @@ def story(plan):
     def wrong(words, at=0.0):
         found.append((float(at), words))
 
-    if not plan.phases or abs(plan.phases[0]["start"]) > JOINT or abs(plan.phases[-1]["end"] - plan.breaks[-1]) > JOINT:
+    if (
+        not plan.phases
+        or abs(plan.phases[0]["start"]) > JOINT
+        or abs(plan.phases[-1]["end"] - plan.breaks[-1]) > JOINT
+    ):
         wrong("phases do not cover the plan")
     for a, b in zip(plan.phases, plan.phases[1:]):
         if abs(b["start"] - a["end"]) > JOINT:
@@ -1664,7 +2028,9 @@ def story(plan):
         if low is not None and not (len(low) == 2 and 0.0 < low[0] <= low[1]):
             wrong("a range of tensions", phase["start"])
         hold = phase["hold"]
-        if hold is not None and (hold["by"] not in ("rest", "grip") or not set(hold["cables"]) <= set(range(plan.n))):
+        if hold is not None and (
+            hold["by"] not in ("rest", "grip") or not set(hold["cables"]) <= set(range(plan.n))
+        ):
             wrong("a hold", phase["start"])
     if plan.cabled:
         _states(plan, wrong)
@@ -1677,9 +2043,25 @@ def story(plan):
         except (KeyError, TypeError, ValueError, IndexError) as error:
             wrong(f"asked cannot be read: {error!r}")
     at, words = min(found, default=(0.0, ""))
-    yield "story", "1", "max", 0.0, float(len(found)), at, words + (f" (and {len(found) - 1} more)" if found[1:] else "")
+    yield (
+        "story",
+        "1",
+        "max",
+        0.0,
+        float(len(found)),
+        at,
+        words + (f" (and {len(found) - 1} more)" if found[1:] else ""),
+    )
     if plan.limits["duration"] is not None:
-        yield "duration", "s", "max", plan.limits["duration"], float(plan.breaks[-1]), float(plan.breaks[-1]), ""
+        yield (
+            "duration",
+            "s",
+            "max",
+            plan.limits["duration"],
+            float(plan.breaks[-1]),
+            float(plan.breaks[-1]),
+            "",
+        )
 
 
 def _states(plan, wrong):
@@ -1697,7 +2079,10 @@ def _states(plan, wrong):
             if np.any(np.ptp(c[:, :, :2], axis=(0, -1)) > TOUCH):
                 wrong("a drone moves sideways while cables are on the ground", at)
             low = [plan.hanging(rows := plan.rows(pieces, np.arange(plan.n)), rows.i).lowest()]
-            ends = Rows(plan, rows.p, 0.0 * rows.x, 0.0 * rows.x, rows.i), Rows(plan, rows.p, 0.0 * rows.x + 1.0, 0.0 * rows.x, rows.i)
+            ends = (
+                Rows(plan, rows.p, 0.0 * rows.x, 0.0 * rows.x, rows.i),
+                Rows(plan, rows.p, 0.0 * rows.x + 1.0, 0.0 * rows.x, rows.i),
+            )
             low += [plan.hanging(r, r.i).lowest() for r in ends]
             if np.min(low) - plan.floor > plan.sep["cable"] + CLOSE:
                 wrong("cables said to be on the ground hang above it", at)
@@ -1708,8 +2093,16 @@ def _states(plan, wrong):
         if phase["state"] == "being tightened":
             rows = plan.rows(pieces, np.arange(plan.n))
             size = lengths(plan, stored=False)(rows)[1].reshape(len(pieces), -1)
-            x = [lengths(plan, stored=False)(Rows(plan, rows.p, 0 * rows.x + y, 0 * rows.x, rows.i))[1] for y in (0.0, 1.0)]
-            if np.all(size + x[0].reshape(size.shape) + x[1].reshape(size.shape) > -1e-4) and phase["end"] - phase["start"] < 0:
+            x = [
+                lengths(plan, stored=False)(Rows(plan, rows.p, 0 * rows.x + y, 0 * rows.x, rows.i))[
+                    1
+                ]
+                for y in (0.0, 1.0)
+            ]
+            if (
+                np.all(size + x[0].reshape(size.shape) + x[1].reshape(size.shape) > -1e-4)
+                and phase["end"] - phase["start"] < 0
+            ):
                 wrong("cables said to be slack are taut", at)
 
 
@@ -1720,7 +2113,9 @@ def _objects(plan, wrong):
         c, b = plan.poses.c[0][:, j], plan.borne.c[0][:, j, 0]
         for x in (0.0, 0.25, 0.5, 0.75, 1.0):
             rows = plan.rows(np.arange(len(plan.h)), [j])
-            head = plan.poses.at(Rows(plan, rows.p, 0 * rows.x + x, 0 * rows.x, rows.i), rows.i)[:, 3:]
+            head = plan.poses.at(Rows(plan, rows.p, 0 * rows.x + x, 0 * rows.x, rows.i), rows.i)[
+                :, 3:
+            ]
             if np.max(np.abs(_size(head) - 1.0)) > TOUCH:
                 wrong(f"the heading of {name} is no direction")
                 break
@@ -1738,18 +2133,27 @@ def _objects(plan, wrong):
             for p in np.flatnonzero(~whole & ~moving):
                 if p and np.array_equal(plan.poses.c[0][p], plan.poses.c[0][p - 1]):
                     continue
-                if abs(c[p, 2, 0] + body.lower - _below(plan, j, plan.poses.c[0][p, :, :, 0])[1]) > TOUCH:
+                if (
+                    abs(c[p, 2, 0] + body.lower - _below(plan, j, plan.poses.c[0][p, :, :, 0])[1])
+                    > TOUCH
+                ):
                     wrong(f"{name} stands on nothing", plan.breaks[p])
                     break
+        if np.any(plan.held(name, "grip")) and not plan.bent:
+            wrong(f"{name} is gripped by straight edges")
         rest = plan.held(name, "rest")
         if np.any(rest):
             seen = _in_frame(plan.poses.c[0][:, j, None, :, 0], plan.vertices.c[0][..., 0])
             side, to = (np.roll(seen, -1, 1) - seen)[..., :2], body.section.centroid - seen[..., :2]
             right = side[..., 1] * to[..., 0] - side[..., 0] * to[..., 1]
             high = np.max(seen[..., 2], axis=1) > body.height + CONTACT
-            bad = rest & (high | np.any(right <= 0.0, axis=1) | (body.rim is None) | (not plan.closed))
+            bad = rest & (
+                high | np.any(right <= 0.0, axis=1) | (body.rim is None) | (not plan.closed)
+            )
             if np.any(bad):
-                wrong(f"clasps are not around {name}, below its rim", plan.breaks[int(np.argmax(bad))])
+                wrong(
+                    f"clasps are not around {name}, below its rim", plan.breaks[int(np.argmax(bad))]
+                )
     return heading
 
 
@@ -1764,7 +2168,11 @@ def _asked(plan, asked, wrong):
         elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
             for i, (x, y) in enumerate(zip(a, b)):
                 same(f"{key}[{i}]", x, y, slack)
-        elif isinstance(a, bool) or isinstance(b, bool) or not all(isinstance(x, (int, float)) for x in (a, b)):
+        elif (
+            isinstance(a, bool)
+            or isinstance(b, bool)
+            or not all(isinstance(x, (int, float)) for x in (a, b))
+        ):
             if a != b:
                 wrong(f"{key} is {b}, asked {a}")
         elif not abs(a - b) <= slack + TOLERANCE * max(abs(a), abs(b)):
@@ -1795,16 +2203,29 @@ def _asked(plan, asked, wrong):
         if plan.formed[0]:
             x = plan.vertices.c[0][0, ..., 0]
             same("start.polygon", asked["start"]["hitch"]["polygon"], x[:, :2].tolist(), TOUCH)
-            same("start.altitude", asked["start"]["hitch"]["altitude"], float(np.mean(x[:, 2])), TOUCH)
+            same(
+                "start.altitude",
+                asked["start"]["hitch"]["altitude"],
+                float(np.mean(x[:, 2])),
+                TOUCH,
+            )
         elif "hitch" in asked["start"]:
             wrong("it was to begin with a hitch")
     else:
         same("drones", team["drones"], plan.N)
         same("start of drone", start, first.tolist(), TOUCH)
-    for name, plain in (("mass", None), ("max_thrust", None), ("stiffness", math.inf), ("integral", 0.0), ("feed_forward", 1.0)):
+    for name, plain in (
+        ("mass", None),
+        ("max_thrust", None),
+        ("stiffness", math.inf),
+        ("integral", 0.0),
+        ("feed_forward", 1.0),
+    ):
         want = [math.inf if kinds[i][name] is None else float(kinds[i][name]) for i in order]
         there = plan.arrays[name].tolist() if name in plan.arrays else [plain] * len(want)
-        if len(want) != len(there) or any(x != y and not abs(x - y) <= TOLERANCE * abs(x) for x, y in zip(want, there)):
+        if len(want) != len(there) or any(
+            x != y and not abs(x - y) <= TOLERANCE * abs(x) for x, y in zip(want, there)
+        ):
             wrong(f"{name} is {there}, asked {want}")
 
 
@@ -1813,22 +2234,48 @@ def verify(path):
     path = Path(path)
     plan = Plan(path / "plan.npz" if path.is_dir() else path)
     rows = {}
-    for name, unit, sense, limit, value, at, where in (*story(plan), *joints(plan), *crossings(plan)):
+    for name, unit, sense, limit, value, at, where in (
+        *story(plan),
+        *joints(plan),
+        *crossings(plan),
+    ):
         good = value <= limit + TOLERANCE * max(abs(limit), 1.0)
-        rows.setdefault((name, unit), []).append(("proven" if good else "violated", value, limit, sense, at, where, 1))
+        rows.setdefault((name, unit), []).append(
+            ("proven" if good else "violated", value, limit, sense, at, where, 1)
+        )
     for name, unit, sense, limit, spans, make, who in limits_of(plan):
         if not len(spans):
             continue
-        value, (at, item), spent, left = search(spans, make, limit, sense, plan.size if unit == "m" else 0.0)
+        value, (at, item), spent, left = search(
+            spans, make, limit, sense, plan.size if unit == "m" else 0.0
+        )
         slack = TOLERANCE * max(abs(limit), plan.size if unit == "m" else 0.0)
         good = value >= limit - slack if sense == "min" else value <= limit + slack
         verdict = "violated" if not good else "not proven" if left else "proven"
         at, item = left or (at, item)
-        rows.setdefault((name, unit), []).append((verdict, value, limit, sense, at, who(item), spent))
+        rows.setdefault((name, unit), []).append(
+            (verdict, value, limit, sense, at, who(item), spent)
+        )
     for (name, unit), found in rows.items():
         sense, rank = found[0][3], ("violated", "not proven", "proven")
         worst = min(found, key=lambda f: (rank.index(f[0]), f[1] if sense == "min" else -f[1]))
-        yield (name, unit, *worst[:-1], sum(f[-1] for f in found))
+        yield Row(name, unit, *worst[:-1], sum(f[-1] for f in found))
+
+
+def line(row):
+    """A row in words."""
+    sign = "≥" if row.sense == "min" else "≤"
+    worst = f"{row.worst:12.6g} {sign} {row.limit:<9.6g} {row.unit:6}"
+    place = f"t = {row.time:<9.4f} {row.where:24}"
+    return f"{row.name:17} {row.verdict:10} {worst} {place} {row.samples} samples"
+
+
+def verdict(rows):
+    """What all rows say together."""
+    bad = [row.name for row in rows if row.verdict != "proven"]
+    if bad:
+        return f"not proven: {', '.join(dict.fromkeys(bad))}"
+    return "proven: every limit holds at all times"
 
 
 def main(arguments):
@@ -1836,18 +2283,16 @@ def main(arguments):
     if len(arguments) != 1:
         print("usage: python verify.py DIR", file=sys.stderr)
         return 2
-    begin, bad = time.process_time(), 0
+    rows = []
     try:
-        for name, unit, verdict, value, limit, sense, at, where, spent in verify(arguments[0]):
-            bad += verdict != "proven"
-            sign = "≥" if sense == "min" else "≤"
-            print(f"{name:17} {verdict:10} {value:12.6g} {sign} {limit:<9.6g} {unit:6} t = {at:<9.4f} {where:24} {spent} samples")
-    except Unreadable as error:
+        for row in verify(arguments[0]):
+            rows.append(row)
+            print(line(row), flush=True)
+    except UnreadableError as error:
         print(f"{arguments[0]}: not a plan, or a damaged one: {error}", file=sys.stderr)
         return 2
-    words = "proven: every limit holds at all times" if not bad else f"not proven: {bad} of the limits"
-    print(f"{words}; {time.process_time() - begin:.1f} s")
-    return 3 if bad else 0
+    print(verdict(rows))
+    return 3 if any(row.verdict != "proven" for row in rows) else 0
 
 
 if __name__ == "__main__":
