@@ -43,6 +43,7 @@ MODULES = {
     "simulate": "simulate_command",
     "statics": "statics_command",
     "sweep": "sweep_command",
+    "verify": "verify_command",
     "view": "view_commands",
 }
 """Where the other commands are; a module is imported when its command runs."""
@@ -92,6 +93,7 @@ def main() -> None:
 )
 @click.option("--rate", metavar="HZ", default=100.0, help="Setpoints per second and drone.")
 @click.option("--report", is_flag=True, help="Write DIR/report.html as well.")
+@click.option("--verify", is_flag=True, help="Prove the plan's limits by another method as well.")
 @click.option(
     "--repair/--no-repair",
     "searching",
@@ -102,7 +104,13 @@ def main() -> None:
     "--limit", metavar="SECONDS", default=DEFAULT_LIMIT, help="Time limit, searches included."
 )
 def solve(
-    file: Path, directory: Path | None, rate: float, report: bool, searching: bool, limit: float
+    file: Path,
+    directory: Path | None,
+    rate: float,
+    report: bool,
+    verify: bool,
+    searching: bool,
+    limit: float,
 ) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR.
 
@@ -138,6 +146,11 @@ def solve(
         searched = searching and not isinstance(error, TimeLimitError)
         left = max(end - time.monotonic(), MIN_SEARCH_TIME)
         _leave_diagnosis(place, error, hitch if searched else None, left)
+    if verify:
+        from hitchopt.cli.paths import plan_path
+        from hitchopt.cli.verify_command import show_verified
+
+        show_verified(plan_path(place))
 
 
 def _output(directory: Path | None, file: Path) -> Path:

@@ -1,0 +1,85 @@
+"""Lies that a plan's file can tell are refused, reported, or none."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.mission.loading import parse_problem
+from hitchopt.motion.plan_file import write_plan
+from tests.verify.lies import LIES, REFUSED, Lie
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+
+PLANS = {
+    "morph": "triangle",
+    "form": "form_triangle",
+    "slid": "friction",
+    "carry": "carry_box",
+    "grip": "grip_drum",
+    "swarm": "swarms/circle_6",
+    "chain": "open_arc",
+}
+
+UNLIKE = """
+team:
+  robots: 3
+  cable_length: [2.4, 2.4, 2.6]
+  tension: 0.5
+  quadrotor: [{mass: 0.132}, {mass: 0.14}, {mass: 0.15, max_thrust: 2.8}]
+start:
+  drones:
+    q: [[0.9, 0.2, 1.5], [-1.2, -0.6, 1.5], [-0.4, 1.2, 1.5]]
+    r: [[0.2, -1.2, 1.5], [-1.0, 0.6, 1.5], [0.8, 0.9, 1.5]]
+mission:
+- form: {polygon: [[0, -0.6], [-0.52, 0.3], [0.52, 0.3]], altitude: 1.6}
+"""
+
+
+@lru_cache
+def plan(name: str) -> ho.Plan:
+    if name == "unlike":
+        return ho.solve(parse_problem(UNLIKE, "unlike.yaml", PROBLEMS))
+    return ho.solve(PROBLEMS / f"{PLANS[name]}.yaml")
+
+
+def told(lie: Lie, path: Path) -> set[str]:
+    """Return the limits that are not proven of a plan that tells a lie."""
+    write_plan(path, plan(lie.plan).motion)
+    with np.load(path) as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    lie.change(settings, arrays)
+    np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
+    try:
+        return {row.name for row in second.verify(path) if row.verdict != "proven"}
+    except second.UnreadableError:
+        return {REFUSED}
+
+
+@pytest.mark.parametrize("name", ["unlike", *PLANS])
+def test_plans_that_tell_none_are_proven(name: str, tmp_path: Path) -> None:
+    honest = Lie(name, "the truth", lambda *_: None, "")
+    assert not told(honest, tmp_path / "plan.npz")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lie", LIES, ids=lambda lie: f"{lie.plan}: {lie.words}")
+def test_lies_are_found(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(second, "BUDGET", 300_000)
+    found = told(lie, tmp_path / "plan.npz")
+    if lie.found:
+        assert found & set(lie.found.split("|"))
+    else:
+        assert lie.reason
+        assert not found
+
+
+def test_there_are_a_hundred_kinds() -> None:
+    assert len({(lie.plan, lie.words) for lie in LIES}) >= 100

@@ -1,0 +1,96 @@
+"""The second opinion agrees with the certificate, and needs nothing but numpy."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.cli import main
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+SCRIPT = Path(second.__file__)
+
+QUICK = ("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "swarms/circle_6")
+SLOW = ("carry_box", "carry_tray", "grip_drum", "tie_carry_untie", "form_thirty_gon", "roll_32_gon")
+OWN = {"story", "strands", "contact", "enters", "rim"}
+"""Limits that the certificate counts to others, or to infinity where they are broken."""
+REPORTED = {"tracking_radius", "stoppable"}
+
+
+def saved(name: str, folder: Path) -> ho.Plan:
+    plan = ho.solve(PROBLEMS / f"{name}.yaml")
+    plan.save(folder, rate=10.0)
+    return plan
+
+
+@pytest.mark.parametrize(
+    "name", [*QUICK, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
+)
+def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
+    plan = saved(name, tmp_path)
+    rows = [row for row in second.verify(tmp_path) if row.unit not in ("turn", "wrap", "bend")]
+    assert all(row.verdict == "proven" for row in rows)
+    found = {row.name: row for row in rows}
+    for check in plan.certificate.checks:
+        if check.name in REPORTED or check.worst is None:
+            continue
+        row = found.pop(check.name)
+        worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
+        assert worst == pytest.approx(check.worst, rel=0.02, abs=0.02 * (check.limit or 1e-3))
+    assert found.keys() <= OWN
+
+
+def test_the_script_needs_numpy_alone(tmp_path: Path) -> None:
+    saved("triangle", tmp_path)
+    script = tmp_path / "second_opinion.py"
+    script.write_bytes(SCRIPT.read_bytes())
+    code = (
+        "import runpy, sys; sys.modules['hitchopt'] = None; sys.modules['scipy'] = None; "
+        f"sys.argv = ['x', {str(tmp_path)!r}]; runpy.run_path({str(script)!r}, run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "proven: every limit holds at all times" in done.stdout
+    (tmp_path / "plan.npz").write_bytes(b"PK")
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "not a plan" in done.stderr
+
+
+def test_the_command_ends_with_3_where_a_limit_is_broken(tmp_path: Path) -> None:
+    saved("triangle", tmp_path)
+    run = CliRunner().invoke(main, ["verify", str(tmp_path)])
+    assert run.exit_code == 0, run.output
+    path = tmp_path / "plan.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    settings["limits"]["jerk"] = settings["asked"]["limits"]["jerk"] = 10.0
+    np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
+    run = CliRunner().invoke(main, ["verify", str(tmp_path)])
+    assert run.exit_code == 3
+    assert "jerk              violated" in run.output
+    path.write_bytes(b"PK")
+    assert CliRunner().invoke(main, ["verify", str(tmp_path)]).exit_code == 2
+
+
+def test_solve_verifies_where_asked(tmp_path: Path) -> None:
+    problem = str(PROBLEMS / "triangle.yaml")
+    run = CliRunner().invoke(main, ["solve", problem, "-o", str(tmp_path / "out"), "--verify"])
+    assert run.exit_code == 0, run.output
+    assert "proven: every limit holds at all times" in run.output
+
+
+def test_a_spent_budget_proves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved("triangle", tmp_path)
+    monkeypatch.setattr(second, "BUDGET", 100)
+    verdicts = {row.name: row.verdict for row in second.verify(tmp_path)}
+    assert verdicts["cable_length"] == "not proven"
