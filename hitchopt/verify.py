@@ -64,7 +64,7 @@ class Jet:
 
     @property
     def spread(self):
-        """By how much it may differ from its value at mid span (m,)."""
+        """The most that it may differ from its value at mid span (m,)."""
         return (
             np.minimum(_size(self.d) * self.r + 0.5 * self.s * self.r**2, self.a * self.r) + self.e
         )
@@ -654,7 +654,7 @@ class Plan:
         return self.point(rows, contact) - first, last - self.point(rows, contact + 1)
 
     def leg_to(self, rows, i):
-        """To drone i from where its cable leads; at a chain's end along its edge."""
+        """The way to drone i from where its cable leads; at a chain's end along its edge."""
         return self.point(rows, i) - self.vertex(rows, self.toward[i])
 
     def taut(self, rows, k):
@@ -1226,7 +1226,7 @@ def _angle(a, b):
 
 
 def _wrap(plan, rows, i):
-    """By how much cables turn at the clasp of drone i, from its leg to its edge [rad]."""
+    """Angle by which cables turn at the clasp of drone i, from its leg to its edge [rad]."""
     leaving, arriving = plan.edge(rows, i // 2)
     q = (i % 2 == 0)[:, None]
     v, d = np.where(q, leaving.v, -arriving.v), np.where(q, leaving.d, -arriving.d)
@@ -1790,11 +1790,11 @@ def _gripped(plan, j, pieces):
                 * G
                 * (1.0 - getattr(share, "high" if way == "high" else "v"))
             )
-            standing = np.maximum(
+            level = np.maximum(
                 np.maximum(size(force.part(slice(0, 2))) - held, 0.0), size(force.part(2))
             )
             found.append(
-                np.where(up > 0.0, np.maximum(size(force), size(moment) / around), standing)
+                np.where(up > 0.0, np.maximum(size(force), size(moment) / around), level)
             )
         return found[0] / np.maximum(weakest[0], WEAK), found[1] / np.maximum(weakest[1], WEAK)
 
@@ -2091,19 +2091,24 @@ def _states(plan, wrong):
             if np.any(np.ptp(middle, axis=(0, -1)) > CLOSE):
                 wrong("drones that clasp do not turn about each other", at)
         if phase["state"] == "being tightened":
-            rows = plan.rows(pieces, np.arange(plan.n))
-            size = lengths(plan, stored=False)(rows)[1].reshape(len(pieces), -1)
-            x = [
-                lengths(plan, stored=False)(Rows(plan, rows.p, 0 * rows.x + y, 0 * rows.x, rows.i))[
-                    1
-                ]
-                for y in (0.0, 1.0)
+            rows, slack = plan.rows(pieces, np.arange(plan.n)), []
+            k = rows.i
+            chains = [
+                (2 * k, plan.N + plan.anchor[2 * k]),
+                (2 * k + 1, plan.N + plan.anchor[2 * k + 1]),
             ]
-            if (
-                np.all(size + x[0].reshape(size.shape) + x[1].reshape(size.shape) > -1e-4)
-                and phase["end"] - phase["start"] < 0
-            ):
-                wrong("cables said to be slack are taut", at)
+            chains.append((plan.N + plan.begin[k], plan.N + plan.end[k]))
+            for x in np.linspace(0.0, 1.0, 5):
+                there = Rows(plan, rows.p, 0.0 * rows.x + x, 0.0 * rows.x, k)
+                size = sum(
+                    _size(plan.points.at(there, i) - plan.points.at(there, j)) for i, j in chains
+                )
+                slack.append(
+                    1.0 - size.reshape(len(pieces), -1) @ plan.team / (plan.length @ plan.team)
+                )
+            taut = np.max(slack, axis=0) <= 1e-4
+            if np.sum(plan.h[pieces][taut]) > 0.5 * np.sum(plan.h[pieces]):
+                wrong("cables said to be slack are at their full length", at)
 
 
 def _objects(plan, wrong):

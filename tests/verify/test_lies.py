@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from verify_lies import LIES, REFUSED, Lie
 
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.mission.loading import parse_problem
 from hitchopt.motion.plan_file import write_plan
-from tests.verify.lies import LIES, REFUSED, Lie
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

@@ -1,0 +1,166 @@
+"""Mutations of the certificate's own code, each found by a plan on which verify disagrees.
+
+Usage: python -m benchmarks.mutations [--plans DIR]
+
+Every mutation is made in a copy of the package. What the mutated certificate says of a plan is held
+against ``hitchopt.verify``: they disagree where one calls it good and the other does not, or where
+a worst value differs by more than 2 % of itself or of its limit. ``--plans`` names a folder with
+plans of the problems, to save solving them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import hitchopt as ho
+from hitchopt import verify as second
+
+ROOT = Path(__file__).parents[1]
+APART = 0.02
+"""Relative difference of worst values beyond which certificate and second opinion disagree."""
+
+CHECK = """
+import json, pathlib, sys
+from hitchopt.checks import certify
+from hitchopt.motion.plan_file import read_plan
+found = certify(read_plan(pathlib.Path(sys.argv[1])), reports=())
+rows = [[c.name, c.holds, c.bound, c.limit] for c in found.checks]
+print(json.dumps([found.certified, rows]))
+"""
+
+
+class Mutation(NamedTuple):
+    """A change of one line: below ``hitchopt/checks`` or, with a slash in front, below the package."""
+
+    file: str
+    old: str
+    new: str
+    plan: str
+    words: str
+
+
+B = "bounds/"
+MUTATIONS = (
+    Mutation("separation.py", "every_pair,", "lambda i, j: j - i < 4,", "triangle", "pairs far apart in the list are missed"),
+    Mutation("separation.py", "corners * scale[:, None]", "corners * scale[::-1, None]", "stack", "axes of the ellipsoid exchanged"),
+    Mutation("cable_clearance.py", "(drones // 2 != part // 3) | (", "(", "triangle", "foreign cables missed"),
+    Mutation("cable_clearance.py", "((part % 3 == 1) & on_leg[drones])", "(drones < 0)", "form_thirty_gon", "own edges missed"),
+    Mutation(B + "hanging_links.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
+    Mutation("crossing.py", "return ~shared", "return ~shared & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
+    Mutation(B + "rates.py", "part.differentiated(order)", "part.differentiated(1)", "triangle", "every derivative is the first"),
+    Mutation("legs.py", "drones = motion.team.layout.drones_with_legs", "drones = motion.team.layout.drones_with_legs[:1]", "move_vertex", "legs but the first missed"),
+    Mutation("cable_length.py", "most * most / 24.0", "most * most / 12.0", "weight_hexagon", "a factor of the sag"),
+    Mutation("cable_length.py", "longer += [-bernstein.elevate(each, order) for each in less]", "longer += [bernstein.elevate(each, order) for each in less]", "carry_box", "sign of what rims save"),
+    Mutation(B + "wrapped_arcs.py", "np.where(round_, 2.0 * radius, 1.0)", "np.where(round_, 2.2 * radius, 1.0)", "grip_drum", "radius of arcs"),
+    Mutation("span.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
+    Mutation("convexity.py", "right = bernstein.multiply(by, ax) - bernstein.multiply(bx, ay)", "right = bernstein.multiply(bx, ay) - bernstein.multiply(by, ax)", "triangle", "sense of turning"),
+    Mutation("arena.py", "np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)", "x - arena.lower[:, None]", "narrow_arena", "upper walls missed"),
+    Mutation("keep_out.py", "for slab in each.slabs:", "for slab in each.slabs[:1]:", "carry_box", "rims missed"),
+    Mutation(B + "thrust_enclosure.py", "free[:, :, 2] += mass * GRAVITY", "free[:, :, 2] -= mass * GRAVITY", "triangle", "sign of gravity"),
+    Mutation(B + "thrust_enclosure.py", "thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)", "thrust = bernstein.elevate(free, order) - bernstein.elevate(pull, order)", "transport", "sign of the cable's pull"),
+    Mutation(B + "thrust_enclosure.py", "blocks = [(0.5 * taut * whole)[:, :, None]]", "blocks = [(2.0 * taut * whole)[:, :, None]]", "weight_hexagon", "a factor of legs' weight"),
+    Mutation("tilt.py", "angles = _angle(column_lengths(f[:, :2]), f[:, 2])", "angles = _angle(column_lengths(f[:, :1]), f[:, 2])", "triangle", "leaning along y dropped"),
+    Mutation("equilibrium.py", "np.array([1.0, 1.0, 1.0, -1.0])", "np.array([1.0, 1.0, 1.0, 1.0])", "triangle", "sign of an edge"),
+    Mutation(B + "clasp_weights.py", "load = 0.5 * GRAVITY * team.load[:, None] * share", "load = 0.0 * GRAVITY * team.load[:, None] * share", "weight_hexagon", "the load dropped"),
+    Mutation(B + "clasp_weights.py", "half = 0.5 * GRAVITY * team.cable_density", "half = 1.0 * GRAVITY * team.cable_density", "weight_hexagon", "a factor of cables' weight"),
+    Mutation(B + "clasp_weights.py", "weight = bernstein.elevate(load + whole, order) - product", "weight = bernstein.elevate(load + whole, order) + product", "weight_hexagon", "sign of the other leg's weight"),
+    Mutation(B + "clasp_weights.py", "np.array([1.0, 1.0, -1.0, 1.0])", "np.array([1.0, 1.0, 1.0, 1.0])", "weight_hexagon", "sign of a contact"),
+    Mutation("/motion/carried.py", "loads = -body.mass * supports.shares", "loads = -0.5 * body.mass * supports.shares", "carry_box", "a factor of the object's weight"),
+    Mutation("/motion/carried.py", "pulled[:, :, 2] += GRAVITY", "pulled[:, :, 2] -= GRAVITY", "carry_box", "sign of the object's weight"),
+    Mutation("/motion/carried.py", "1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))", "0.0 * slope", "carry_box", "the rim's strut dropped"),
+    Mutation(B + "friction_range.py", "held = np.exp(friction * wrapped(rows, noise))", "held = np.exp(-friction * wrapped(rows, noise))", "friction", "sign of friction"),
+    Mutation("tension.py", "over = np.maximum(np.max(pull, axis=-1) - most * held", "over = np.maximum(np.max(pull, axis=-1) - 0.9 * most * held", "friction", "a factor of the range of tensions"),
+    Mutation("interlacing.py", "CableState.TIGHTENING: 1,", "CableState.TIGHTENING: 0,", "form_triangle", "clasped cables taken for free ones"),
+    Mutation(B + "chord_crossings.py", "(after - before) // 2", "(after + before) // 2", "form_triangle", "sign of crossings"),
+    Mutation("support.py", "pressing = np.where(most > 0.0, falling[0], falling[1])", "pressing = 2.0 * np.where(most > 0.0, falling[0], falling[1])", "carry_box", "a factor of gravity"),
+    Mutation("support.py", "distance = np.sum(inward * (centre[:2] - points[..., :2]), axis=-1)", "distance = np.sum(inward * (points[..., :2] - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
+    Mutation("grip.py", "slip = friction * np.sum(", "slip = 2.0 * friction * np.sum(", "grip_drum", "a factor of slip loads"),
+    Mutation("grip.py", "load: Array = body.mass * (share * (GRAVITY + upward) + turned * turning_reach(body))", "load: Array = body.mass * (share * upward + turned * turning_reach(body))", "grip_drum", "the weight dropped"),
+    Mutation(B + "gripped_balance.py", "np.array([-1.0, 1.0])[:, None, None]", "np.array([1.0, 1.0])[:, None, None]", "grip_drum", "sign of a pull"),
+    Mutation("object_clearance.py", "counted = ~_holding(motion, name)[:, cables]", "counted = _holding(motion, name)[:, cables]", "carry_box", "cables that hold taken for others"),
+    Mutation("continuity.py", "left, right in ends", "right, left in ends", "triangle", "ends exchanged"),
+    Mutation("vertex_speed.py", "vertices=True", "vertices=False", "triangle", "drones in place of vertices"),
+)  # fmt: skip
+
+
+@cache
+def plan(name: str, folder: Path) -> Path:
+    """Return the path of a problem's plan, solved unless the folder has it."""
+    path = folder / name / "plan.npz"
+    if not path.exists():
+        problems = ROOT / "problems"
+        source = next(
+            p for p in (problems / f"{name}.yaml", problems / f"swarms/{name}.yaml") if p.exists()
+        )
+        ho.solve(source).save(path.parent, rate=10.0)
+    return path
+
+
+@cache
+def opinion(path: Path) -> dict[str, Any]:
+    """Return verify's worst values by limit; those of the certificate's limits alone."""
+    rows = [row for row in second.verify(path) if row.unit not in ("turn", "wrap", "bend")]
+    assert all(row.verdict == "proven" for row in rows), path
+    return {row.name: row for row in rows}
+
+
+def disagreement(package: Path, path: Path) -> str:
+    """Return where a package's certificate and verify disagree on a plan; an empty word if not."""
+    command = [sys.executable, "-c", CHECK, str(path)]
+    environment = {**os.environ, "PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=package, check=False
+    )
+    if done.returncode:
+        return "it ends with " + (done.stderr.strip().splitlines() or ["no word"])[-1][:60]
+    certified, checks = json.loads(done.stdout)
+    for name, holds, worst, limit in checks:
+        row = opinion(path).get(name)
+        if row is None or limit is None:
+            continue
+        value = row.worst * limit if row.unit == "share" else row.worst
+        if not holds:
+            return f"{name}: refused with {worst:.4g}, proven with {value:.4g}"
+        if abs(worst - value) > APART * max(abs(value), abs(limit), 1e-6):
+            return f"{name}: {worst:.4g}, and {value:.4g}"
+    return "" if certified else "not certified"
+
+
+def main() -> int:
+    """Print the table of all mutations."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plans", type=Path, default=None)
+    given = parser.parse_args().plans
+    missed = 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder, package = given or Path(temporary) / "plans", Path(temporary) / "package"
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / "hitchopt", package / "hitchopt", ignore=ignore)
+        for name in sorted({each.plan for each in MUTATIONS}):
+            assert not disagreement(package, plan(name, folder)), name
+        print("| mutation | plan | disagreement |\n|---|---|---|")
+        for each in MUTATIONS:
+            inside = each.file[1:] if each.file[0] == "/" else f"checks/{each.file}"
+            file = package / "hitchopt" / inside
+            text = file.read_text(encoding="utf-8")
+            assert each.old in text, f"{inside} has no {each.old}"
+            file.write_text(text.replace(each.old, each.new), encoding="utf-8")
+            found = disagreement(package, plan(each.plan, folder))
+            file.write_text(text, encoding="utf-8")
+            missed += not found
+            print(f"| {each.words} ({inside}) | {each.plan} | {found or 'NONE'} |", flush=True)
+    print(f"\n{len(MUTATIONS) - missed} of {len(MUTATIONS)} are found")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
