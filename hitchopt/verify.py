@@ -25,7 +25,9 @@ import math
 import sys
 import zipfile
 from collections import namedtuple
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -1793,9 +1795,7 @@ def _gripped(plan, j, pieces):
             level = np.maximum(
                 np.maximum(size(force.part(slice(0, 2))) - held, 0.0), size(force.part(2))
             )
-            found.append(
-                np.where(up > 0.0, np.maximum(size(force), size(moment) / around), level)
-            )
+            found.append(np.where(up > 0.0, np.maximum(size(force), size(moment) / around), level))
         return found[0] / np.maximum(weakest[0], WEAK), found[1] / np.maximum(weakest[1], WEAK)
 
     def wrapped(rows):
@@ -2234,7 +2234,7 @@ def _asked(plan, asked, wrong):
             wrong(f"{name} is {there}, asked {want}")
 
 
-def verify(path):
+def verify(path: Path | str) -> Iterator[Any]:
     """Yield a row for every limit: name, verdict, worst, limit, unit, sense, time, where, samples."""
     path = Path(path)
     plan = Plan(path / "plan.npz" if path.is_dir() else path)
@@ -2267,7 +2267,7 @@ def verify(path):
         yield Row(name, unit, *worst[:-1], sum(f[-1] for f in found))
 
 
-def line(row):
+def line(row: Any) -> str:
     """A row in words."""
     sign = "≥" if row.sense == "min" else "≤"
     worst = f"{row.worst:12.6g} {sign} {row.limit:<9.6g} {row.unit:6}"
@@ -2275,7 +2275,7 @@ def line(row):
     return f"{row.name:17} {row.verdict:10} {worst} {place} {row.samples} samples"
 
 
-def verdict(rows):
+def verdict(rows: Sequence[Any]) -> str:
     """What all rows say together."""
     bad = [row.name for row in rows if row.verdict != "proven"]
     if bad:
@@ -2283,7 +2283,7 @@ def verdict(rows):
     return "proven: every limit holds at all times"
 
 
-def main(arguments):
+def main(arguments: Sequence[str]) -> int:
     """Print what is found of the plan in a directory; 0 proven, 3 not, 2 unreadable."""
     if len(arguments) != 1:
         print("usage: python verify.py DIR", file=sys.stderr)

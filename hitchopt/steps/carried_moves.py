@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.checks.equilibrium import QUICK as EQUILIBRIUM
+from hitchopt.checks import equilibrium
 from hitchopt.checks.grip import RULE as GRIP
 from hitchopt.errors import InfeasibleError
 from hitchopt.planners.carrying.moves import Move, crossing_ratios, held_flight, separation_ratios
@@ -89,7 +89,7 @@ def _fails(task: StepTask, move: Move) -> bool:
     if held is None:
         return False
     motion = held_motion(task, [held_flight(held, move)], "carry")
-    found = (rule.check(motion) for rule in (GRIP, EQUILIBRIUM))
+    found = (rule.check(motion) for rule in (GRIP, equilibrium.QUICK))
     return any(check is not None and not check.holds for check in found)
 
 
