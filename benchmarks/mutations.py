@@ -57,18 +57,18 @@ MUTATIONS = (
     Mutation(B + "hanging_links.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
     Mutation("crossing.py", "return ~shared", "return ~shared & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
     Mutation(B + "rates.py", "part.differentiated(order)", "part.differentiated(1)", "triangle", "every derivative is the first"),
-    Mutation("legs.py", "drones = motion.team.layout.drones_with_legs", "drones = motion.team.layout.drones_with_legs[:1]", "move_vertex", "legs but the first missed"),
+    Mutation("legs.py", "drones = motion.team.layout.drones_with_legs", "drones = motion.team.layout.drones_with_legs[:1]", "triangle", "legs but the first missed"),
     Mutation("cable_length.py", "most * most / 24.0", "most * most / 12.0", "weight_hexagon", "a factor of the sag"),
     Mutation("cable_length.py", "longer += [-bernstein.elevate(each, order) for each in less]", "longer += [bernstein.elevate(each, order) for each in less]", "carry_box", "sign of what rims save"),
     Mutation(B + "wrapped_arcs.py", "np.where(round_, 2.0 * radius, 1.0)", "np.where(round_, 2.2 * radius, 1.0)", "grip_drum", "radius of arcs"),
     Mutation("span.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
     Mutation("convexity.py", "right = bernstein.multiply(by, ax) - bernstein.multiply(bx, ay)", "right = bernstein.multiply(bx, ay) - bernstein.multiply(by, ax)", "triangle", "sense of turning"),
-    Mutation("arena.py", "np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)", "x - arena.lower[:, None]", "narrow_arena", "upper walls missed"),
-    Mutation("keep_out.py", "for slab in each.slabs:", "for slab in each.slabs[:1]:", "carry_box", "rims missed"),
+    Mutation("arena.py", "np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=2)", "arena.upper[:, None] - x", "tie_carry_untie", "lower walls missed"),
+    Mutation("keep_out.py", "for slab in each.slabs:", "for slab in each.slabs[1:]:", "grip_drum", "bodies missed"),
     Mutation(B + "thrust_enclosure.py", "free[:, :, 2] += mass * GRAVITY", "free[:, :, 2] -= mass * GRAVITY", "triangle", "sign of gravity"),
     Mutation(B + "thrust_enclosure.py", "thrust = bernstein.elevate(free, order) + bernstein.elevate(pull, order)", "thrust = bernstein.elevate(free, order) - bernstein.elevate(pull, order)", "transport", "sign of the cable's pull"),
     Mutation(B + "thrust_enclosure.py", "blocks = [(0.5 * taut * whole)[:, :, None]]", "blocks = [(2.0 * taut * whole)[:, :, None]]", "weight_hexagon", "a factor of legs' weight"),
-    Mutation("tilt.py", "angles = _angle(column_lengths(f[:, :2]), f[:, 2])", "angles = _angle(column_lengths(f[:, :1]), f[:, 2])", "triangle", "leaning along y dropped"),
+    Mutation("tilt.py", "np.degrees(np.arctan2(across, upward))", "np.degrees(np.arctan2(0.9 * across, upward))", "triangle", "a factor of leaning"),
     Mutation("equilibrium.py", "np.array([1.0, 1.0, 1.0, -1.0])", "np.array([1.0, 1.0, 1.0, 1.0])", "triangle", "sign of an edge"),
     Mutation(B + "clasp_weights.py", "load = 0.5 * GRAVITY * team.load[:, None] * share", "load = 0.0 * GRAVITY * team.load[:, None] * share", "weight_hexagon", "the load dropped"),
     Mutation(B + "clasp_weights.py", "half = 0.5 * GRAVITY * team.cable_density", "half = 1.0 * GRAVITY * team.cable_density", "weight_hexagon", "a factor of cables' weight"),
@@ -81,7 +81,7 @@ MUTATIONS = (
     Mutation("tension.py", "over = np.maximum(np.max(pull, axis=-1) - most * held", "over = np.maximum(np.max(pull, axis=-1) - 0.9 * most * held", "friction", "a factor of the range of tensions"),
     Mutation("interlacing.py", "CableState.TIGHTENING: 1,", "CableState.TIGHTENING: 0,", "form_triangle", "clasped cables taken for free ones"),
     Mutation(B + "chord_crossings.py", "(after - before) // 2", "(after + before) // 2", "form_triangle", "sign of crossings"),
-    Mutation("support.py", "pressing = np.where(most > 0.0, falling[0], falling[1])", "pressing = 2.0 * np.where(most > 0.0, falling[0], falling[1])", "carry_box", "a factor of gravity"),
+    Mutation("support.py", "level = (centre[2] - body.rim.height) *", "level = 10.0 * (centre[2] - body.rim.height) *", "carry_box", "a factor of inertia leaning"),
     Mutation("support.py", "distance = np.sum(inward * (centre[:2] - points[..., :2]), axis=-1)", "distance = np.sum(inward * (points[..., :2] - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
     Mutation("grip.py", "slip = friction * np.sum(", "slip = 2.0 * friction * np.sum(", "grip_drum", "a factor of slip loads"),
     Mutation("grip.py", "load: Array = body.mass * (share * (GRAVITY + upward) + turned * turning_reach(body))", "load: Array = body.mass * (share * upward + turned * turning_reach(body))", "grip_drum", "the weight dropped"),
@@ -139,16 +139,18 @@ def main() -> int:
     """Print the table of all mutations."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plans", type=Path, default=None)
-    given = parser.parse_args().plans
+    parser.add_argument("--only", default="", help="words of the mutations to make")
+    given, only = parser.parse_args().plans, parser.parse_args().only
+    mutations = [each for each in MUTATIONS if only in each.words]
     missed = 0
     with tempfile.TemporaryDirectory() as temporary:
         folder, package = given or Path(temporary) / "plans", Path(temporary) / "package"
         ignore = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / "hitchopt", package / "hitchopt", ignore=ignore)
-        for name in sorted({each.plan for each in MUTATIONS}):
+        for name in sorted({each.plan for each in mutations}):
             assert not disagreement(package, plan(name, folder)), name
         print("| mutation | plan | disagreement |\n|---|---|---|")
-        for each in MUTATIONS:
+        for each in mutations:
             inside = each.file[1:] if each.file[0] == "/" else f"checks/{each.file}"
             file = package / "hitchopt" / inside
             text = file.read_text(encoding="utf-8")
@@ -158,7 +160,7 @@ def main() -> int:
             file.write_text(text, encoding="utf-8")
             missed += not found
             print(f"| {each.words} ({inside}) | {each.plan} | {found or 'NONE'} |", flush=True)
-    print(f"\n{len(MUTATIONS) - missed} of {len(MUTATIONS)} are found")
+    print(f"\n{len(mutations) - missed} of {len(mutations)} are found")
     return 1 if missed else 0
 
 

@@ -27,7 +27,6 @@ import zipfile
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -586,8 +585,12 @@ class Plan:
         self.state = np.array([p["state"] for p in self.phases])[self.phase]
         self.formed = self.state == "hitched"
         self.hold = [self.phases[p]["hold"] for p in self.phase]
-        if not set(self.state) <= set(STATES) or any(
-            h and h["object"] not in objects for h in self.hold
+        held = [h for h in (p["hold"] for p in self.phases) if h is not None]
+        if not set(self.state) <= set(STATES) or not all(
+            h["object"] in objects
+            and h["by"] in ("rest", "grip")
+            and set(h["cables"]) <= set(range(n))
+            for h in held
         ):
             raise UnreadableError("phases have states or hold objects that there are not")
         self.drones = Poly(arrays["drones"], self.h)
@@ -2027,11 +2030,6 @@ def story(plan):
         low = phase["tension"]
         if low is not None and not (len(low) == 2 and 0.0 < low[0] <= low[1]):
             wrong("a range of tensions", phase["start"])
-        hold = phase["hold"]
-        if hold is not None and (
-            hold["by"] not in ("rest", "grip") or not set(hold["cables"]) <= set(range(plan.n))
-        ):
-            wrong("a hold", phase["start"])
     if plan.cabled:
         _states(plan, wrong)
     _objects(plan, wrong)
@@ -2234,7 +2232,7 @@ def _asked(plan, asked, wrong):
             wrong(f"{name} is {there}, asked {want}")
 
 
-def verify(path: Path | str) -> Iterator[Any]:
+def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit: name, verdict, worst, limit, unit, sense, time, where, samples."""
     path = Path(path)
     plan = Plan(path / "plan.npz" if path.is_dir() else path)
@@ -2267,7 +2265,7 @@ def verify(path: Path | str) -> Iterator[Any]:
         yield Row(name, unit, *worst[:-1], sum(f[-1] for f in found))
 
 
-def line(row: Any) -> str:
+def line(row: Row) -> str:
     """A row in words."""
     sign = "≥" if row.sense == "min" else "≤"
     worst = f"{row.worst:12.6g} {sign} {row.limit:<9.6g} {row.unit:6}"
@@ -2275,7 +2273,7 @@ def line(row: Any) -> str:
     return f"{row.name:17} {row.verdict:10} {worst} {place} {row.samples} samples"
 
 
-def verdict(rows: Sequence[Any]) -> str:
+def verdict(rows: Sequence[Row]) -> str:
     """What all rows say together."""
     bad = [row.name for row in rows if row.verdict != "proven"]
     if bad:
@@ -2283,7 +2281,7 @@ def verdict(rows: Sequence[Any]) -> str:
     return "proven: every limit holds at all times"
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(arguments):
     """Print what is found of the plan in a directory; 0 proven, 3 not, 2 unreadable."""
     if len(arguments) != 1:
         print("usage: python verify.py DIR", file=sys.stderr)
