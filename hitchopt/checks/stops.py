@@ -6,11 +6,10 @@ the cable's force, which depends on the place alone. What is carried is pulled a
 fit the plan's own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay
 within what checks ``equilibrium``, ``support`` and ``grip`` leave of their limits.
 
-All are sums of a function of the clock times one of the place. On a cell of a phase of constant s̈
-norms bound them, ``|D²x| s² + |Dx| |ṡ|`` and the like, by the cell's own largest ones. Where that
-does not do, each factor lies near the chord between its ends, off it by a part of its second
-derivative, and a convex measure is largest at one of the four pairs of ends; cells are halved until
-that decides.
+All are sums of a function of the clock times one of the place. On a cell, a phase of constant s̈
+within one piece, norms bound them, ``|D²x| s² + |Dx| |ṡ|`` and the like. Where that does not do,
+each factor lies near the chord between its ends, off it by a part of its second derivative, and a
+convex measure is largest at one of the four pairs of ends; cells are halved until that decides.
 
 A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
 shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
@@ -40,10 +39,7 @@ from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-WIDTH = 0.1
-"""[s] Largest width of cells, by plan time."""
-
-HALVINGS = 6
+HALVINGS = 7
 """Halvings of a cell in which a bound is decided; what is undecided then counts as broken."""
 
 BATCH = 20_000
@@ -59,11 +55,11 @@ or something that is carried, which allow no shorter ones."""
 SPACING, STARTS = 0.05, 10_000
 """[s] Distance of stops, for plans of up to ``SPACING * STARTS``."""
 
-BISECTIONS = 7
+BISECTIONS = 6
 """Bisections of the logarithm of the least duration that samples allow."""
 
-LONGER = (1.02, 1.12, 1.35, 2.0)
-"""Multiples of that which are tried, one after the other."""
+LONGER = ((1.02,), (1.1, 1.2, 1.6))
+"""Multiples of that which are tried, some together."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
@@ -71,7 +67,7 @@ LATEST = 1.5
 STEP = 0.02
 """[s] Distance of samples of the plan."""
 
-SHARES = np.arange(6) / 5.0
+SHARES = np.arange(4) / 3.0
 """Shares of the phases of a stop at which samples are taken."""
 
 SWITCH = 5.0 / 12.0
@@ -179,6 +175,9 @@ class _Curves:
         order = max(bernstein.degree(each) for each in functions)
         self.rows = np.cumsum([0, *(each.shape[2] for each in functions)])
         self.coefficients = np.concatenate([bernstein.elevate(c, order) for c in functions], axis=2)
+        self.sizes = np.stack([np.max(column_lengths(c), axis=-1) for c in functions])
+        """(functions, pieces, items), bounds of norms."""
+        self.sizes = (self.sizes + margins) * (1.0 + SLACK)
         h = 8.0 * np.diff(breaks)[:, None] ** 2
         curved = [bernstein.differentiate(bernstein.differentiate(each)) for each in functions]
         self._bends = [np.max(column_lengths(c), axis=-1) * (1.0 + SLACK) / h for c in curved]
@@ -206,19 +205,6 @@ class _Curves:
                 self.rows[:-1], self.rows[1:], self._bends, self.margins, strict=True
             )
         ]
-
-    def sizes(self, piece: Indices, lower: Array, upper: Array) -> Array:
-        """Return bounds (functions, cells, items) of norms on spans of pieces."""
-        found = np.empty((len(self.margins), len(piece), self.coefficients.shape[1]))
-        count = max(1, BATCH // found.shape[2])
-        for begin in range(0, len(piece), count):
-            part = slice(begin, begin + count)
-            span = (each[part, None, None] for each in (lower, upper))
-            c = bernstein.restrict(self.coefficients[piece[part]], *span)
-            for k, margin in enumerate(self.margins):
-                norms = column_lengths(c[:, :, self.rows[k] : self.rows[k + 1]])
-                found[k, part] = np.max(norms, axis=-1) + margin[piece[part]]
-        return found * (1.0 + SLACK)
 
 
 Look = Callable[[_Pairs], tuple[Flags, Flags]]
@@ -273,14 +259,8 @@ class ClockLimits:
         self.reserved = motion.requirements.limits.reserve < 1.0
         """Whether the plan leaves something of its limits, so that stops can begin anywhere."""
         self._curves = _Curves.of(drones, 3)
-        parts = np.ceil(drones.durations / max(WIDTH, drones.duration / STARTS)).astype(np.intp)
-        self._piece = np.repeat(np.arange(drones.pieces), parts)
-        within = np.arange(len(self._piece)) - np.repeat(np.cumsum(parts) - parts, parts)
-        shares = np.stack([within, within + 1]) / parts[self._piece]
-        begins = self.breaks[self._piece] + shares[0] * drones.durations[self._piece]
-        self._nodes = np.append(begins, self.breaks[-1])
-        self._sizes = self._curves.sizes(self._piece, *shares)
-        """(3, cells, drones), bounds of the derivatives' norms."""
+        self.sizes = self._curves.sizes
+        """(3, pieces, drones), bounds of the derivatives' norms by plan time."""
         static = StaticThrust.of(motion)
         hover, beyond = static.largest, static.beyond_cone(motion.requirements.limits.tilt)
         functions, margins = [static.thrust.coefficients], [static.thrust.radius + ROUNDING * hover]
@@ -303,33 +283,28 @@ class ClockLimits:
         owners: how many clocks there are.
         sampled: look at samples only, as a first guess; otherwise bound all of the time.
         """
-        cells, index = phases.cut(self._nodes, 0.0)
-        flown = (index >= 0) & (index < len(self._piece))
-        cells, index = cells.taken(flown), index[flown]
+        cells, piece = phases.cut(self.breaks, 0.0)
+        flown = (piece >= 0) & (piece < len(self.breaks) - 1)
+        cells, piece = cells.taken(flown), piece[flown]
         kept = np.ones(owners, dtype=np.bool_)
-        largest = np.max(self._sizes, axis=2, keepdims=True)
-        left = np.flatnonzero(~np.all(self._each(cells, index, largest), axis=1))
         count = max(1, BATCH // len(self.motion.team.mass))
-        for first in range(0, len(left), count):
-            row = left[first : first + count]
+        for first in range(0, len(cells), count):
+            row = np.arange(first, min(first + count, len(cells)))
             row = row[kept[cells.owner[row]]]
-            own = cells.taken(row)
-            where, drone = np.nonzero(~self._each(own, index[row], self._sizes))
-            pairs = _Pairs(own.taken(where), self._piece[index[row[where]]], drone)
+            where, drone = np.nonzero(~self._each(cells.taken(row), piece[row]))
+            pairs = _Pairs(cells.taken(row[where]), piece[row[where]], drone)
             _decide(self._look, pairs, kept, sampled=sampled)
         if self.inertia is not None:
-            self.inertia.look(cells, self._piece[index], kept, sampled=sampled)
+            self.inertia.look(cells, piece, kept, sampled=sampled)
         return kept
 
-    def _each(self, cells: ClockPhases, index: Indices, sizes: Array) -> Flags:
+    def _each(self, cells: ClockPhases, piece: Indices) -> Flags:
         """Return (cells, drones) whether norms show that limits are kept."""
         limits = self.motion.requirements.limits
         s, a, j = _Clock(cells).most[..., None]
-        V, A, J = sizes[:, index]
+        V, A, J = self._curves.sizes[:, piece]
         acceleration = s * s * A + a * V
-        fine: Flags = acceleration <= np.minimum(
-            self._spare[self._piece[index]], limits.acceleration
-        )
+        fine: Flags = acceleration <= np.minimum(self._spare[piece], limits.acceleration)
         fine &= s * s * s * J + 3.0 * s * a * A + j * V <= limits.jerk
         return fine & (limits.body_rate is None)  # of turning no quick bound comes close
 
@@ -415,8 +390,6 @@ class CarriedInertia:
         self.breaks = motion.drones.breaks
         self.paths = PiecewisePolynomial(self.breaks, paths)
         self._curves = _Curves.of(self.paths, 2)
-        none, one = np.zeros(pieces), np.ones(pieces)
-        self._sizes = self._curves.sizes(np.arange(pieces), none, one)
         edges = [(self.breaks[run.start], self.breaks[run.stop]) for run, _, _ in parts]
         self._spans = np.array(edges)
 
@@ -455,7 +428,7 @@ class CarriedInertia:
         sampled: only where a value breaks it.
         """
         s, a, _ = _Clock(cells).most[..., None]
-        V, A = self._sizes[:, piece]
+        V, A = self._curves.sizes[:, piece]
         fine = (np.maximum(s * s, 1.0) * A + a * V) * (1.0 + SLACK) <= self.slack[piece]
         where, item = np.nonzero(~fine & kept[cells.owner][:, None])
         pairs = _Pairs(cells.taken(where), piece[where], item)
@@ -533,16 +506,15 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     rest = end if moving <= REST else np.inf
     sampled = _Samples(limits)
     least = sampled.least(starts)
-    durations, left = np.full(len(starts), np.inf), np.arange(len(starts))
-    for factor in LONGER:
-        tried = factor * least[left]
+    durations = np.full(len(starts), np.inf)
+    for factors in LONGER:
+        left = np.tile(np.flatnonzero(np.isinf(durations)), len(factors))
+        tried = np.repeat(factors, len(left) // len(factors)) * least[left]
         useful = limits.reserved | (tried < LATEST * (rest - starts[left]))
-        some = np.flatnonzero(useful & sampled.keep(starts[left], tried))
-        kept = some[_shown(limits, starts[left[some]], tried[some])]
-        durations[left[kept]] = tried[kept]
-        left = left[np.isinf(durations[left])]
-        if not len(left):
-            break
+        left, tried = left[useful], tried[useful]
+        kept = sampled.keep(starts[left], tried)
+        kept[kept] = _shown(limits, starts[left[kept]], tried[kept])
+        np.minimum.at(durations, left[kept], tried[kept])
     return StopTable(rest, starts, durations)
 
 
@@ -553,12 +525,12 @@ class _Samples:
         self._limits, drones = limits, limits.motion.drones
         count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
         self._times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
-        leading = np.unique(np.argmax(limits._sizes, axis=2))
+        leading = np.unique(np.argmax(limits.sizes, axis=2))
         parts = drones.alike(drones.coefficients[:, leading])
-        self._jets = [parts.at(self._times, k) for k in (1, 2, 3)]
+        self._jets = np.stack([parts.at(self._times, k) for k in (1, 2, 3)], axis=1)
         inertia = limits.inertia
         if inertia is not None:
-            self._paths = [inertia.paths.at(self._times, k) for k in (1, 2)]
+            self._paths = np.stack([inertia.paths.at(self._times, k) for k in (1, 2)], axis=1)
             piece = np.searchsorted(drones.breaks[1:-1], self._times, side="right")
             self._slack = inertia.slack[piece]
 
@@ -578,18 +550,18 @@ class _Samples:
         """Return (m,) whether stops keep accelerations, jerks and balances about the samples."""
         clocks = stop_phases(starts, durations)
         jets = advanced(clocks.jets[:, None], clocks.duration[:, None] * SHARES)
-        time, s, a, j = np.moveaxis(jets.reshape(len(starts), -1, 4), -1, 0)
+        time, s, a, j = np.moveaxis(jets.reshape(-1, 2 * len(SHARES), 4), -1, 0)
         s, a, j = (each[..., None, None] for each in (s, a, j))
         step = self._times[1] - self._times[0]
         node = np.rint((time - self._times[0]) / step).astype(np.intp)
         flown = node < len(self._times)
         node = np.minimum(node, len(self._times) - 1)
-        x1, x2, x3 = (each[node] for each in self._jets)
+        x1, x2, x3 = np.moveaxis(self._jets[node], 2, 0)
         most = self._limits.motion.requirements.limits
         fine = _shorter(s**2 * x2 + a * x1, most.acceleration)
         fine &= _shorter(s**3 * x3 + 3.0 * s * a * x2 + j * x1, most.jerk)
         if self._limits.inertia is not None:
-            x1, x2 = (each[node] for each in self._paths)
+            x1, x2 = np.moveaxis(self._paths[node], 2, 0)
             fine &= _shorter((s**2 - 1.0) * x2 + a * x1, self._slack[node])
         kept: Flags = np.all(fine | ~flown, axis=1)
         return kept

@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.equilibrium import QUICK as QUICK_BALANCE
+from hitchopt.checks.equilibrium import QUICK
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.rule import Findings, Found
 from hitchopt.checks.stops import RULE as STOPPABLE
@@ -182,7 +182,7 @@ def certified_retarget(
             if short:
                 certificate = Certificate(ahead.duration, short)
             else:
-                known = {**known, QUICK_BALANCE.name: QUICK_BALANCE.findings(checked)}
+                known = {**known, QUICK.name: QUICK.findings(checked)}
                 certificate = certify(checked, reports=(), known=known)
             if certificate.certified:
                 stops = tuple(report.check(checked, {}, GAMMA) for report in IN_FLIGHT)

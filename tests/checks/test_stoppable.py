@@ -155,11 +155,11 @@ def longest_sampled(motion: Motion, spacing: float = 0.01, count: int = 60) -> f
     return float(np.max(np.minimum(rests, motion.duration) - starts))
 
 
-def test_the_report_is_within_a_fifth_of_the_longest_that_sampling_finds() -> None:
+def test_the_report_is_within_a_quarter_of_the_longest_that_sampling_finds() -> None:
     motion = motion_of()
     reported = certify(motion)["stoppable"]
     sampled = longest_sampled(motion)
-    assert sampled <= reported.bound <= 1.2 * sampled
+    assert sampled <= reported.bound <= 1.25 * sampled
     assert (reported.limit, reported.holds, reported.unit) == (None, True, "s")
 
 
@@ -239,6 +239,8 @@ def test_phases_cut_at_breaks_meet_and_cover_all_of_their_time() -> None:
     ends = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
     assert np.all(ends >= low - 1e-7)
     assert np.all(ends <= high + 1e-7)
+    assert 2 not in pieces
+    assert 2 in clock.cut(breaks, 0.0)[1]  # as limits are looked at, in slivers too
 
 
 def test_a_plan_that_does_not_end_at_rest_says_so() -> None:
