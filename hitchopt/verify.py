@@ -1595,11 +1595,10 @@ def _off_others(plan, j):
     allowed = np.zeros((len(plan.h), len(names) + 1), bool)
     for run in np.unique(runs):
         pieces = np.flatnonzero((runs == run) & upright)
-        if len(pieces):
-            for p, k in ((pieces[0], 0), (pieces[-1], -1)):
-                under, top = _below(plan, j, c[p, :, :, k])
-                if abs(c[p, j, 2, k] + each.lower - top) <= TOUCH or (k == 0 and p == 0):
-                    allowed[pieces, under] = True
+        for p, k in ((p, k) for p in pieces for k in (0, -1)):
+            under, top = _below(plan, j, c[p, :, :, k])
+            if abs(c[p, j, 2, k] + each.lower - top) <= TOUCH or (k == 0 and p == 0):
+                allowed[pieces, under] = True
     ground = np.flatnonzero(plan.moving[:, j])
 
     def height(rows):
