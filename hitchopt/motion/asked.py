@@ -152,7 +152,9 @@ def _same_places(wanted: Any, found: Any) -> bool:
     places = []
     for each in (wanted, found):
         drones = each["start"]["drones"]
-        rows = [*drones["q"], *drones["r"]] if isinstance(drones, dict) else drones
+        rows = [*drones["q"], *drones["r"]] if isinstance(drones, dict) else drones or []
+        if not all(isinstance(x, float | int) for row in rows for x in row):
+            return False
         places.append(sorted([round(x, 5) for x in row] for row in rows))
     return bool(places[0] == places[1])
 

@@ -119,6 +119,8 @@ LIES: dict[str, tuple[str, Callable[[dict[str, Any], dict[str, Any]], None]]] = 
     "a table elsewhere": ("objects.table", setting("objects", "table", "at", to=[3, 2, 0])),
     "no table": ("objects.table", setting("objects", to={})),
     "another start": ("start.drones.q[0]", setting("asked", "start", "drones", "q", 0, 0, to=2.0)),
+    "a start in words": ("asked", setting("asked", "start", "drones", "q", 0, 0, to="left")),
+    "a start that is none": ("asked", setting("asked", "start", "drones", to=None)),
     "a prism": (
         "keep_out",
         setting("asked", "keep_out", to=[{"polygon": [], "lower": 0, "upper": 1}]),
